@@ -1,0 +1,1 @@
+"""The touchd daemon: from frames to touches, answers, events and the robot."""

@@ -1,0 +1,1 @@
+"""Hardware edges and recordings: the ground floor, which imports nothing above it."""

@@ -1,0 +1,31 @@
+"""One reading of the pad, as everything to its right sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+ROWS = 8
+COLUMNS = 8
+MAX_COUNT = 1023
+FRAME_RATE_HZ = 54.0
+
+Counts = NDArray[np.uint16]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One complete scan of the pad.
+
+    number: frames delivered since the sensor was opened, from 0.
+    sensor_ms: the sensor's own clock in milliseconds, as sent (uint32, wraps after 49.7 days).
+    host_s: `time.monotonic()` when the frame's last byte arrived, in seconds.
+    pressure: (8, 8) uint16 counts, 0 (no pressure) to 1023, read-only.
+    """
+
+    number: int
+    sensor_ms: int
+    host_s: float
+    pressure: Counts

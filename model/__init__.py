@@ -1,0 +1,1 @@
+"""The touch classifier: data, networks, training, export, and inference."""
