@@ -1,0 +1,117 @@
+"""What the daemon says: one JSON object a line, on stdout and in the journal."""
+
+from __future__ import annotations
+
+from datetime import datetime, timezone
+from typing import Literal, TypeAlias
+
+import msgspec
+
+Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
+EndReason: TypeAlias = Literal["released", "settled", "gap", "sensor", "stopped"]
+
+UNCERTAIN = "uncertain"
+
+
+class EventError(ValueError):
+    """A line is not an event; the message says what is wrong with it."""
+
+
+class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_began"):
+    """A hand is on the pad.
+
+    touch: number of the touch since the daemon started, from 1.
+    sensor_ms: the sensor's clock at the touch's first frame.
+    time: when this was noticed (UTC), as in every event.
+    """
+
+    touch: int
+    time: str
+    sensor_ms: int
+
+
+class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
+    """What the touch is, as far as it has come.
+
+    stage: see `daemon.decide`. frames: length of the window asked about.
+    elapsed_s: from the touch's first frame to the window's last.
+    gesture, confidence: the answer that stands now; "uncertain" at stage "uncertain".
+    probabilities: per label, renormalised over the scene's gestures; 0 for those it leaves out.
+    changed: the answer differs from the touch's previous one. told: the robot is told now.
+    degraded: frames of this touch were lost and bridged.
+    latency_ms: from the arrival of the frame that made this answer due to its hand-over.
+    """
+
+    touch: int
+    stage: Stage
+    frames: int
+    elapsed_s: float
+    gesture: str
+    confidence: float
+    probabilities: dict[str, float]
+    changed: bool
+    told: bool
+    degraded: bool
+    latency_ms: float
+    model: str
+    time: str
+
+
+class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_ended"):
+    """The hand is gone, or can no longer be followed.
+
+    gesture: what the robot was last told, else "uncertain".
+    frames: from first to last contact, on the 54 Hz grid.
+    reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "gap" (more
+    frames lost than can be bridged, or the sensor restarted); "sensor" (gone); "stopped" (the stream ended).
+    """
+
+    touch: int
+    gesture: str
+    frames: int
+    reason: EndReason
+    time: str
+
+
+class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
+    """The pad came or went. reason: one line for people, empty when there is nothing to add."""
+
+    state: Literal["up", "down"]
+    time: str
+    reason: str = ""
+
+
+class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot"):
+    """The robot came or went. reason: one line for people, empty when there is nothing to add."""
+
+    state: Literal["up", "down"]
+    time: str
+    reason: str = ""
+
+
+Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent
+
+
+def encode(event: Event) -> bytes:
+    """Return the event as one line of JSON, UTF-8, without a newline."""
+    return msgspec.json.encode(event)
+
+
+def decode(line: bytes | str) -> Event:
+    """Return the event that a line of JSON holds; raises EventError when it holds none."""
+    try:
+        event: Event = msgspec.json.decode(line, type=Event)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise EventError(f"not an event: {error}") from error
+    return event
+
+
+def timestamp(epoch_s: float) -> str:
+    """Return seconds since 1970 as the `time` of an event: UTC, ISO 8601, whole milliseconds."""
+    moment = datetime.fromtimestamp(round(epoch_s, 3), timezone.utc)
+    return moment.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def epoch_s(time: str) -> float:
+    """Return an event's `time` as seconds since 1970."""
+    return datetime.fromisoformat(time.replace("Z", "+00:00")).timestamp()
