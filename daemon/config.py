@@ -1,0 +1,127 @@
+"""One YAML file into typed settings; whatever is wrong with it is said in one line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from daemon.decide import DecisionSettings
+from daemon.pipeline import PipelineSettings
+from daemon.ring import RingSettings
+from daemon.strict_yaml import StrictYamlError, convert
+from daemon.touch import TouchSettings
+from drivers.frame import COLUMNS, ROWS
+
+MAX_BYTES = 64 * 1024
+DEFAULT_PORT = "/dev/touchd-pad"
+SHIPPED_MODEL = "touchd.onnx"
+
+Side = Annotated[int, msgspec.Meta(ge=8, le=64)]
+
+
+class ConfigError(Exception):
+    """The settings cannot be used; the message is one line that names what is wrong and what to do."""
+
+
+class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The pad and the line it is on.
+
+    port: a device, a pty or any address that pyserial's `serial_for_url` takes. baud: bits per second.
+    protocol: "fabric-grid" (the lab firmware's binary frames) or "csv" (one line of numbers a frame).
+    rows, columns: the grid as it is sent. crop: taxels left out on every side, to leave 8x8.
+    invert: the pad sends 1023 for no pressure.
+    """
+
+    port: str = DEFAULT_PORT
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
+    protocol: Literal["fabric-grid", "csv"] = "fabric-grid"
+    rows: Side = 10
+    columns: Side = 10
+    crop: Annotated[int, msgspec.Meta(ge=0, le=28)] = 1
+    invert: bool = True
+
+    def __post_init__(self) -> None:
+        left = (self.rows - 2 * self.crop, self.columns - 2 * self.crop)
+        if left != (ROWS, COLUMNS):
+            raise ValueError(
+                f"{self.rows}x{self.columns} with crop {self.crop} leaves {left[0]}x{left[1]}, "
+                f"and the model feels {ROWS}x{COLUMNS}; set rows, columns and crop to leave that"
+            )
+
+
+class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the robot is and how to log in. The token itself is never in the file.
+
+    url: tcp://host:9559, or tcps://host:9503 for NAOqi 2.9. prefix: of the ALMemory events raised.
+    user, and token_file or token_env (a file, or an environment variable, that holds the token): for tcps.
+    """
+
+    url: str
+    prefix: str = "TouchGesture"
+    user: str | None = None
+    token_file: str | None = None
+    token_env: str | None = None
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"tcps?://[^\s/]+:\d+", self.url):
+            raise ValueError(f"url {self.url!r} is not an address such as tcp://nao.local:9559")
+        if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
+            raise ValueError(
+                f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
+            )
+        if self.token_file is not None and self.token_env is not None:
+            raise ValueError("token_file and token_env are both set; keep one")
+
+
+class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
+
+    max_mb: size at which a new file is begun. keep: how many older files stay, path.1 being the newest.
+    """
+
+    path: str
+    max_mb: Annotated[float, msgspec.Meta(gt=0, le=10_000)] = 10.0
+    keep: Annotated[int, msgspec.Meta(ge=0, le=100)] = 5
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd."""
+
+    sensor: SensorSettings = SensorSettings()
+    model: str | None = None
+    ring: RingSettings = RingSettings()
+    touch: TouchSettings = TouchSettings()
+    scene: DecisionSettings = DecisionSettings()
+    robot: RobotConfig | None = None
+    journal: JournalSettings | None = None
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @property
+    def pipeline(self) -> PipelineSettings:
+        """What the pipeline needs of this."""
+        return PipelineSettings(ring=self.ring, touch=self.touch, decision=self.scene)
+
+    @property
+    def model_path(self) -> Path:
+        """The ONNX file to load."""
+        if self.model is not None:
+            return Path(self.model).expanduser()
+        return Path(__file__).resolve().parent.parent / "model" / "weights" / SHIPPED_MODEL
+
+
+def load(path: Path) -> Settings:
+    """Read a configuration file; raises ConfigError with one line that says what to do."""
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the path after -c") from error
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
+    try:
+        return convert(text, Settings)
+    except StrictYamlError as error:
+        raise ConfigError(f"{path}: {error}") from error
