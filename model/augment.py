@@ -1,0 +1,77 @@
+"""What may differ between two touches of the same name: pace, hand, place, pressure, pad, noise, framing."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from drivers.frame import COLUMNS, MAX_COUNT, ROWS
+from model.settings import AugmentationSettings
+
+
+def crop(recording: Tensor, length: int, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+    """Return (length, 8, 8) float counts from a random place in (T, 8, 8), at a random pace and framing."""
+    frames = recording
+    if _chance(settings.published_framing, rng):
+        rows = recording.reshape(-1, COLUMNS)[ROWS - 2 : -2]
+        frames = rows.reshape(-1, ROWS, COLUMNS)
+    if not _chance(settings.change_pace, rng):
+        first = int(torch.randint(len(frames) - length + 1, (1,), generator=rng))
+        return frames[first : first + length].float()
+    pace = 1.0 + settings.pace * (2.0 * torch.rand(1, generator=rng).item() - 1.0)
+    slack = max(0.0, len(frames) - 1 - (length - 1) * pace)
+    places = slack * torch.rand(1, generator=rng) + pace * torch.arange(length)
+    below = places.long().clamp_max(len(frames) - 2)
+    part = (places - below)[:, None, None]
+    return frames[below].float() * (1.0 - part) + frames[below + 1].float() * part
+
+
+def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+    """Return (B, T, 8, 8) float counts with the hand's and the pad's properties varied per window."""
+    B = len(counts)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=rng)
+
+    def chosen(probability: float) -> Tensor:
+        return (torch.rand(B, 1, 1, 1, generator=rng) < probability).float()
+
+    x = counts / MAX_COUNT
+    x = x.clamp_min(1e-6) ** torch.exp(settings.gamma * normal(B, 1, 1, 1))
+    x = x * torch.exp(settings.gain * normal(B, 1, 1, 1) + settings.taxel_gain * normal(B, 1, ROWS, COLUMNS))
+    x = x * MAX_COUNT
+    x = _shift(_turn(x, rng), settings.shift, rng)
+    dead = torch.rand(B, 1, ROWS, 1, generator=rng).argsort(dim=2) == 0
+    x = x * (1.0 - chosen(settings.dead_row) * dead)
+    x = x + chosen(settings.offset) * settings.offset_counts * torch.rand(B, 1, 1, 1, generator=rng)
+    x = x + settings.noise_counts * torch.rand(B, 1, 1, 1, generator=rng) * normal(*x.shape)
+    return x.clamp(0.0, MAX_COUNT)
+
+
+def _turn(x: Tensor, rng: torch.Generator) -> Tensor:
+    """Turn and mirror each window by one of the grid's eight symmetries."""
+    symmetry = torch.randint(8, (len(x),), generator=rng)
+    turned = torch.empty_like(x)
+    for s in range(8):
+        these = symmetry == s
+        rotated = torch.rot90(x[these], s % 4, dims=(2, 3))
+        turned[these] = rotated.flip(3) if s >= 4 else rotated
+    return turned
+
+
+def _shift(x: Tensor, probability: float, rng: torch.Generator) -> Tensor:
+    """Move each window by up to one taxel along each axis, repeating the edge."""
+    B = len(x)
+    for axis, size in ((2, ROWS), (3, COLUMNS)):
+        step = torch.randint(-1, 2, (B,), generator=rng)
+        step = step * (torch.rand(B, generator=rng) < probability)
+        moved = x.clone()
+        for direction in (-1, 1):
+            source = (torch.arange(size) + direction).clamp(0, size - 1)
+            moved[step == direction] = x[step == direction].index_select(axis, source)
+        x = moved
+    return x
+
+
+def _chance(probability: float, rng: torch.Generator) -> bool:
+    return bool(torch.rand(1, generator=rng).item() < probability)

@@ -1,0 +1,148 @@
+"""The classifier as the daemon runs it: ONNX Runtime only, one thread, no state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
+
+SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
+MAX_FILE_BYTES = 32 * 1024 * 1024
+METADATA_KEY = "touchd"
+
+
+class ModelError(Exception):
+    """A model file is missing, unreadable or not made for this pad; the message says which and what to do."""
+
+
+class ModelInputError(ValueError):
+    """The counts given are no window of the pad: wrong shape, not finite, or outside 0 to 1023."""
+
+
+class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
+    """What a model file says of itself, stored as JSON under the key "touchd" of its ONNX metadata."""
+
+    name: str
+    labels: tuple[str, ...]
+    frame_rate_hz: float
+    framing: str
+    lengths: tuple[int, ...]
+    max_length: int
+    temperatures: dict[str, float]
+    training: dict[str, Any]
+    code_version: str
+    data_sha256: str
+    scores: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Classifier:
+    """Names a window of counts: (T, 8, 8) to probabilities (7,), any T from 1 to `metadata.max_length`."""
+
+    metadata: ModelMetadata
+    session: onnxruntime.InferenceSession
+
+    @classmethod
+    def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> Classifier:
+        """Load a model file that `touchd export` wrote; raises ModelError when it does not fit."""
+        session = _open_session(path, threads)
+        stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+        if stored is None:
+            raise ModelError(
+                f"{path}: not a touchd model (it carries no touchd metadata); make one with `touchd export`"
+            )
+        try:
+            metadata = msgspec.json.decode(stored, type=ModelMetadata)
+        except msgspec.DecodeError as error:
+            raise ModelError(f"{path}: its touchd metadata is damaged ({error}); export it again") from error
+        _check_fit(path, metadata, session)
+        return cls(metadata, session)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The gestures in the order of the probabilities."""
+        return self.metadata.labels
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """The window lengths, in frames, at which the model was calibrated."""
+        return self.metadata.lengths
+
+    @property
+    def name(self) -> str:
+        """The model's name, as events carry it."""
+        return self.metadata.name
+
+    def probabilities(self, frames: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Return calibrated probabilities (7,) for counts (T, 8, 8), integers or floats in 0 to 1023.
+
+        Raises ModelInputError for any other shape, length or value.
+        """
+        probabilities: NDArray[np.float64] = self.batch_probabilities(frames[np.newaxis])[0]
+        return probabilities
+
+    def batch_probabilities(self, windows: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Return probabilities (B, 7) for B windows of equal length, counts (B, T, 8, 8)."""
+        counts = self._checked(windows)
+        (probabilities,) = self.session.run(None, {"counts": counts})
+        return np.asarray(probabilities, dtype=np.float64)
+
+    def _checked(self, windows: NDArray[np.generic]) -> NDArray[np.float32]:
+        if windows.ndim != 4 or windows.shape[2:] != (ROWS, COLUMNS):
+            raise ModelInputError(f"expected frames of shape (T, {ROWS}, {COLUMNS}), got {windows.shape[1:]}")
+        if not 1 <= windows.shape[1] <= self.metadata.max_length:
+            raise ModelInputError(
+                f"{windows.shape[1]} frames; the model takes 1 to {self.metadata.max_length}"
+            )
+        counts = np.ascontiguousarray(windows, dtype=np.float32)
+        # A NaN fails both comparisons, so this one line also refuses what is not finite.
+        if not (counts.min(initial=0.0) >= 0.0 and counts.max(initial=0.0) <= MAX_COUNT):
+            raise ModelInputError(f"counts must be finite and within 0 to {MAX_COUNT}")
+        return counts
+
+
+def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = 3
+    # Denormal floats take the processor tens of times longer and mean nothing here.
+    options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    # A spinning pool would burn the idle core of a robot's companion computer.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
+        # From bytes, not from the path: ONNX Runtime then refuses weights that lie outside the file.
+        content = path.read_bytes()
+    except OSError as error:
+        raise ModelError(
+            f"{path}: the model cannot be read ({error.strerror}); check `model` in the configuration"
+        ) from error
+    try:
+        return onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # ONNX Runtime raises its own undocumented types
+        raise ModelError(f"{path}: ONNX Runtime refuses the file ({str(error).splitlines()[0]})") from error
+
+
+def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
+    if metadata.frame_rate_hz != FRAME_RATE_HZ:
+        raise ModelError(
+            f"{path}: made for {metadata.frame_rate_hz} Hz, the pad is read at {FRAME_RATE_HZ} Hz"
+        )
+    if metadata.framing != "live":
+        raise ModelError(f"{path}: made for {metadata.framing} framing; a pad sends live frames")
+    inputs = [(entry.name, list(entry.shape[2:])) for entry in session.get_inputs()]
+    if inputs != [("counts", [ROWS, COLUMNS])]:
+        raise ModelError(f"{path}: its inputs are {inputs}, not counts of {ROWS}x{COLUMNS} taxels")
+    classes = session.get_outputs()[0].shape[-1]
+    if classes != len(metadata.labels):
+        raise ModelError(f"{path}: {classes} outputs for {len(metadata.labels)} labels; export it again")

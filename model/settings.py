@@ -1,0 +1,81 @@
+"""What decides a training: the network's shape, the augmentation, the schedule. No torch in here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+LENGTHS = (54, 81, 144)
+"""The window lengths, in frames, at which touches are answered: 1, 1.5 and 2.67 s."""
+
+
+class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The network's shape. Widths are channels; `dilations` has one gated convolution an entry."""
+
+    stem_width: int = 16
+    width: int = 96
+    dilations: tuple[int, ...] = (1, 2, 4, 8)
+    blocks: int = 1
+    heads: int = 4
+    feed_forward: int = 192
+    dense: int = 96
+    dropout: float = 0.2
+
+
+class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How far each property of a touch is varied; probabilities a window where nothing else is said."""
+
+    published_framing: float = 0.25
+    change_pace: float = 0.6
+    pace: float = 0.25
+    """Time runs up to this share faster or slower."""
+    gain: float = 0.6
+    """Standard deviation of the log of a factor on all counts."""
+    gamma: float = 0.15
+    """Standard deviation of the log of an exponent on counts / 1023."""
+    taxel_gain: float = 0.1
+    """Standard deviation of the log of a factor on each taxel."""
+    shift: float = 0.4
+    offset: float = 0.4
+    offset_counts: float = 12.0
+    noise_counts: float = 1.5
+    dead_row: float = 0.1
+
+
+class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that decides what a training yields, apart from the data and the code."""
+
+    name: str = "touchd"
+    seed: int = 0
+    left_out: tuple[str, ...] = ()
+    epochs: int = 60
+    crops_per_recording: int = 3
+    batch: int = 32
+    window: int = 144
+    lengths: tuple[int, ...] = (18, 27, 54, 72, 81, 108, 144)
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.05
+    label_smoothing: float = 0.05
+    average_decay: float = 0.995
+    """Of the exponential moving average of the weights, which is the network that is kept."""
+    teachers: tuple[str, ...] = ()
+    """Checkpoints whose averaged answers the network learns too (distillation, Hinton et al. 2015)."""
+    teacher_weight: float = 0.7
+    network: NetworkSettings = NetworkSettings()
+    augmentation: AugmentationSettings = AugmentationSettings()
+
+
+class SettingsError(Exception):
+    """The training settings are wrong; the message names the key."""
+
+
+def read_settings(path: Path, changes: dict[str, Any]) -> TrainSettings:
+    """Read training settings from a YAML file and apply `changes` at the top level. Raises SettingsError."""
+    try:
+        stored = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return msgspec.convert({**stored, **changes}, TrainSettings)
+    except (OSError, yaml.YAMLError, msgspec.ValidationError, TypeError) as error:
+        raise SettingsError(f"{path}: {error}") from error

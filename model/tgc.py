@@ -1,0 +1,176 @@
+"""Our touch-gesture classifier (TGC): causal, one network for every length.
+
+A convolutional stem sees each frame and its change, gated dilated convolutions follow the motion, transformer
+encoder blocks relate it over the touch, and dense layers name the gesture. Everything from raw counts to
+logits is inside the network, so that training and robot cannot drift apart.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from drivers.frame import COLUMNS, MAX_COUNT, ROWS
+from model.settings import NetworkSettings
+
+VARIANCE_FLOOR = 1e-5
+
+
+class FeatureDropout(nn.Module):
+    """Drop whole features of (B, T, width), the same ones in every frame of a touch."""
+
+    def __init__(self, probability: float) -> None:
+        super().__init__()
+        self.probability = probability
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return x, in training with features dropped and the rest scaled up."""
+        if not self.training or self.probability == 0.0:
+            return x
+        kept = torch.full((x.shape[0], 1, x.shape[2]), 1.0 - self.probability, device=x.device)
+        return x * torch.bernoulli(kept) / (1.0 - self.probability)
+
+
+class FrameStem(nn.Module):
+    """Embed each frame and its change since the one before: (B, T, 8, 8) counts to (B, T, width)."""
+
+    def __init__(self, stem_width: int, width: int, dropout: float) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(
+            nn.Conv2d(2, stem_width, 3, padding=1),
+            nn.ReLU(),
+            nn.AvgPool2d(2),
+            nn.Conv2d(stem_width, 2 * stem_width, 3, padding=1),
+            nn.ReLU(),
+            nn.AvgPool2d(2),
+        )
+        self.embed = nn.Linear(2 * stem_width * (ROWS // 4) * (COLUMNS // 4), width)
+        self.norm = nn.LayerNorm(width)
+        self.dropout = FeatureDropout(dropout)
+
+    def forward(self, counts: Tensor) -> Tensor:
+        """Return (B, T, width) from (B, T, 8, 8) counts."""
+        B, T = counts.shape[:2]
+        level = torch.log1p(counts) / math.log1p(MAX_COUNT)  # (B, T, 8, 8)
+        before = torch.cat([level[:, :1], level[:, :-1]], dim=1)
+        change = 10.0 * (level - before)
+        pixels = torch.stack([level, change], dim=2).reshape(B * T, 2, ROWS, COLUMNS)
+        features = self.convolutions(pixels).reshape(B, T, -1)
+        embedded: Tensor = self.norm(self.dropout(self.embed(features)))
+        return embedded
+
+
+class GatedConvolution(nn.Module):
+    """A causal dilated convolution over time with a gate and a residual: (B, T, width) to the same."""
+
+    def __init__(self, width: int, dilation: int, dropout: float) -> None:
+        super().__init__()
+        self.past = 2 * dilation
+        self.convolution = nn.Conv1d(width, 2 * width, 3, dilation=dilation)
+        self.project = nn.Linear(width, width)
+        self.norm = nn.LayerNorm(width)
+        self.dropout = FeatureDropout(dropout)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, T, width); frame t sees frames up to t."""
+        padded = functional.pad(x.transpose(1, 2), (self.past, 0))  # (B, width, past + T)
+        signal, gate = self.convolution(padded).transpose(1, 2).chunk(2, dim=-1)
+        updated: Tensor = self.norm(x + self.dropout(self.project(torch.tanh(signal) * torch.sigmoid(gate))))
+        return updated
+
+
+class EncoderBlock(nn.Module):
+    """A causal pre-norm transformer encoder block that penalises distance (ALiBi, Press et al. 2022)."""
+
+    slopes: Tensor
+
+    def __init__(self, width: int, heads: int, feed_forward: int, dropout: float) -> None:
+        super().__init__()
+        self.heads = heads
+        self.attention_norm = nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.project = nn.Linear(width, width)
+        self.feed_forward = nn.Sequential(
+            nn.LayerNorm(width),
+            nn.Linear(width, feed_forward),
+            nn.GELU(),
+            nn.Linear(feed_forward, width),
+        )
+        self.dropout = FeatureDropout(dropout)
+        slopes = torch.tensor([2.0 ** (-8.0 * (h + 1) / heads) for h in range(heads)])
+        self.register_buffer("slopes", slopes.reshape(1, heads, 1, 1), persistent=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, T, width); frame t attends to frames up to t."""
+        B, T, width = x.shape
+        packed = self.query_key_value(self.attention_norm(x)).reshape(
+            B, T, 3, self.heads, width // self.heads
+        )
+        query, key, value = packed.permute(2, 0, 3, 1, 4)  # each (B, heads, T, width / heads)
+        steps = torch.arange(T, device=x.device)
+        distance = (steps[:, None] - steps[None, :]).to(x.dtype)  # (T, T)
+        bias = torch.where(distance < 0, torch.full_like(distance, -1e4), -self.slopes * distance)
+        scores = query @ key.transpose(-1, -2) / math.sqrt(width // self.heads) + bias
+        mixed = (torch.softmax(scores, dim=-1) @ value).transpose(1, 2).reshape(B, T, width)
+        x = x + self.dropout(self.project(mixed))
+        refined: Tensor = x + self.dropout(self.feed_forward(x))
+        return refined
+
+
+class TGC(nn.Module):
+    """The causal touch-gesture classifier: (B, T, 8, 8) counts to logits at any prefix."""
+
+    def __init__(self, settings: NetworkSettings, classes: int) -> None:
+        super().__init__()
+        self.settings = settings
+        self.stem = FrameStem(settings.stem_width, settings.width, settings.dropout)
+        self.motion = nn.Sequential(
+            *(GatedConvolution(settings.width, dilation, settings.dropout) for dilation in settings.dilations)
+        )
+        self.encoder = nn.Sequential(
+            *(
+                EncoderBlock(settings.width, settings.heads, settings.feed_forward, settings.dropout)
+                for _ in range(settings.blocks)
+            )
+        )
+        self.dense = nn.Sequential(
+            nn.LayerNorm(3 * settings.width),
+            nn.Dropout(settings.dropout),
+            nn.Linear(3 * settings.width, settings.dense),
+            nn.GELU(),
+            nn.Dropout(settings.dropout),
+            nn.Linear(settings.dense, classes),
+        )
+
+    def features(self, counts: Tensor) -> Tensor:
+        """Return (B, T, width) per-frame features of (B, T, 8, 8) counts; frame t sees frames up to t."""
+        features: Tensor = self.encoder(self.motion(self.stem(counts)))
+        return features
+
+    def forward(self, counts: Tensor) -> Tensor:
+        """Return (B, classes) logits over the whole window (B, T, 8, 8)."""
+        features = self.features(counts)
+        mean = features.mean(dim=1)
+        variance = (features * features).mean(dim=1) - mean * mean
+        logits: Tensor = self.dense(self._summary(mean, variance, features.amax(dim=1)))
+        return logits
+
+    def at_lengths(self, counts: Tensor, lengths: tuple[int, ...]) -> Tensor:
+        """Return (B, len(lengths), classes) logits, each over the first `length` frames, in one pass."""
+        features = self.features(counts)
+        last = torch.tensor(lengths, device=counts.device) - 1
+        total = features.cumsum(dim=1)[:, last]
+        squares = (features * features).cumsum(dim=1)[:, last]
+        highest = features.cummax(dim=1).values[:, last]
+        frames = (last + 1).to(counts.dtype)[:, None]
+        mean = total / frames
+        logits: Tensor = self.dense(self._summary(mean, squares / frames - mean * mean, highest))
+        return logits
+
+    @staticmethod
+    def _summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:
+        deviation = torch.sqrt(variance.clamp_min(VARIANCE_FLOOR))
+        return torch.cat([mean, deviation, highest], dim=-1)
