@@ -143,7 +143,7 @@ def learning_rate_at(step: int, steps: int, peak: float) -> float:
 
 
 def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:
-    """Train on realigned recordings; each epoch is saved in `folder` and resumed from; the last one counts."""
+    """Train on realigned recordings; each epoch is saved in `folder` and resumed from; the last counts."""
     path = folder / CHECKPOINT_NAME
     training = Training(recordings, settings, device)
     if path.exists():

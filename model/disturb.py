@@ -1,0 +1,118 @@
+"""What a pad, a lab or a hand may do to a window of counts, for measuring how accuracy holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
+
+Counts32 = NDArray[np.float32]
+Places = NDArray[np.float64]
+Disturb = Callable[[Counts32], Counts32]
+"""Maps windows of counts (B, T, 8, 8) float32 to disturbed ones of the same shape."""
+
+LOST_SHARE = 0.05
+DEAD_ROW = 3
+
+
+def scaled(factor: float) -> Disturb:
+    """Every count times a factor, saturating as the sensor does."""
+
+    def disturb(counts: Counts32) -> Counts32:
+        disturbed: Counts32 = np.minimum(counts * np.float32(factor), np.float32(MAX_COUNT))
+        return disturbed
+
+    return disturb
+
+
+def offset(by: float) -> Disturb:
+    """Every count raised, as after a change of temperature or cover."""
+
+    def disturb(counts: Counts32) -> Counts32:
+        disturbed: Counts32 = np.minimum(counts + np.float32(by), np.float32(MAX_COUNT))
+        return disturbed
+
+    return disturb
+
+
+def quarter_turn(counts: Counts32) -> Counts32:
+    """Turn the pad by 90 degrees."""
+    disturbed: Counts32 = np.rot90(counts, axes=(2, 3)).copy()
+    return disturbed
+
+
+def mirrored(counts: Counts32) -> Counts32:
+    """Mirror the pad, as when it is mounted face down."""
+    disturbed: Counts32 = counts[..., ::-1].copy()
+    return disturbed
+
+
+def shifted(counts: Counts32) -> Counts32:
+    """Move the touch by one taxel along both axes; the edge that comes in repeats the old one."""
+    moved: Counts32 = np.pad(counts, ((0, 0), (0, 0), (1, 0), (1, 0)), mode="edge")[:, :, :-1, :-1]
+    return moved
+
+
+def dead_row(counts: Counts32) -> Counts32:
+    """One row of taxels reads zero."""
+    broken: Counts32 = counts.copy()
+    broken[:, :, DEAD_ROW] = 0
+    return broken
+
+
+def lossy(counts: Counts32) -> Counts32:
+    """Lose 5 % of the frames (never the first or last) and bridge them as the ring does, linearly."""
+    rng = np.random.default_rng(0)
+    bridged: Counts32 = counts.copy()
+    length = counts.shape[1]
+    grid = np.arange(length, dtype=np.float64)
+    for window in range(len(counts)):
+        lost = np.asarray(rng.random(length)) < LOST_SHARE
+        lost[0] = lost[-1] = False
+        kept = np.flatnonzero(~lost)
+        bridged[window] = _resample(counts[window][kept], grid[kept], grid)
+    return bridged
+
+
+def pad_rate(rate_hz: float) -> Disturb:
+    """A pad that scans at another rate, laid back on the 54 Hz grid by linear interpolation."""
+
+    def disturb(counts: Counts32) -> Counts32:
+        length = counts.shape[1]
+        grid = np.arange(length, dtype=np.float64)
+        scans = np.arange(0.0, length - 1 + 1e-9, FRAME_RATE_HZ / rate_hz)
+        disturbed: Counts32 = np.empty_like(counts)
+        for window in range(len(counts)):
+            scanned = _resample(counts[window], grid, scans)
+            disturbed[window] = _resample(scanned, scans, grid)
+        return disturbed
+
+    return disturb
+
+
+def _resample(frames: Counts32, places: Places, wanted: Places) -> Counts32:
+    """Interpolate frames (N, 8, 8), which lie at the places (N,), linearly at the wanted places."""
+    right = np.clip(np.searchsorted(places, wanted), 1, len(places) - 1)
+    left = right - 1
+    part = np.clip((wanted - places[left]) / (places[right] - places[left]), 0.0, 1.0)
+    weight = part.astype(np.float32)[:, None, None]
+    resampled: Counts32 = frames[left] * (1 - weight) + frames[right] * weight
+    return resampled
+
+
+DISTURBANCES: Mapping[str, Disturb] = {
+    "none": lambda counts: counts,
+    "counts x 0.5": scaled(0.5),
+    "counts x 2": scaled(2.0),
+    "+ 10 counts": offset(10.0),
+    "quarter turn": quarter_turn,
+    "mirror": mirrored,
+    "shift by one taxel": shifted,
+    "one dead row": dead_row,
+    "5 % of frames lost": lossy,
+    "50 Hz pad": pad_rate(50.0),
+    "60 Hz pad": pad_rate(60.0),
+}
