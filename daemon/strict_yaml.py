@@ -108,5 +108,7 @@ def _value(raw: Any, keys: Keys) -> Any:
 
 
 def _shortly(value: Any) -> str:
-    # reprlib bounds depth and length, which a few nested aliases would otherwise make astronomic.
-    return reprlib.repr(value)
+    # Two levels are enough to recognise a value, and nested aliases could make a third astronomic.
+    short = reprlib.Repr()
+    short.maxlevel = 2
+    return short.repr(value)
