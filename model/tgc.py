@@ -13,10 +13,14 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from drivers.frame import COLUMNS, MAX_COUNT, ROWS
+from drivers.frame import COLUMNS, ROWS
 from model.settings import NetworkSettings
 
 VARIANCE_FLOOR = 1e-5
+# Of log(1 + counts) and of its change from frame to frame, over the HAART training recordings.
+LEVEL_MEAN = 1.43
+LEVEL_SPREAD = 0.96
+CHANGE_SPREAD = 0.43
 
 
 class FeatureDropout(nn.Module):
@@ -54,9 +58,10 @@ class FrameStem(nn.Module):
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) counts."""
         B, T = counts.shape[:2]
-        level = torch.log1p(counts) / math.log1p(MAX_COUNT)  # (B, T, 8, 8)
+        level = torch.log1p(counts)  # (B, T, 8, 8)
         before = torch.cat([level[:, :1], level[:, :-1]], dim=1)
-        change = 10.0 * (level - before)
+        change = (level - before) / CHANGE_SPREAD
+        level = (level - LEVEL_MEAN) / LEVEL_SPREAD
         pixels = torch.stack([level, change], dim=2).reshape(B * T, 2, ROWS, COLUMNS)
         features = self.convolutions(pixels).reshape(B, T, -1)
         embedded: Tensor = self.norm(self.dropout(self.embed(features)))
