@@ -1,0 +1,130 @@
+"""Where events go. Each sink has its own bounded queue and its own thread, so that none can slow the loop."""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import threading
+import typing
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable
+
+from daemon.events import Event, encode
+from daemon.journal import Journal
+
+log = logging.getLogger(__name__)
+
+CAPACITY = 1000
+WRITABLE_WAIT_S = 0.1
+
+
+class Sink(typing.Protocol):
+    """What the daemon asks of a destination of events."""
+
+    name: str
+
+    def put(self, event: Event) -> None:
+        """Take an event; returns at once, whatever the destination is doing."""
+        ...
+
+    @property
+    def dropped(self) -> int:
+        """Events that the destination was too slow for."""
+        ...
+
+    def stop(self, timeout_s: float) -> None:
+        """Pass on what is queued, as far as the time allows, and end."""
+        ...
+
+
+class QueuedSink(ABC):
+    """A thread that passes events on, one by one; a full queue drops its oldest event and counts it."""
+
+    def __init__(self, name: str, capacity: int = CAPACITY) -> None:
+        self.name = name
+        self.dropped = 0
+        self._capacity = capacity
+        self._events: deque[Event] = deque()
+        self._changed = threading.Condition()
+        self._draining = False
+        self._abandoned = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
+        self._thread.start()
+
+    def put(self, event: Event) -> None:
+        """Queue an event; never blocks."""
+        with self._changed:
+            if len(self._events) == self._capacity:
+                self._events.popleft()
+                self.dropped += 1
+            self._events.append(event)
+            self._changed.notify()
+
+    def stop(self, timeout_s: float) -> None:
+        """Write what is queued, for at most half of `timeout_s`, then give up the rest; may be repeated."""
+        with self._changed:
+            self._draining = True
+            self._changed.notify()
+        self._thread.join(timeout_s / 2)
+        self._abandoned.set()
+        self._thread.join(timeout_s / 2)
+
+    @abstractmethod
+    def write(self, event: Event) -> None:
+        """Pass one event on; may block, but not for long once `_abandoned` is set."""
+
+    def _run(self) -> None:
+        while not self._abandoned.is_set():
+            with self._changed:
+                while not self._events and not self._draining:
+                    self._changed.wait()
+                if not self._events:
+                    break
+                event = self._events.popleft()
+            try:
+                self.write(event)
+            except Exception:
+                log.exception("%s: an event could not be passed on", self.name)
+
+
+class LinesSink(QueuedSink):
+    """One JSON line an event to a file descriptor, usually standard output.
+
+    on_gone: called once, from the sink's thread, when nobody reads any more.
+    """
+
+    def __init__(self, fd: int, on_gone: Callable[[], None], capacity: int = CAPACITY) -> None:
+        self._fd = fd
+        self._on_gone = on_gone
+        super().__init__("stdout", capacity)
+
+    def write(self, event: Event) -> None:
+        """Write one line; waits for a slow reader, and for none once it is gone."""
+        data = encode(event) + b"\n"
+        try:
+            while data and not self._abandoned.is_set():
+                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
+                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
+                    data = data[os.write(self._fd, data[: select.PIPE_BUF]) :]
+        except OSError:
+            self._abandoned.set()
+            self._on_gone()
+
+
+class JournalSink(QueuedSink):
+    """One JSON line an event to the journal."""
+
+    def __init__(self, journal: Journal, capacity: int = CAPACITY) -> None:
+        self._journal = journal
+        super().__init__("journal", capacity)
+
+    def write(self, event: Event) -> None:
+        """Append one line."""
+        self._journal.append(encode(event))
+
+    def stop(self, timeout_s: float) -> None:
+        """Write what is queued and close the file."""
+        super().stop(timeout_s)
+        self._journal.close()
