@@ -1,8 +1,8 @@
 """The recipe: which networks are trained, on whom, and in which order.
 
 For the shipped file: one network a seed, on all training participants. For honest figures on them: one
-network a fold, which never sees the fold's participants. With teachers, each of these learns from the averaged
-answers of plain networks that were trained on the same people first (distillation, Hinton et al. 2015).
+network a fold, which never sees the fold's participants. With teachers, each of these learns from the
+averaged answers of plain networks trained on the same people first (distillation, Hinton et al. 2015).
 """
 
 from __future__ import annotations
