@@ -34,13 +34,8 @@ def draw_accuracy(scores: Scores, path: Path) -> None:
         rows = evaluation.realigned
         seconds = [row.frames / 54 for row in rows]
         axes.plot(seconds, [100 * row.accuracy for row in rows], marker="o", label=f"touchd, {name}")
-    axes.plot(
-        [frames / 54 for frames in PAPER_ACCURACY],
-        PAPER_ACCURACY.values(),
-        "k--",
-        marker="s",
-        label="paper, test",
-    )
+    paper = list(PAPER_ACCURACY.values())
+    axes.plot([frames / 54 for frames in PAPER_ACCURACY], paper, "k--", marker="s", label="paper, test")
     for length in LENGTHS:
         axes.axvline(length / 54, color="grey", linewidth=0.6, linestyle=":")
     axes.set(xlabel="seconds of touch seen", ylabel="macro accuracy, %", ylim=(40, 95))
@@ -71,12 +66,12 @@ def _lines(scores: Scores) -> Iterable[str]:
     yield "# How accurate the classifier is"
     yield ""
     yield f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), written by `{scores.command}` on"
-    yield f"{scores.machine}. The figures come from `scores.json` beside the model; nothing here is typed by hand."
+    yield f"{scores.machine}. The figures come from `scores.json` beside the model."
     yield ""
     yield "Windows and macro accuracy as in the paper: each recording cut into 432 // L windows of L frames."
-    yield "**Test**: the challenge's participants T1, T2 and T9; nothing was chosen on them. **Left out**: the"
-    yield "training participants, each answered by a network that never saw them. The interval is a 95 % bootstrap"
-    yield "over participants. One file answers at every length."
+    yield "**Test**: the challenge's participants T1, T2 and T9; nothing was chosen on them."
+    yield "**Left out**: the training participants, each answered by a network that never saw them."
+    yield "The interval is a 95 % bootstrap over participants. One file answers at every length."
     yield ""
     yield "![Accuracy against time](figures/accuracy.png)"
     yield ""
@@ -95,14 +90,15 @@ def _lines(scores: Scores) -> Iterable[str]:
 
 
 def _length_table(evaluation: Evaluation) -> Iterable[str]:
-    yield "| frames | seconds | paper (test) | realigned | 95 % interval | published framing | calibration error |"
+    yield "| frames | seconds | paper (test) | realigned | 95 % interval | published | calibration error |"
     yield "|---|---|---|---|---|---|---|"
     for live, published in zip(evaluation.realigned, evaluation.published, strict=True):
         paper = f"{PAPER_ACCURACY[live.frames]:.1f}" if live.frames in PAPER_ACCURACY else ""
         low, high = live.interval
         yield (
             f"| {live.frames} | {live.frames / 54:.2f} | {paper} | **{_percent(live.accuracy)}** "
-            f"| {_percent(low)} to {_percent(high)} | {_percent(published.accuracy)} | {live.calibration_error:.3f} |"
+            f"| {_percent(low)} to {_percent(high)} | {_percent(published.accuracy)} "
+            f"| {live.calibration_error:.3f} |"
         )
     yield ""
 
