@@ -17,7 +17,6 @@ from drivers.frame import COLUMNS, ROWS
 
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
-SHIPPED_MODEL = "touchd.onnx"
 
 Side = Annotated[int, msgspec.Meta(ge=8, le=64)]
 
@@ -103,13 +102,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def pipeline(self) -> PipelineSettings:
         """What the pipeline needs of this."""
         return PipelineSettings(ring=self.ring, touch=self.touch, decision=self.scene)
-
-    @property
-    def model_path(self) -> Path:
-        """The ONNX file to load."""
-        if self.model is not None:
-            return Path(self.model).expanduser()
-        return Path(__file__).resolve().parent.parent / "model" / "weights" / SHIPPED_MODEL
 
 
 def load(path: Path) -> Settings:

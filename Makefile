@@ -1,0 +1,74 @@
+# make demo    sets up what the daemon needs (no torch) and shows it at work, without any hardware
+# make test    sets up everything and runs all tests
+# make help    lists the rest
+
+.DEFAULT_GOAL := help
+.PHONY: help demo run setup test check lint format expectations bench clean
+
+# The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
+FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
+CANDIDATES := python3 python3.12 python3.11 python3.10
+PYTHON ?= $(shell for python in $(CANDIDATES); do \
+	$$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && command -v $$python && break; done)
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+RUNTIME := $(VENV)/.runtime.stamp
+DEVELOPMENT := $(VENV)/.development.stamp
+
+help:
+	@echo "make demo          set up what the daemon needs and show it at work, without any hardware"
+	@echo "make test          set up everything and run all tests"
+	@echo "make check         ruff and mypy"
+	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
+	@echo "make expectations  rebuild the expected events beside the shipped recordings"
+	@echo "make setup         set up what the daemon needs: $(BIN)/touchd"
+	@echo "make clean         remove $(VENV) and what tools left behind"
+
+demo: $(RUNTIME)
+	@$(BIN)/touchd demo
+
+setup: $(RUNTIME)
+
+test: $(DEVELOPMENT)
+	$(BIN)/python -m pytest
+
+check: $(DEVELOPMENT)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(DEVELOPMENT)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(RUNTIME)
+	$(BIN)/touchd bench
+
+expectations: $(RUNTIME)
+	$(BIN)/python tests/expectations.py
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+$(BIN)/python:
+	@for python in $(or $(PYTHON),$(CANDIDATES)); do \
+	  $$python -c '$(FITS)' 2>/dev/null || continue; \
+	  $$python -c 'import ensurepip, venv' 2>/dev/null && exit 0; \
+	  echo "$$python cannot make a virtual environment; on Debian or Ubuntu: sudo apt install python3-venv"; exit 1; \
+	done; \
+	echo "touchd needs Python 3.10, 3.11 or 3.12 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
+	@echo "Making $(VENV) with $(PYTHON)"
+	@$(PYTHON) -m venv --clear $(VENV)
+
+# A stamp file each, newer than pyproject.toml, so that a second run starts at once.
+$(RUNTIME): pyproject.toml | $(BIN)/python
+	@echo "Installing what touchd needs (once, some 100 MB)"
+	@$(PIP) --editable '.[nao]'
+	@touch $@
+
+$(DEVELOPMENT): pyproject.toml | $(BIN)/python
+	@echo "Installing what development and training need (once; torch alone is some gigabytes)"
+	@$(PIP) --editable '.[dev]'
+	@touch $(RUNTIME) $@
