@@ -17,10 +17,12 @@ from drivers.frame import COLUMNS, ROWS
 from model.settings import NetworkSettings
 
 VARIANCE_FLOOR = 1e-5
-# Of log(1 + counts) and of its change from frame to frame, over the HAART training recordings.
-LEVEL_MEAN = 1.43
-LEVEL_SPREAD = 0.96
-CHANGE_SPREAD = 0.43
+KNEE_COUNTS = 4.0
+"""Counts below are taken about linearly, above logarithmically: idle taxels read a few counts of noise."""
+# Of log(1 + counts / KNEE_COUNTS) and of its change between frames, over the HAART training recordings.
+LEVEL_MEAN = 0.69
+LEVEL_SPREAD = 0.61
+CHANGE_SPREAD = 0.21
 
 
 class FeatureDropout(nn.Module):
@@ -58,7 +60,7 @@ class FrameStem(nn.Module):
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) counts."""
         B, T = counts.shape[:2]
-        level = torch.log1p(counts)  # (B, T, 8, 8)
+        level = torch.log1p(counts / KNEE_COUNTS)  # (B, T, 8, 8)
         before = torch.cat([level[:, :1], level[:, :-1]], dim=1)
         change = (level - before) / CHANGE_SPREAD
         level = (level - LEVEL_MEAN) / LEVEL_SPREAD
