@@ -1,0 +1,204 @@
+"""The few NAOqi services that touchd uses, in plain Python: they note what was asked and do nothing else."""
+
+from __future__ import annotations
+
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Sequence
+
+import msgspec
+
+MAX_CALLS = 10_000
+
+
+class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One thing the robot was asked. refused: why it did not do it, empty when it did.
+
+    time_s: seconds since 1970, at the robot. arguments: as the robot keeps them, after coercion.
+    """
+
+    service: str
+    method: str
+    arguments: tuple[object, ...]
+    time_s: float
+    refused: str = ""
+
+
+class CallLog:
+    """The last calls, for whoever wants to know what the robot did. Safe to use from several threads."""
+
+    def __init__(self, on_call: Callable[[Call], None] | None = None) -> None:
+        self._on_call = on_call
+        self._calls: deque[Call] = deque(maxlen=MAX_CALLS)
+        self._grew = threading.Condition()
+
+    def add(self, call: Call) -> None:
+        """Note a call."""
+        with self._grew:
+            self._calls.append(call)
+            self._grew.notify_all()
+        if self._on_call is not None:
+            self._on_call(call)
+
+    def all(self) -> list[Call]:
+        """Return the calls so far, oldest first."""
+        with self._grew:
+            return list(self._calls)
+
+    def raised(self, event: str) -> list[object]:
+        """Return the values with which an event was raised in the robot's memory, oldest first."""
+        return [call.arguments[1] for call in self.all() if _is_raise(call, event)]
+
+    def said(self) -> list[object]:
+        """Return what the robot said, plainly or animated, oldest first."""
+        return [call.arguments[0] for call in self.all() if call.method == "say"]
+
+    def wait_for(self, wanted: Callable[[Call], bool], timeout_s: float = 10.0) -> Call:
+        """Return the first call that is wanted, past or to come; raises TimeoutError with the last ones."""
+        with self._grew:
+            if not self._grew.wait_for(lambda: any(map(wanted, self._calls)), timeout_s):
+                raise TimeoutError(
+                    f"not within {timeout_s:g} s; the last calls were {list(self._calls)[-5:]}"
+                )
+            return next(filter(wanted, self._calls))
+
+    def wait_for_raise(self, event: str, value: object, timeout_s: float = 10.0) -> Call:
+        """Return the call that raised an event with this value; raises TimeoutError."""
+        return self.wait_for(
+            lambda call: _is_raise(call, event) and call.arguments[1] == value, timeout_s=timeout_s
+        )
+
+
+def _is_raise(call: Call, event: str) -> bool:
+    return call.method == "raiseEvent" and call.arguments[0] == event and not call.refused
+
+
+def as_kept(value: object) -> object:
+    """Return a value as ALMemory keeps it; raises ValueError for what it cannot hold.
+
+    Its integers and floats have four bytes: an integer beyond them is refused, a float loses its precision.
+    """
+    if isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, int):
+        if not -(2**31) <= value < 2**31:
+            raise ValueError(f"{value} does not fit in 4 bytes")
+        return value
+    if isinstance(value, float):
+        try:
+            return struct.unpack("<f", struct.pack("<f", value))[0]
+        except OverflowError as error:
+            raise ValueError(f"{value} does not fit in 4 bytes") from error
+    if isinstance(value, Sequence):
+        return [as_kept(part) for part in value]
+    raise ValueError(f"ALMemory holds no {type(value).__name__}")
+
+
+class _Service:
+    """A service that notes its calls, then takes its time. call_s: how long a call takes, in seconds."""
+
+    name = ""
+
+    def __init__(self, note: Callable[[Call], None], call_s: float) -> None:
+        self._note_call = note
+        self._call_s = call_s
+
+    def _note(self, method: str, *arguments: object) -> None:
+        self._note_call(Call(service=self.name, method=method, arguments=arguments, time_s=time.time()))
+        time.sleep(self._call_s)
+
+    def _refuse(self, method: str, arguments: tuple[object, ...], why: str) -> RuntimeError:
+        kept = tuple(map(str, arguments))
+        self._note_call(
+            Call(service=self.name, method=method, arguments=kept, time_s=time.time(), refused=why)
+        )
+        return RuntimeError(f"{self.name}.{method}: {why}")
+
+
+class FakeMemory(_Service):
+    """ALMemory: events and data by key."""
+
+    name = "ALMemory"
+
+    def __init__(self, note: Callable[[Call], None], call_s: float) -> None:
+        super().__init__(note, call_s)
+        self._data: dict[str, object] = {}
+
+    def raiseEvent(self, key: str, value: object) -> None:  # noqa: N802 - NAOqi's names, here and below
+        """Keep a value and tell who subscribed to it, which here is nobody."""
+        try:
+            kept = as_kept(value)
+        except ValueError as error:
+            raise self._refuse("raiseEvent", (key, value), str(error)) from error
+        self._data[key] = kept
+        self._note("raiseEvent", key, kept)
+
+    def removeData(self, key: str) -> None:  # noqa: N802
+        """Forget a value."""
+        if self._data.pop(key, None) is None:
+            raise self._refuse("removeData", (key,), f"no data named {key}")
+        self._note("removeData", key)
+
+
+class FakeTextToSpeech(_Service):
+    """ALTextToSpeech: a call lasts as long as the speech."""
+
+    name = "ALTextToSpeech"
+
+    def say(self, text: str) -> None:
+        """Speak."""
+        self._note("say", text)
+
+
+class FakeAnimatedSpeech(FakeTextToSpeech):
+    """ALAnimatedSpeech: speech with gestures."""
+
+    name = "ALAnimatedSpeech"
+
+
+class FakeBehaviorManager(_Service):
+    """ALBehaviorManager: behaviours are installed when their name looks like a path."""
+
+    name = "ALBehaviorManager"
+
+    def runBehavior(self, behavior: str) -> None:  # noqa: N802
+        """Run a behaviour to its end."""
+        if "/" not in behavior:
+            raise self._refuse("runBehavior", (behavior,), f"no behavior named {behavior}")
+        self._note("runBehavior", behavior)
+
+
+class FakeLeds(_Service):
+    """ALLeds: coloured lights."""
+
+    name = "ALLeds"
+
+    def fadeRGB(self, group: str, rgb: int, duration_s: float) -> None:  # noqa: N802
+        """Fade a group of lights to 0xRRGGBB."""
+        self._note("fadeRGB", group, rgb, duration_s)
+
+
+class FakeSystem(_Service):
+    """ALSystem: asked by the heartbeat, so its calls are not noted."""
+
+    name = "ALSystem"
+
+    def systemVersion(self) -> str:  # noqa: N802
+        """Return the version that a NAO V6 runs."""
+        time.sleep(self._call_s)
+        return "2.8.7.4"
+
+
+SPEECH = (FakeTextToSpeech, FakeAnimatedSpeech)
+OTHERS = (FakeMemory, FakeBehaviorManager, FakeLeds, FakeSystem)
+SPEECH_NAMES = frozenset(kind.name for kind in SPEECH)
+
+
+def fake_services(
+    note: Callable[[Call], None], *, call_s: float = 0.0, say_s: float = 0.0, without: Collection[str] = ()
+) -> dict[str, object]:
+    """Return the services by name, but for some. call_s, say_s: seconds that a call, and speech, takes."""
+    services = [*(kind(note, call_s) for kind in OTHERS), *(kind(note, say_s) for kind in SPEECH)]
+    return {service.name: service for service in services if service.name not in without}

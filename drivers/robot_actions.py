@@ -1,0 +1,120 @@
+"""What the robot shall do on an answer, as the configuration says it; nothing here needs a robot.
+
+actions:
+  - gestures: [stroke, rub]            # left out: any gesture
+    stages: [final, released]          # left out: whenever the answer is news
+    do:                                # in this order
+      - leds: {color: green, fade_s: 0.2}
+      - say: "That was a {gesture}, I am {confidence} percent sure"
+    refractory_s: 5                    # left out: 0
+  - gestures: [tickle]
+    changed: true                      # only when the robot was told something else in this touch
+    do:
+      - animated_say: "Oh, that was a tickle!"
+      - behavior: animations/Stand/Emotions/Positive/Laugh_1
+"""
+
+from __future__ import annotations
+
+import re
+import string
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+
+# Told apart by name, not by the daemon's own type: drivers import nothing above them.
+Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
+UNCERTAIN = "uncertain"
+
+COLORS = {
+    "white": 0xFFFFFF,
+    "red": 0xFF0000,
+    "green": 0x00FF00,
+    "blue": 0x0000FF,
+    "yellow": 0xFFFF00,
+    "magenta": 0xFF00FF,
+    "cyan": 0x00FFFF,
+    "off": 0x000000,
+}
+PLACEHOLDERS = {"gesture", "confidence"}
+
+Words = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
+
+
+class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fade a group of lights to a colour. color: a name of COLORS or "#rrggbb". fade_s: seconds it takes."""
+
+    color: str
+    group: Name = "FaceLeds"
+    fade_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.3
+
+    def __post_init__(self) -> None:
+        if self.color not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.color):
+            raise ValueError(f"color {self.color!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
+
+    @property
+    def rgb(self) -> int:
+        """The colour as 0xRRGGBB, as ALLeds takes it."""
+        return COLORS[self.color] if self.color in COLORS else int(self.color[1:], 16)
+
+
+class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """One thing the robot does: exactly one of these is set.
+
+    say: speak. animated_say: speak and move along. Both may hold {gesture} and {confidence} (whole percent).
+    behavior: an installed behaviour, run to its end. leds: lights.
+    """
+
+    say: Words | None = None
+    animated_say: Words | None = None
+    behavior: Name | None = None
+    leds: Leds | None = None
+
+    def __post_init__(self) -> None:
+        kinds = self.__struct_fields__
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"an action is exactly one of {', '.join(kinds)}; here: {', '.join(given) or 'none'}"
+            )
+        for template in (self.say, self.animated_say):
+            if template is not None:
+                _check_placeholders(template)
+
+
+class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When the robot does what.
+
+    do: the actions, in order.
+    gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
+    stages: the stages that this is for, told for the first time or again. Empty means any stage at which the
+    answer is news: the first of its touch, or another than the last.
+    changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
+    with changed: true if any fits, and only otherwise those without.
+    refractory_s: how long the rule rests after it was set off, in seconds.
+    """
+
+    do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]
+    gestures: tuple[Name, ...] = ()
+    stages: tuple[Stage, ...] = ()
+    changed: bool = False
+    refractory_s: Seconds = 0.0
+
+
+def spoken(template: str, gesture: str, confidence: float) -> str:
+    """Fill in {gesture} and {confidence}; the confidence (0 to 1) is said in whole percent."""
+    return template.format(gesture=gesture, confidence=round(100 * confidence))
+
+
+def _check_placeholders(template: str) -> None:
+    try:
+        parts = list(string.Formatter().parse(template))
+    except ValueError as error:
+        raise ValueError(f"{template!r}: {error}; write {{{{ for a brace") from error
+    for _, name, form, conversion in parts:
+        if name is None:
+            continue
+        if name not in PLACEHOLDERS or form or conversion:
+            raise ValueError(f"{template!r} may hold {{gesture}} and {{confidence}}, nothing else in braces")
