@@ -7,6 +7,7 @@ from torch import Tensor
 
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS
 from model.settings import AugmentationSettings
+from model.tgc import KNEE_COUNTS
 
 
 def crop(recording: Tensor, length: int, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
@@ -46,6 +47,12 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
     x = x + chosen(settings.offset) * settings.offset_counts * torch.rand(B, 1, 1, 1, generator=rng)
     x = x + settings.noise_counts * torch.rand(B, 1, 1, 1, generator=rng) * normal(*x.shape)
     return x.clamp(0.0, MAX_COUNT)
+
+
+def mix(counts: Tensor, other: Tensor, share: Tensor) -> Tensor:
+    """Return windows (B, T, 8, 8) blended with `other` by share (B,), on the scale that the network sees."""
+    part = share[:, None, None, None]
+    return (counts + KNEE_COUNTS) ** (1.0 - part) * (other + KNEE_COUNTS) ** part - KNEE_COUNTS
 
 
 def _turn(x: Tensor, rng: torch.Generator) -> Tensor:

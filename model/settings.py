@@ -43,6 +43,8 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     offset_counts: float = 12.0
     noise_counts: float = 1.5
     dead_row: float = 0.1
+    mix: float = 0.0
+    """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""
 
 
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

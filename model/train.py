@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from drivers.recording import Recording
 from model import checkpoint, haart
-from model.augment import crop, vary
+from model.augment import crop, mix, vary
 from model.checkpoint import Checkpoint, CheckpointError
 from model.settings import TrainSettings
 from model.tgc import TGC
@@ -64,13 +64,24 @@ class Training:
                     for i in chosen.tolist()
                 ]
             )
-            windows = vary(windows, settings.augmentation, self.rng).to(self.device)
+            windows = vary(windows, settings.augmentation, self.rng)
+            windows, targets = self._mix(
+                windows, functional.one_hot(self.classes[chosen], len(self.labels)).float()
+            )
             step = self.epoch * self.steps_per_epoch + batch
-            total += self._step(windows, self.classes[chosen].to(self.device), step)
+            total += self._step(windows.to(self.device), targets.to(self.device), step)
         self.epoch += 1
         return total / self.steps_per_epoch
 
-    def _step(self, windows: Tensor, classes: Tensor, step: int) -> float:
+    def _mix(self, windows: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        B = len(windows)
+        share = 0.5 * torch.rand(B, generator=self.rng)
+        share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
+        other = torch.randperm(B, generator=self.rng)
+        part = share[:, None]
+        return mix(windows, windows[other], share), targets * (1.0 - part) + targets[other] * part
+
+    def _step(self, windows: Tensor, targets: Tensor, step: int) -> float:
         settings = self.settings
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate_at(
@@ -78,8 +89,8 @@ class Training:
             )
         self.network.train()
         logits = self.network.at_lengths(windows, settings.lengths).flatten(0, 1)
-        targets = classes.repeat_interleave(len(settings.lengths))
-        loss = functional.cross_entropy(logits, targets, label_smoothing=settings.label_smoothing)
+        expected = targets.repeat_interleave(len(settings.lengths), dim=0)
+        loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
         if self.teachers:
             taught = functional.cross_entropy(logits, self._teach(windows))
             loss = (1.0 - settings.teacher_weight) * loss + settings.teacher_weight * taught
