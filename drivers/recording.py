@@ -1,7 +1,7 @@
 """Recordings of the pad in files: HAART's two CSV layouts and our own, read, written, realigned, spliced.
 
 HAART's layouts (RTGC 2015): `ParticipantNo,Substrate,Cover,Gesture` and 64 cells, or
-`ParticipantID,Substrate,Cover,Gesture,Sequence` and 64 cells, with or without quotes and spaces in the header.
+`ParticipantID,Substrate,Cover,Gesture,Sequence` and 64 cells, with or without quotes and spaces.
 Ours: `# key: value` lines of provenance, then `participant,substrate,cover,gesture,sensor_ms` and 64 cells.
 Consecutive rows that share participant, substrate, cover and gesture are one recording.
 """
@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import csv
 import gzip
-import io
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,11 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 CELLS = ROWS * COLUMNS
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
+# Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.
+MOST_LINES = 1_000_000
+LONGEST_LINE = 4096
 Framing = Literal["published", "live"]
+Keys = tuple[str, str, str, str]
 
 
 class RecordingError(Exception):
@@ -35,8 +40,8 @@ class RecordingError(Exception):
 class Recording:
     """One gesture by one participant under one condition.
 
-    counts: (T, 8, 8) uint16, 0 (no pressure) to 1023. sensor_ms: (T,) int64, ideal 54 Hz where the file has no clock.
-    framing: "live" holds whole scans; "published" is HAART's, rolled by two rows across scans (see `realign`).
+    counts: (T, 8, 8) uint16, 0 (no pressure) to 1023. sensor_ms: (T,) int64, ideal 54 Hz where the file has
+    no clock. framing: "live" holds whole scans; "published" is HAART's, rolled by two rows (see `realign`).
     """
 
     participant: str
@@ -86,7 +91,8 @@ class Stream:
 
 def ideal_clock_ms(frames: int, first_ms: int = 0) -> NDArray[np.int64]:
     """Return the sensor clock of `frames` frames at exactly 54 Hz, rounded to whole milliseconds."""
-    return first_ms + np.rint(np.arange(frames) * 1000.0 / FRAME_RATE_HZ).astype(np.int64)
+    clock_ms: NDArray[np.int64] = np.rint(np.arange(frames) * 1000.0 / FRAME_RATE_HZ).astype(np.int64)
+    return clock_ms + first_ms
 
 
 def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recording]:
@@ -102,24 +108,31 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
 
 
 def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
-    """Write recordings in our own layout (.csv or .csv.gz), provenance first; never overwrites."""
-    with _open_text(path, "x") as file:
-        for key, value in provenance.items():
-            file.write(f"# {key}: {value}\n")
-        names = [*KEYS, "sensor_ms", *(f"cell{i}" for i in range(1, CELLS + 1))]
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        for recording in recordings:
-            keys = [recording.participant, recording.substrate, recording.cover, recording.gesture]
-            for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
-                writer.writerow([*keys, int(ms), *frame.ravel().tolist()])
+    """Write recordings in our own layout (.csv or .csv.gz), provenance first.
+
+    Raises RecordingError when the file exists or cannot be written, or when two recordings in a row share all
+    four keys, as they would be read back as one.
+    """
+    if any(_keys(earlier) == _keys(later) for earlier, later in pairwise(recordings)):
+        raise RecordingError(f"{path}: two in a row share participant, condition and gesture")
+    try:
+        with _open_text(path, "x") as file:
+            for key, value in provenance.items():
+                file.write(f"# {key}: {' '.join(value.split())}\n")
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow([*KEYS, "sensor_ms", *(f"cell{i}" for i in range(1, CELLS + 1))])
+            for recording in recordings:
+                for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
+                    writer.writerow([*_keys(recording), int(ms), *frame.ravel().tolist()])
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error})") from error
 
 
 def realign(recording: Recording) -> Recording:
     """Return a published recording as the sensor's own scans: (T - 1, 8, 8), framing "live".
 
-    HAART was cut 54 rows of 8 into the row stream, so that each published frame holds the last two rows of one
-    scan before the first six of the next; dropping the first 2 and the last 6 rows regroups whole scans.
+    HAART was cut 54 rows of 8 into the row stream, so that each published frame holds the last two rows of
+    one scan before the first six of the next; dropping the first 2 and the last 6 rows regroups whole scans.
     A live recording is returned as it is.
     """
     if recording.framing == "live":
@@ -130,7 +143,12 @@ def realign(recording: Recording) -> Recording:
 
 
 def splice(recordings: Sequence[Recording]) -> Stream:
-    """Join recordings end to end into one stream whose clock runs on without a jump."""
+    """Join recordings end to end into one stream whose clock runs on without a jump.
+
+    Raises RecordingError when there is none to join.
+    """
+    if not recordings:
+        raise RecordingError("no recording to play: none matches what was selected")
     spans: list[Span] = []
     clocks: list[NDArray[np.int64]] = []
     start = 0
@@ -149,66 +167,100 @@ def splice(recordings: Sequence[Recording]) -> Stream:
     )
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """What a header says: columns in a row, what stands between keys and cells, its own line number."""
+
+    width: int
+    between: Literal["", "sequence", "sensor_ms"]
+    line_number: int
+
+
+@dataclass
+class _Rows:
+    """The rows read so far of one recording."""
+
+    keys: Keys
+    clock_ms: array[int] = field(default_factory=lambda: array("q"))
+    cells: array[int] = field(default_factory=lambda: array("H"))
+
+    def recording(self, layout: _Layout) -> Recording:
+        counts = np.array(self.cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
+        if layout.between == "sensor_ms":
+            sensor_ms: NDArray[np.int64] = np.array(self.clock_ms, dtype=np.int64)
+            return Recording(*self.keys, counts, sensor_ms, "live")
+        return Recording(*self.keys, counts, ideal_clock_ms(len(counts)), "published")
+
+
+def _keys(recording: Recording) -> Keys:
+    return (recording.participant, recording.substrate, recording.cover, recording.gesture)
+
+
 def _open_text(path: Path, mode: Literal["r", "x"]) -> IO[str]:
     if path.suffix == ".gz":
-        return io.TextIOWrapper(gzip.open(path, f"{mode}b"), encoding="utf-8", newline="")  # type: ignore[arg-type]
+        return cast(IO[str], gzip.open(path, f"{mode}t", encoding="utf-8", newline=""))
     return path.open(mode, encoding="utf-8", newline="")
 
 
+def _lines(path: Path, file: IO[str]) -> Iterator[str]:
+    for number in range(1, MOST_LINES + 1):
+        line = file.readline(LONGEST_LINE)
+        if not line:
+            return
+        if len(line) == LONGEST_LINE:
+            raise RecordingError(f"{path}, line {number}: too long for a recording")
+        yield line
+    if file.readline(1):
+        raise RecordingError(f"{path}: more than {MOST_LINES} lines, split it into shorter recordings")
+
+
 def _parse(path: Path, file: IO[str], select: Selection) -> Iterator[Recording]:
-    line_number = 1
-    line = file.readline()
-    while line.startswith("#"):
-        line = file.readline()
-        line_number += 1
-    header = [name.strip().strip('"').lower() for name in line.split(",")]
-    extra = _extra_column(path, header)
-    width = len(header)
-    first_cell = width - CELLS
-    keys: tuple[str, ...] = ()
-    rows: list[list[str]] = []
-    for line_number, row in enumerate(csv.reader(file, skipinitialspace=True), line_number + 1):
-        if len(row) != width:
+    lines = _lines(path, file)
+    layout = _read_header(path, lines)
+    rows: _Rows | None = None
+    for line_number, row in enumerate(csv.reader(lines, skipinitialspace=True), layout.line_number + 1):
+        if not row:
+            continue
+        if len(row) != layout.width:
             raise RecordingError(
-                f"{path}, line {line_number}: {len(row)} columns where the header has {width}"
+                f"{path}, line {line_number}: {len(row)} columns where the header has {layout.width}"
             )
-        row_keys = tuple(row[: len(KEYS)])
-        if row_keys != keys:
-            if rows:
-                yield _recording(path, line_number, keys, rows, extra, first_cell)
-            keys, rows = row_keys, []
-        if select.wants(row_keys):
-            rows.append(row)
-    if rows:
-        yield _recording(path, line_number, keys, rows, extra, first_cell)
+        keys = (row[0].strip(), row[1].strip(), row[2].strip(), row[3].strip())
+        if rows is None or keys != rows.keys:
+            if rows is not None and rows.cells:
+                yield rows.recording(layout)
+            rows = _Rows(keys)
+        if select.wants(keys):
+            try:
+                _append(rows, row, layout)
+            except (ValueError, OverflowError) as error:
+                raise RecordingError(f"{path}, line {line_number}: {error}") from error
+    if rows is not None and rows.cells:
+        yield rows.recording(layout)
 
 
-def _extra_column(path: Path, header: Sequence[str]) -> Literal["", "sequence", "sensor_ms"]:
-    """Return the name of the column between the keys and the cells; the official test file has one more."""
-    if [name[:11] for name in header[1:4]] == ["substrate", "cover", "gesture"] and header[-CELLS] == "cell1":
-        between = tuple(header[4:-CELLS])
-        if between == ():
-            return ""
-        if between == ("sequence",):
-            return "sequence"
-        if between == ("sensor_ms",):
-            return "sensor_ms"
+def _append(rows: _Rows, row: Sequence[str], layout: _Layout) -> None:
+    if layout.between == "sensor_ms":
+        rows.clock_ms.append(int(row[len(KEYS)]))
+    cells = list(map(int, row[-CELLS:]))
+    if min(cells) < 0 or max(cells) > MAX_COUNT:
+        raise ValueError(f"a count outside 0 to {MAX_COUNT}")
+    rows.cells.fromlist(cells)
+
+
+def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
+    """Read up to the header; the official test file has one column more than the training file."""
+    for number, line in enumerate(lines, 1):
+        if line.startswith("#"):
+            continue
+        header = [name.strip().strip('"').strip().lower() for name in line.split(",")]
+        if header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS] == "cell1":
+            match header[4:-CELLS]:
+                case []:
+                    return _Layout(len(header), "", number)
+                case ["sequence" | "sensor_ms" as between]:
+                    return _Layout(len(header), between, number)
+        break
     raise RecordingError(
         f"{path}: no known layout (expected participant, substrate, cover, gesture and {CELLS} cells)"
     )
-
-
-def _recording(
-    path: Path, line_number: int, keys: tuple[str, ...], rows: list[list[str]], extra: str, first_cell: int
-) -> Recording:
-    try:
-        numbers = np.array(rows, dtype=object)[:, len(KEYS) :].astype(np.int64)
-    except ValueError as error:
-        raise RecordingError(f"{path}, before line {line_number}: not a whole number ({error})") from error
-    cells = numbers[:, first_cell - len(KEYS) :]
-    if cells.min() < 0 or cells.max() > MAX_COUNT:
-        raise RecordingError(f"{path}, before line {line_number}: a count outside 0 to {MAX_COUNT}")
-    counts = cells.astype(np.uint16).reshape(-1, ROWS, COLUMNS)
-    live = extra == "sensor_ms"
-    sensor_ms = numbers[:, 0] if live else ideal_clock_ms(len(counts))
-    return Recording(keys[0], keys[1], keys[2], keys[3], counts, sensor_ms, "live" if live else "published")

@@ -1,0 +1,50 @@
+"""What can go wrong on a serial line, done on purpose."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass
+
+# Of a fabric-grid frame, the low bytes of the values and the checksum: a bit flipped there is always noticed.
+FIRST_LOW_BYTE = 8
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Which fabric-grid frames are damaged: every n-th for each kind, 0 for none; the same in each run.
+
+    flip_bit_every: a bit is flipped where the checksum sees it. drop_frame_every: the frame is not sent.
+    repeat_frame_every: it is sent twice. cut_frame_every: it ends early. garbage_every: random bytes come
+    first. chunk_bytes: bytes are written so many at a time, 0 for a frame at a time.
+    """
+
+    flip_bit_every: int = 0
+    drop_frame_every: int = 0
+    repeat_frame_every: int = 0
+    cut_frame_every: int = 0
+    garbage_every: int = 0
+    chunk_bytes: int = 0
+
+    def on_line(self, number: int, packet: bytes) -> bytes:
+        """Return what the line carries in place of the encoded frame `number`."""
+        if not packet or _falls_on(number, self.drop_frame_every):
+            return b""
+        chance = random.Random(number)
+        if _falls_on(number, self.flip_bit_every):
+            flipped = bytearray(packet)
+            flipped[chance.randrange(FIRST_LOW_BYTE, len(packet), 2)] ^= 1 << chance.randrange(8)
+            packet = bytes(flipped)
+        if _falls_on(number, self.cut_frame_every):
+            packet = packet[: chance.randrange(1, len(packet) - 1)]
+        if _falls_on(number, self.repeat_frame_every):
+            packet += packet
+        if _falls_on(number, self.garbage_every):
+            packet = chance.randbytes(chance.randrange(1, 100)) + packet
+        return packet
+
+
+NO_FAULTS = Faults()
+
+
+def _falls_on(number: int, every: int) -> bool:
+    return every > 0 and number % every == every - 1
