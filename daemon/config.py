@@ -14,6 +14,7 @@ from daemon.ring import RingSettings
 from daemon.strict_yaml import StrictYamlError, convert
 from daemon.touch import TouchSettings
 from drivers.frame import COLUMNS, ROWS
+from drivers.robot_actions import ActionRule
 
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
@@ -65,14 +66,18 @@ class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     token_env: str | None = None
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"tcps?://[^\s/]+:\d+", self.url):
-            raise ValueError(f"url {self.url!r} is not an address such as tcp://nao.local:9559")
         if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
             raise ValueError(
                 f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
             )
         if self.token_file is not None and self.token_env is not None:
             raise ValueError("token_file and token_env are both set; keep one")
+
+
+class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A scene for the pipeline, and what the robot does in it: see `drivers.robot_actions`."""
+
+    actions: tuple[ActionRule, ...] = ()
 
 
 class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -93,7 +98,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     model: str | None = None
     ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
-    scene: DecisionSettings = DecisionSettings()
+    scene: SceneSettings = SceneSettings()
     robot: RobotConfig | None = None
     journal: JournalSettings | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"

@@ -89,16 +89,20 @@ def _unknown_key(keys: Keys, wrong: str, struct: type[msgspec.Struct]) -> str:
 def _choices(struct: type[msgspec.Struct], keys: Keys) -> str:
     """Return the words that a Literal setting may be, as a list for people."""
     hint = typing.get_type_hints(_section(struct, keys[:-1]))[keys[-1]]
-    literals = [part for part in (hint, *typing.get_args(hint)) if typing.get_origin(part) is Literal]
+    literals = [part for part in _parts(hint) if typing.get_origin(part) is Literal]
     return " or ".join(str(choice) for literal in literals for choice in typing.get_args(literal))
 
 
 def _section(struct: type[msgspec.Struct], keys: Keys) -> type[msgspec.Struct]:
     for key in keys:
-        hint = typing.get_type_hints(struct)[key]
-        parts = [part for part in (hint, *typing.get_args(hint)) if isinstance(part, type)]
-        struct = next(part for part in parts if issubclass(part, msgspec.Struct))
+        parts = _parts(typing.get_type_hints(struct)[key])
+        struct = next(part for part in parts if isinstance(part, type) and issubclass(part, msgspec.Struct))
     return struct
+
+
+def _parts(hint: Any) -> list[Any]:
+    """Return a type and all that it is made of: `tuple[A, ...] | None` holds A."""
+    return [hint, *(part for argument in typing.get_args(hint) for part in _parts(argument))]
 
 
 def _value(raw: Any, keys: Keys) -> Any:

@@ -37,7 +37,7 @@ def test_every_line_of_the_example_can_be_used(tmp_path: Path) -> None:
     text = EXAMPLE.read_text()
     load(EXAMPLE)
     text = re.sub(r"^robot: null\n", "", text, flags=re.M)
-    text = re.sub(r"^( *)#(\w+:)", r"\1\2", text, flags=re.M)
+    text = re.sub(r"^( *)#(- )?(\w+:)", r"\1\2\3", text, flags=re.M)
     text = re.sub(r"^ *token_env:.*\n", "", text, flags=re.M)
     path = tmp_path / "touchd.yaml"
     path.write_text(text)
@@ -47,7 +47,9 @@ def test_every_line_of_the_example_can_be_used(tmp_path: Path) -> None:
 
 
 def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
-    text = re.sub(r"^( *)#(\w+:)", r"\1\2", EXAMPLE.read_text().split("# null: no robot")[0], flags=re.M)
+    text = re.sub(
+        r"^( *)#(- )?(\w+:)", r"\1\2\3", EXAMPLE.read_text().split("# null: no robot")[0], flags=re.M
+    )
     path = tmp_path / "touchd.yaml"
     path.write_text(text)
     shown, default = load(path), Settings()
@@ -74,7 +76,12 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("scene: {gestures: [3]}", "scene.gestures must be text, not [3]"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
         ("robot: {}", "robot.url is missing and has no default"),
-        ("robot: {url: nao}", "not an address such as tcp://nao.local:9559"),
+        (
+            "scene: {actions: [{do: [{sai: hello}]}]}",
+            "scene.actions.do.sai is not a setting; did you mean say?",
+        ),
+        ("scene: {actions: [{stages: [end], do: []}]}", "scene.actions.stages must be early or revised or"),
+        ("scene: {actions: [{do: [{say: '{who}'}]}]}", "may hold {gesture} and {confidence}"),
         ("robot: {url: 'tcp://nao:9559', prefix: ALTouch}", "does not begin with AL"),
         ("robot: {url: 'tcp://n:1', token_file: a, token_env: B}", "token_file and token_env are both set"),
         ("journal: {}", "journal.path is missing and has no default"),
