@@ -104,6 +104,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     @property
+    def model_path(self) -> Path | None:
+        """The configured ONNX file, None for the shipped one."""
+        return None if self.model is None else Path(self.model).expanduser()
+
+    @property
     def pipeline(self) -> PipelineSettings:
         """What the pipeline needs of this."""
         return PipelineSettings(ring=self.ring, touch=self.touch, decision=self.scene)

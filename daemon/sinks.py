@@ -11,8 +11,9 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 
-from daemon.events import Event, encode
+from daemon.events import Event, Prediction, SensorEvent, encode, epoch_s
 from daemon.journal import Journal
+from drivers.robot import RobotLink, RobotMessage
 
 log = logging.getLogger(__name__)
 
@@ -128,3 +129,44 @@ class JournalSink(QueuedSink):
         """Write what is queued and close the file."""
         super().stop(timeout_s)
         self._journal.close()
+
+
+class RobotSink:
+    """The robot: told what is to be told, and whether there is a pad. The link has its own queue and thread.
+
+    link: started here.
+    """
+
+    name = "robot"
+
+    def __init__(self, link: RobotLink) -> None:
+        self._link = link
+        self._sequence = 0
+        link.start()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that the robot was too slow for, or not there for."""
+        counts = self._link.counts
+        return counts.dropped + counts.stale
+
+    def put(self, event: Event) -> None:
+        """Publish a prediction that is told; returns at once. Call it from one thread."""
+        if isinstance(event, Prediction) and event.told:
+            self._sequence += 1
+            self._link.publish(
+                RobotMessage(
+                    gesture=event.gesture,
+                    confidence=event.confidence,
+                    time_s=epoch_s(event.time),
+                    stage=event.stage,
+                    touch=event.touch,
+                    sequence=self._sequence,
+                )
+            )
+        elif isinstance(event, SensorEvent):
+            self._link.set_status(event.state)
+
+    def stop(self, timeout_s: float) -> None:
+        """Say goodbye to the robot."""
+        self._link.stop(timeout_s)

@@ -1,0 +1,94 @@
+"""The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+
+USERS_MISTAKE = 2
+OUR_MISTAKE = 1
+
+
+@dataclass(frozen=True)
+class Command:
+    """A subcommand: `main(arguments)` of a module, imported only when it is called, returns the exit code."""
+
+    name: str
+    module: str
+    help: str
+
+
+COMMANDS = (
+    Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
+    Command("demo", "daemon.demo", "shows the daemon at work on a simulated hand, then ends"),
+    Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
+    Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
+    Command("bench", "daemon.bench", "measures latency, processor, memory, start-up and speed"),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words
+    words = [word for word in words if word != "--debug"]
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(_help())
+        return 0 if words else USERS_MISTAKE
+    if words[0] == "--version":
+        sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
+        return 0
+    command = next((command for command in COMMANDS if command.name == words[0]), None)
+    if command is None:
+        known = ", ".join(command.name for command in COMMANDS)
+        sys.stderr.write(f"touchd: {words[0]} is no command; there are {known}\n")
+        return USERS_MISTAKE
+    try:
+        return int(importlib.import_module(command.module).main(words[1:]))
+    except KeyboardInterrupt:
+        return 0
+    except BrokenPipeError:
+        # Whoever read our output has had enough; what is still buffered must not raise once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        if debug:
+            raise
+        return _complain(error)
+
+
+def _complain(error: Exception) -> int:
+    """Write one line about an error that a command raised; returns the exit code."""
+    # Here and not above: an error is rare, and importing these takes most of the start-up time.
+    from daemon.config import ConfigError
+    from daemon.journal import JournalError
+    from drivers.recording import RecordingError
+    from drivers.robot import RobotError
+    from drivers.sensor import SensorError
+    from model.classifier import ModelError
+
+    if isinstance(error, (ConfigError, JournalError, ModelError, RecordingError, RobotError, SensorError)):
+        sys.stderr.write(f"touchd: {error}\n")
+        return USERS_MISTAKE
+    what = f"{type(error).__name__}: {error}"
+    sys.stderr.write(f"touchd: a mistake of ours, {' '.join(what.split())}; --debug shows the trace\n")
+    return OUR_MISTAKE
+
+
+def _help() -> str:
+    width = max(len(command.name) for command in COMMANDS)
+    lines = [f"  touchd {command.name:<{width}}  {command.help}" for command in COMMANDS]
+    return "\n".join(
+        [
+            "touchd feels social touch on an 8x8 pressure pad and tells a Nao robot what it was, early.",
+            "",
+            *lines,
+            "",
+            "touchd COMMAND --help says more; --debug with any command shows the trace of an error.",
+            "",
+        ]
+    )

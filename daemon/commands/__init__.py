@@ -1,0 +1,1 @@
+"""The subcommands of `touchd`, a module each with `main(arguments) -> exit code`."""

@@ -1,0 +1,93 @@
+"""Recordings made into the stream of a pad: chosen, realigned, with notouch before, between and after."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import (
+    Recording,
+    RecordingError,
+    Selection,
+    Stream,
+    ideal_clock_ms,
+    read_recordings,
+    realign,
+    splice,
+)
+
+NO_TOUCH = "notouch"
+# Long enough for a touch to end and the pad's rest to be found again, short enough to wait for.
+QUIET_FRAMES = round(4.0 * FRAME_RATE_HZ)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the recording files and the options that choose among what they hold."""
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a .csv or .csv.gz of recordings")
+    for key, example in (
+        ("participant", "P3"),
+        ("substrate", "foam"),
+        ("cover", "fur"),
+        ("gesture", "stroke"),
+    ):
+        parser.add_argument(
+            f"--{key}",
+            action="append",
+            default=[],
+            metavar=example,
+            help=f"only recordings of this {key}; may be given several times",
+        )
+
+
+def chosen_stream(arguments: argparse.Namespace) -> Stream:
+    """Return what the arguments of `add_arguments` chose, as one stream; raises RecordingError."""
+    condition = Selection(
+        tuple(arguments.participant), tuple(arguments.substrate), tuple(arguments.cover), ()
+    )
+    gestures = tuple(arguments.gesture)
+    found = [
+        realign(recording)
+        for path in arguments.files
+        for recording in read_recordings(
+            path, replace(condition, gestures=(*gestures, NO_TOUCH) if gestures else ())
+        )
+    ]
+    wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
+    if not wanted:
+        names = ", ".join(str(path) for path in arguments.files)
+        raise RecordingError(f"{names}: no recording matches; see which there are with fewer options")
+    return with_quiet(wanted, [recording for recording in found if recording.gesture == NO_TOUCH])
+
+
+def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> Stream:
+    """Splice recordings with four seconds of notouch before, between and after those that touch.
+
+    quiet: notouch recordings to take it from: one of the same participant and condition where there is one,
+    else of the same participant, else any; where there is none, each taxel rests at the least it showed.
+    """
+    parts: list[Recording] = []
+    for recording in recordings:
+        if recording.gesture != NO_TOUCH and (not parts or parts[-1].gesture != NO_TOUCH):
+            parts.append(_quiet_for(recording, quiet))
+        parts.append(recording)
+    if parts[-1].gesture != NO_TOUCH:
+        parts.append(_quiet_for(parts[-1], quiet))
+    return splice(parts)
+
+
+def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
+    def likeness(candidate: Recording) -> tuple[bool, bool]:
+        same_participant = candidate.participant == recording.participant
+        same_condition = (candidate.substrate, candidate.cover) == (recording.substrate, recording.cover)
+        return same_participant, same_condition
+
+    if quiet:
+        best = max(quiet, key=likeness)
+        return replace(best, counts=best.counts[:QUIET_FRAMES], sensor_ms=best.sensor_ms[:QUIET_FRAMES])
+    rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
+    return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))
