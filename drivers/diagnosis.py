@@ -1,0 +1,63 @@
+"""Bytes arrive but no frame does: what do they look like?"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from itertools import pairwise
+
+import numpy as np
+
+from drivers.fabric_grid import record_type, well_formed
+
+# A header, and a clock and a value that may begin with FF; a longer run of FF is an idle or broken line.
+HEADER = re.compile(rb"(?<!\xff)\xff{4,9}(?!\xff)")
+TEXT = frozenset(b"0123456789,; \t\r\n")
+LEAST_HEADERS = 3
+FRAMING_BYTES = 9
+
+
+def diagnose(data: bytes, expected: str) -> tuple[str, str]:
+    """Say what the last bytes (a few frames' worth) look like when `expected` did not understand them.
+
+    Returns the kind of trouble ("format", "clock", "damage" or "noise") and a sentence for a person.
+    """
+    if numbers := _numbers_a_line(data):
+        return "format", f"looks like lines of {numbers} numbers, configured {expected}"
+    starts = [match.start() for match in HEADER.finditer(data)]
+    if len(starts) < LEAST_HEADERS:
+        return "noise", f"bytes but no frame of {expected} in them: noise, wrong baud rate?"
+    found = _geometry(data, starts)
+    if found == expected:
+        return "clock", f"frames of {expected} arrive, but their clock stands still or jumps"
+    if found:
+        return "format", f"looks like {found}, configured {expected}"
+    return "damage", f"frames begin but none of {expected} is whole: bytes lost or damaged on the way?"
+
+
+def _numbers_a_line(data: bytes) -> int:
+    """Return how many numbers most lines hold, 0 when the data is not lines of numbers."""
+    lines = data.split(b"\n")[1:-1]
+    if len(lines) < LEAST_HEADERS or sum(byte in TEXT for byte in data) < 0.95 * len(data):
+        return 0
+    lengths = Counter(len(re.findall(rb"\d+", line)) for line in lines)
+    return lengths.most_common(1)[0][0]
+
+
+def _geometry(data: bytes, starts: list[int]) -> str:
+    """Return the fabric-grid geometry whose frames lie between the headers, "" when no frame is sound."""
+    spacing = Counter(later - earlier for earlier, later in pairwise(starts)).most_common(1)[0][0]
+    taxels, odd = divmod(spacing - FRAMING_BYTES, 2)
+    if taxels <= 0 or odd:
+        return ""
+    side = math.isqrt(taxels)
+    rows, columns = (side, side) if side * side == taxels else (1, taxels)
+    whole = [start for start in starts if start + spacing <= len(data)]
+    records = np.array(
+        [np.frombuffer(data, record_type(rows, columns), 1, start)[0] for start in whole],
+        dtype=record_type(rows, columns),
+    )
+    if 2 * int(well_formed(records).sum()) < len(whole):
+        return ""
+    return f"fabric-grid {rows}x{columns}" if rows > 1 else f"fabric-grid of {taxels} taxels"

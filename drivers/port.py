@@ -1,0 +1,88 @@
+"""Opening a serial port, reading what waits in it, and saying in one line why that does not work."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import stat
+import termios
+
+import serial
+
+READ_TIMEOUT_S = 0.1
+
+NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO}
+NOT_ALLOWED = {errno.EACCES, errno.EPERM}
+# EAGAIN is what pyserial's lock reports when another program that locks, as touchd does, has the port open.
+IN_USE = {errno.EBUSY, errno.EAGAIN}
+
+
+class SensorError(Exception):
+    """The port cannot be used; the message says why and what to do.
+
+    kind: "missing", "denied", "busy" or "unusable".
+    """
+
+    def __init__(self, kind: str, message: str) -> None:
+        super().__init__(message)
+        self.kind = kind
+
+
+def check_port(port: str, baud: int) -> None:
+    """Raise SensorError when `port` (a device or any `serial_for_url` address) can be seen to be unusable.
+
+    Does not open it: opening restarts an Arduino, and disturbs whoever reads it already.
+    """
+    try:
+        serial.serial_for_url(port, baudrate=baud, do_not_open=True)
+        if "://" in port:
+            return
+        if not stat.S_ISCHR(os.stat(port).st_mode):
+            raise _no_serial_port(port)
+        if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
+            raise PermissionError(errno.EACCES, "permission denied")
+    except (OSError, ValueError) as error:
+        raise _explained(port, error) from error
+
+
+def open_port(port: str, baud: int) -> serial.Serial:
+    """Open `port` for this program alone; raise SensorError when that fails."""
+    try:
+        opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
+    except (OSError, ValueError, termios.error) as error:
+        raise _explained(port, error) from error
+    # An FTDI adapter else holds bytes back for up to 16 ms; other ports do not know the setting.
+    with contextlib.suppress(AttributeError, NotImplementedError, OSError, ValueError):
+        opened.set_low_latency_mode(True)
+    return opened
+
+
+def read_waiting(opened: serial.Serial) -> bytes:
+    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when the port is gone."""
+    try:
+        first = opened.read(1)
+        return first + opened.read(opened.in_waiting) if first else b""
+    except (OSError, termios.error) as error:
+        raise SensorError("missing", f"{opened.port} went away: unplugged or switched off?") from error
+
+
+def _explained(port: str, error: Exception) -> SensorError:
+    number = error.errno if isinstance(error, OSError) else None
+    if number in NOT_THERE:
+        return SensorError("missing", f"{port} is not there: is the pad plugged in and switched on?")
+    if number in NOT_ALLOWED:
+        return SensorError(
+            "denied",
+            f"no permission to open {port}: add the user to the group dialout (sudo usermod -aG dialout "
+            "USER, then log in again) or install the udev rule systemd/99-touchd.rules",
+        )
+    if number in IN_USE:
+        return SensorError("busy", f"{port} is busy: another program reads it (fuser {port} shows which)")
+    if "://" not in port and os.path.exists(port) and not stat.S_ISCHR(os.stat(port).st_mode):
+        return _no_serial_port(port)
+    return SensorError("unusable", f"{port} cannot be opened: {error}")
+
+
+def _no_serial_port(port: str) -> SensorError:
+    return SensorError("unusable", f"{port} is no serial port: name a device like /dev/ttyACM0")

@@ -1,0 +1,76 @@
+"""Whether the pad can be felt, said when it changes: to the daemon as a state, to a person in the log."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+log = logging.getLogger(__name__)
+
+# An outage so soon after the last is the same trouble, a loose plug: logged again only when it lasts.
+STEADY_S = 10.0
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """The pad delivers frames ("up") or does not ("down"), and why, in words for a person."""
+
+    state: Literal["up", "down"]
+    reason: str
+
+
+class Announcer:
+    """Turns what the reader meets, again and again, into one state and one log line per change.
+
+    The first failure is a warning, its repeats are debug, recovery is one line with how long it took. Within
+    an outage a cause of another kind is told too, once it was met twice running; what is only passed through
+    on the way back (a device file that has no permissions yet) is not.
+    """
+
+    def __init__(self, emit: Callable[[SensorState], None]) -> None:
+        self._emit = emit
+        self._is_up = False
+        self._down_since_s: float | None = None
+        self._recovered_s = -math.inf
+        self._is_quiet = False
+        self._kinds_told: set[str] = set()
+        self._last_kind = ""
+
+    def up(self, port: str) -> None:
+        """Frames arrive."""
+        if self._is_up:
+            return
+        reason = f"frames arrive from {port}"
+        if self._down_since_s is not None:
+            self._recovered_s = time.monotonic()
+            reason += f" again after {self._recovered_s - self._down_since_s:.1f} s"
+        log.log(logging.DEBUG if self._is_quiet else logging.INFO, "%s", reason)
+        self._is_up = True
+        self._down_since_s = None
+        self._emit(SensorState("up", reason))
+
+    def down(self, kind: str, reason: str, since_s: float | None = None) -> None:
+        """No frames arrive, since `since_s` (now if None); `kind` tells causes apart whatever the words."""
+        if self._down_since_s is None:
+            self._is_up = False
+            self._down_since_s = time.monotonic() if since_s is None else since_s
+            self._is_quiet = self._down_since_s - self._recovered_s < STEADY_S
+            self._kinds_told.clear()
+            self._tell(kind, reason)
+        elif self._is_quiet and time.monotonic() - self._down_since_s > STEADY_S:
+            self._is_quiet = False
+            self._tell(kind, reason)
+        elif kind == self._last_kind and kind not in self._kinds_told:
+            self._tell(kind, reason)
+        else:
+            log.debug("still down: %s", reason)
+        self._last_kind = kind
+
+    def _tell(self, kind: str, reason: str) -> None:
+        self._kinds_told.add(kind)
+        log.log(logging.DEBUG if self._is_quiet else logging.WARNING, "%s", reason)
+        self._emit(SensorState("down", reason))
