@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import typing
+from dataclasses import dataclass
 from typing import Annotated
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from daemon.events import UNCERTAIN, Stage
 
 NO_TOUCH = "notouch"
 
@@ -51,3 +54,69 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         early, revised, final = self.answer_at_frames
         if not early < revised < final:
             raise ValueError(f"answer_at_frames {self.answer_at_frames} must rise from early to final")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a touch is at one stage; the fields are those of `daemon.events.Prediction`."""
+
+    stage: Stage
+    gesture: str
+    confidence: float
+    probabilities: dict[str, float]
+    changed: bool
+    told: bool
+
+
+class Decision:
+    """One touch: which answer stands, what the robot has heard, when to tell it.
+
+    Until the robot has heard an answer, the most probable gesture stands, and it is told once its probability
+    reaches `speak_above`; at "final" it is told in any case. An answer that the robot has heard is replaced
+    only by a gesture that is now more probable than it by `revise_margin` and, except at "final", reaches
+    `speak_above`; otherwise it stands, and is not told again. "notouch" may stand, but is never told and
+    replaces nothing that was.
+    """
+
+    def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
+        self._settings = settings
+        self._labels = labels
+        occurs = {*(settings.gestures or labels), NO_TOUCH}
+        self._occurs = np.array([label in occurs for label in labels])
+        self._stands: str | None = None
+        self.told: str | None = None
+
+    def answer(self, stage: Stage, probabilities: NDArray[np.float64]) -> Answer:
+        """Return the answer to (labels,) calibrated probabilities at a stage.
+
+        At "released", when nothing was told and nothing can be, the answer's stage is "uncertain" instead. At
+        "uncertain", for a touch that ended with nothing told, it is always that.
+        """
+        scene = self._renormalise(probabilities)
+        best = max(scene, key=lambda label: scene[label])
+        if self.told is None:
+            stands, tell = best, best != NO_TOUCH and self._may_tell(stage, scene[best])
+        else:
+            beaten = best != NO_TOUCH and scene[best] - scene[self.told] >= self._settings.revise_margin
+            tell = beaten and best != self.told and self._may_tell(stage, scene[best])
+            stands = best if tell else self.told
+        if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
+            return self._uncertain(scene, best)
+        changed = stands != self._stands
+        self._stands = stands
+        self.told = stands if tell else self.told
+        return Answer(stage, stands, scene[stands], scene, changed, tell)
+
+    def _may_tell(self, stage: Stage, confidence: float) -> bool:
+        return stage == "final" or confidence >= self._settings.speak_above
+
+    def _uncertain(self, scene: dict[str, float], best: str) -> Answer:
+        """The robot hears that there was a touch without a name, unless the model sees no touch at all."""
+        return Answer("uncertain", UNCERTAIN, scene[best], scene, True, best != NO_TOUCH)
+
+    def _renormalise(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
+        kept = np.where(self._occurs, probabilities, 0.0)
+        total = kept.sum()
+        if total <= 0.0:
+            kept, total = self._occurs.astype(np.float64), float(self._occurs.sum())
+        return dict(zip(self._labels, (kept / total).tolist(), strict=True))

@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
-import msgspec
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
 
-from daemon.decide import DecisionSettings
-from daemon.ring import RingSettings
-from daemon.touch import TouchSettings
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.decide import Answer, Decision, DecisionSettings, ProbabilityModel
+from daemon.events import (
+    UNCERTAIN,
+    EndReason,
+    Event,
+    Prediction,
+    SensorEvent,
+    Stage,
+    TouchBegan,
+    TouchEnded,
+    timestamp,
+)
+from daemon.ring import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
+from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from drivers.frame import FRAME_RATE_HZ, Frame
+from drivers.sensor import SensorState
+
+STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
+# Two inferences a second while a long touch goes on: a change is seen within half a second, for 0.5 % of a core.
+ONGOING_STRIDE_FRAMES = 27
+# Quiet up to a pat's lift-off belongs to the gesture; a longer quiet may be its end and is not asked about.
+LIFT_OFF_FRAMES = 13
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -15,3 +40,153 @@ class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
     decision: DecisionSettings = DecisionSettings()
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The host's time. monotonic_s: as in `Frame.host_s`. epoch_s: seconds since 1970, for events."""
+
+    monotonic_s: Callable[[], float] = time.monotonic
+    epoch_s: Callable[[], float] = time.time
+
+
+@dataclass
+class Touch:
+    """The touch that goes on. due: the stages still to come, with the length at which each is asked."""
+
+    number: int
+    first_index: int
+    decision: Decision
+    due: list[tuple[int, Stage]]
+    degraded: bool
+    probabilities: NDArray[np.float64] | None = None
+
+
+class Pipeline:
+    """Takes frames and the sensor's comings and goings in their order, and emits events as they fall due.
+
+    What it says depends only on the frames, not on when or how they arrived; the times in events are the
+    clock's. While nothing touches, the model is not run.
+    """
+
+    def __init__(
+        self,
+        settings: PipelineSettings,
+        model: ProbabilityModel,
+        emit: Callable[[Event], None],
+        clock: Clock | None = None,
+    ) -> None:
+        self._decision_settings = settings.decision
+        self._final_frames = settings.decision.answer_at_frames[-1]
+        self._model = model
+        self._emit = emit
+        self._clock = clock or Clock()
+        self._tracker = TouchTracker(settings.touch)
+        longest_quiet_frames = round(settings.touch.quiet_s * FRAME_RATE_HZ)
+        self._ring = Ring(settings.ring, self._final_frames + LEARN_FRAMES + longest_quiet_frames)
+        self._touches = 0
+        self._touch: Touch | None = None
+
+    def on_frame(self, frame: Frame) -> None:
+        """Take the sensor's next frame."""
+        for grid_frame in self._ring.push(frame):
+            self._advance(grid_frame)
+
+    def on_sensor_state(self, state: SensorState) -> None:
+        """Take note that the sensor came or went; its going ends the touch, and rest is learned anew."""
+        if state.state == "down":
+            self._stop("sensor")
+        self._emit(SensorEvent(state=state.state, time=self._now(), reason=state.reason))
+
+    def flush(self) -> None:
+        """End the touch that goes on, if any: no frame will come any more."""
+        self._stop("stopped")
+
+    def _advance(self, frame: GridFrame) -> None:
+        match self._tracker.update(frame):
+            case Onset(first_index):
+                self._begin(first_index, frame)
+            case Release() as release:
+                self._end(release, frame.host_s)
+        if self._touch is not None:
+            self._touch.degraded |= frame.bridged
+            self._ask_what_is_due(self._touch, frame)
+
+    def _stop(self, reason: EndReason) -> None:
+        since_s = self._clock.monotonic_s()
+        release = self._tracker.forget(reason)
+        if release is not None:
+            self._end(release, since_s)
+        self._ring.reset()
+
+    def _begin(self, first_index: int, frame: GridFrame) -> None:
+        self._touches += 1
+        so_far = self._ring.frames(first_index, frame.index + 1)
+        self._touch = Touch(
+            number=self._touches,
+            first_index=first_index,
+            decision=Decision(self._decision_settings, self._model.labels),
+            due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
+            degraded=any(earlier.bridged for earlier in so_far),
+        )
+        sensor_ms = round(so_far[0].sensor_ms) % CLOCK_WRAP_MS
+        self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms))
+
+    def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
+        length = frame.index + 1 - touch.first_index
+        contact = self._tracker.last_contact_index + 1 - touch.first_index
+        while touch.due and touch.due[0][0] <= length:
+            due_length, stage = touch.due.pop(0)
+            lifted = due_length - contact > LIFT_OFF_FRAMES
+            self._ask(touch, stage, contact if lifted else due_length, frame.host_s)
+        over = length - self._final_frames
+        if over > 0 and over % ONGOING_STRIDE_FRAMES == 0 and length - contact <= LIFT_OFF_FRAMES:
+            self._ask(touch, "ongoing", length, frame.host_s)
+
+    def _end(self, release: Release, since_s: float) -> None:
+        touch = self._touch
+        if touch is None:
+            return
+        self._touch = None
+        frames = release.last_index + 1 - release.first_index
+        if touch.due:
+            self._ask(touch, "released", frames, since_s)
+        elif touch.decision.told is None and touch.probabilities is not None:
+            answer = touch.decision.answer("uncertain", touch.probabilities)
+            self._report(touch, answer, self._final_frames, frames, since_s)
+        gesture = touch.decision.told or UNCERTAIN
+        self._emit(
+            TouchEnded(
+                touch=touch.number, gesture=gesture, frames=frames, reason=release.reason, time=self._now()
+            )
+        )
+
+    def _ask(self, touch: Touch, stage: Stage, length: int, since_s: float) -> None:
+        """Ask the model about the touch's first `length` frames, or the last of those that it can take."""
+        frames = min(length, self._final_frames)
+        touch.probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
+        answer = touch.decision.answer(stage, touch.probabilities)
+        if stage != "ongoing" or answer.told:
+            self._report(touch, answer, frames, length, since_s)
+
+    def _report(self, touch: Touch, answer: Answer, frames: int, length: int, since_s: float) -> None:
+        self._emit(
+            Prediction(
+                touch=touch.number,
+                stage=answer.stage,
+                frames=frames,
+                elapsed_s=round(length / FRAME_RATE_HZ, 3),
+                gesture=answer.gesture,
+                confidence=round(answer.confidence, 4),
+                probabilities={label: round(value, 4) for label, value in answer.probabilities.items()},
+                changed=answer.changed,
+                told=answer.told,
+                degraded=touch.degraded,
+                latency_ms=round(max(0.0, self._clock.monotonic_s() - since_s) * 1000.0, 3),
+                model=self._model.name,
+                time=self._now(),
+            )
+        )
+
+    def _now(self) -> str:
+        return timestamp(self._clock.epoch_s())
