@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
 from daemon.decide import Answer, Decision, DecisionSettings, ProbabilityModel
 from daemon.events import (
@@ -28,7 +26,7 @@ from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.sensor import SensorState
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# Two inferences a second while a long touch goes on: a change is seen within half a second, for 0.5 % of a core.
+# Two inferences a second while a long touch goes on: a change is seen within half a second, at little cost.
 ONGOING_STRIDE_FRAMES = 27
 # Quiet up to a pat's lift-off belongs to the gesture; a longer quiet may be its end and is not asked about.
 LIFT_OFF_FRAMES = 13
@@ -59,7 +57,6 @@ class Touch:
     decision: Decision
     due: list[tuple[int, Stage]]
     degraded: bool
-    probabilities: NDArray[np.float64] | None = None
 
 
 class Pipeline:
@@ -151,9 +148,8 @@ class Pipeline:
         frames = release.last_index + 1 - release.first_index
         if touch.due:
             self._ask(touch, "released", frames, since_s)
-        elif touch.decision.told is None and touch.probabilities is not None:
-            answer = touch.decision.answer("uncertain", touch.probabilities)
-            self._report(touch, answer, self._final_frames, frames, since_s)
+        elif touch.decision.told is None:
+            self._ask(touch, "uncertain", frames, since_s)
         gesture = touch.decision.told or UNCERTAIN
         self._emit(
             TouchEnded(
@@ -164,8 +160,8 @@ class Pipeline:
     def _ask(self, touch: Touch, stage: Stage, length: int, since_s: float) -> None:
         """Ask the model about the touch's first `length` frames, or the last of those that it can take."""
         frames = min(length, self._final_frames)
-        touch.probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
-        answer = touch.decision.answer(stage, touch.probabilities)
+        window = self._ring.window(touch.first_index + length, frames)
+        answer = touch.decision.answer(stage, self._model.probabilities(window))
         if stage != "ongoing" or answer.told:
             self._report(touch, answer, frames, length, since_s)
 
