@@ -41,7 +41,7 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
     x = x.clamp_min(1e-6) ** torch.exp(settings.gamma * normal(B, 1, 1, 1))
     x = x * torch.exp(settings.gain * normal(B, 1, 1, 1) + settings.taxel_gain * normal(B, 1, ROWS, COLUMNS))
     x = x * MAX_COUNT
-    x = _shift(_turn(x, rng), settings.shift, rng)
+    x = _shift(_turn(x, settings.turn, rng), settings.shift, rng)
     dead = torch.rand(B, 1, ROWS, 1, generator=rng).argsort(dim=2) == 0
     x = x * (1.0 - chosen(settings.dead_row) * dead)
     x = x + chosen(settings.offset) * settings.offset_counts * torch.rand(B, 1, 1, 1, generator=rng)
@@ -55,11 +55,12 @@ def mix(counts: Tensor, other: Tensor, share: Tensor) -> Tensor:
     return (counts + KNEE_COUNTS) ** (1.0 - part) * (other + KNEE_COUNTS) ** part - KNEE_COUNTS
 
 
-def _turn(x: Tensor, rng: torch.Generator) -> Tensor:
-    """Turn and mirror each window by one of the grid's eight symmetries."""
+def _turn(x: Tensor, probability: float, rng: torch.Generator) -> Tensor:
+    """Turn and mirror some windows by one of the grid's eight symmetries."""
     symmetry = torch.randint(8, (len(x),), generator=rng)
-    turned = torch.empty_like(x)
-    for s in range(8):
+    symmetry = symmetry * (torch.rand(len(x), generator=rng) < probability)
+    turned = x.clone()
+    for s in range(1, 8):
         these = symmetry == s
         rotated = torch.rot90(x[these], s % 4, dims=(2, 3))
         turned[these] = rotated.flip(3) if s >= 4 else rotated

@@ -38,6 +38,8 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     """Standard deviation of the log of an exponent on counts / 1023."""
     taxel_gain: float = 0.1
     """Standard deviation of the log of a factor on each taxel."""
+    turn: float = 0.5
+    """Turned and mirrored by one of the grid's eight symmetries."""
     shift: float = 0.4
     offset: float = 0.4
     offset_counts: float = 12.0
