@@ -16,9 +16,6 @@ restarts within 250 ms of its last start cannot be told from one that did not.
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drivers.framing import CLOCK_MODULUS, ProtocolCounts, Reading
 
 # Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
@@ -39,28 +36,20 @@ class ClockCheck:
         self._last_ms = None
         self._refuse_held()
 
-    def take_run(self, times_ms: NDArray[np.uint32]) -> int:
-        """Return how many of the leading times (T,) are on time one after the other, and follow them."""
-        if self._last_ms is None:
-            return 0
-        steps = np.diff(times_ms, prepend=np.uint32(self._last_ms))
-        late = np.flatnonzero((steps == 0) | (steps > MAX_STEP_MS))
-        run = int(late[0]) if late.size else len(times_ms)
-        if run:
-            self._last_ms = int(times_ms[run - 1])
-            self._refuse_held()
-        return run
+    def is_on_time(self, sensor_ms: int) -> bool:
+        """Whether a frame of that time agrees with the clock followed so far."""
+        return self._last_ms is not None and _steps_on(self._last_ms, sensor_ms)
 
     def judge(self, reading: Reading) -> list[Reading]:
         """Return what can be delivered now: nothing, this reading, or it after the held ones it confirms."""
         now_ms = reading.sensor_ms
-        if now_ms == self._last_ms or any(now_ms == held.sensor_ms for held in self._held):
-            self._counts.duplicates += 1
-            return []
-        if self._last_ms is not None and _steps_on(self._last_ms, now_ms):
+        if self.is_on_time(now_ms):
             self._last_ms = now_ms
             self._refuse_held()
             return [reading]
+        if now_ms == self._last_ms or any(now_ms == held.sensor_ms for held in self._held):
+            self._counts.duplicates += 1
+            return []
         run, others = [reading], []
         for held in reversed(self._held):
             if _steps_on(held.sensor_ms, run[0].sensor_ms):

@@ -106,8 +106,7 @@ class CsvLines:
             self.counts.bad_value += 1
             self.counts.bytes_dropped += len(line) + 1
             return []
-        raw = np.array(values, dtype=np.uint16).reshape(1, self._geometry.rows, self._geometry.columns)
-        pressure = self._geometry.pressure(raw)[0]
+        pressure = self._geometry.pressure(np.array(values, dtype=np.uint16))
         if has_clock:
             return self._clock.judge(Reading(numbers[0], host_s, pressure))
         return [Reading(int(host_s * 1000) % CLOCK_MODULUS, host_s, pressure)]

@@ -7,15 +7,12 @@ import re
 from collections import Counter
 from itertools import pairwise
 
-import numpy as np
-
-from drivers.fabric_grid import record_type, well_formed
+from drivers.fabric_grid import damage_in, frame_bytes
 
 # A header, and a clock and a value that may begin with FF; a longer run of FF is an idle or broken line.
 HEADER = re.compile(rb"(?<!\xff)\xff{4,9}(?!\xff)")
 TEXT = frozenset(b"0123456789,; \t\r\n")
 LEAST_HEADERS = 3
-FRAMING_BYTES = 9
 
 
 def diagnose(data: bytes, expected: str) -> tuple[str, str]:
@@ -48,16 +45,11 @@ def _numbers_a_line(data: bytes) -> int:
 def _geometry(data: bytes, starts: list[int]) -> str:
     """Return the fabric-grid geometry whose frames lie between the headers, "" when no frame is sound."""
     spacing = Counter(later - earlier for earlier, later in pairwise(starts)).most_common(1)[0][0]
-    taxels, odd = divmod(spacing - FRAMING_BYTES, 2)
-    if taxels <= 0 or odd:
+    taxels = (spacing - frame_bytes(0)) // 2
+    if taxels <= 0 or frame_bytes(taxels) != spacing:
+        return ""
+    windows = [data[start : start + spacing] for start in starts if start + spacing <= len(data)]
+    if 2 * sum(damage_in(window) is None for window in windows) < len(windows):
         return ""
     side = math.isqrt(taxels)
-    rows, columns = (side, side) if side * side == taxels else (1, taxels)
-    whole = [start for start in starts if start + spacing <= len(data)]
-    records = np.array(
-        [np.frombuffer(data, record_type(rows, columns), 1, start)[0] for start in whole],
-        dtype=record_type(rows, columns),
-    )
-    if 2 * int(well_formed(records).sum()) < len(whole):
-        return ""
-    return f"fabric-grid {rows}x{columns}" if rows > 1 else f"fabric-grid of {taxels} taxels"
+    return f"fabric-grid {side}x{side}" if side * side == taxels else f"fabric-grid of {taxels} taxels"

@@ -15,35 +15,37 @@ the clock.
 from __future__ import annotations
 
 import struct
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.clock import ClockCheck
 from drivers.frame import MAX_COUNT, Counts, Frame
 from drivers.framing import CLOCK_MODULUS, Geometry, ProtocolCounts, Reading, number_frames
 
 HEADER = b"\xff\xff\xff\xff"
-# Cheap to look at, and wrong in every false header within a long run of FF.
-HIGH_BYTE_OF_FIRST_VALUE = 9
-# Enough windows at once for numpy to pay off; checking more would be wasted where a frame is damaged.
-BATCH = 64
+TIME = struct.Struct("<I")
+TIME_AT = len(HEADER)
+VALUES_AT = TIME_AT + TIME.size
+MAX_HIGH_BYTE = MAX_COUNT >> 8
+
+Damage = Literal["bad_value", "bad_checksum", "bad_time"]
 
 
-def record_type(rows: int, columns: int) -> np.dtype[np.void]:
-    """Return one frame on the wire as a packed numpy record: 4 + 4 + 2 * rows * columns + 1 bytes."""
-    return np.dtype([("header", "<u4"), ("time", "<u4"), ("raw", "<u2", (rows, columns)), ("checksum", "u1")])
+def frame_bytes(taxels: int) -> int:
+    """Return the length on the wire of a frame of that many values."""
+    return VALUES_AT + 2 * taxels + 1
 
 
-def well_formed(records: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Return which of the records (T,) have the header, values a pad can send and the right checksum."""
-    raw = records["raw"]
-    checksum = (raw.sum(axis=(1, 2), dtype=np.uint32) + records["time"]) & 0xFF
-    in_range = raw.max(axis=(1, 2)) <= MAX_COUNT
-    intact: NDArray[np.bool_] = (
-        (records["header"] == 0xFFFFFFFF) & in_range & (checksum == records["checksum"])
-    )
-    return intact
+def damage_in(window: bytes) -> Damage | None:
+    """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
+    # Looking at the first value alone is enough, and quick, in a long run of FF.
+    if window[VALUES_AT + 1] > MAX_HIGH_BYTE or max(window[VALUES_AT + 1 : -1 : 2]) > MAX_HIGH_BYTE:
+        return "bad_value"
+    # The low byte of a sum is that of the sum of low bytes.
+    if (sum(window[VALUES_AT:-1:2]) + window[TIME_AT]) & 0xFF != window[-1]:
+        return "bad_checksum"
+    return None
 
 
 def encode_fabric_grid(
@@ -53,7 +55,7 @@ def encode_fabric_grid(
     raw = Geometry(rows, columns, crop, invert).raw(counts)
     time = sensor_ms % CLOCK_MODULUS
     checksum = (int(raw.sum()) + time) & 0xFF
-    return HEADER + struct.pack("<I", time) + raw.astype("<u2").tobytes() + bytes([checksum])
+    return HEADER + TIME.pack(time) + raw.astype("<u2").tobytes() + bytes([checksum])
 
 
 class FabricGrid:
@@ -65,8 +67,7 @@ class FabricGrid:
 
     def __init__(self, rows: int = 10, columns: int = 10, crop: int = 1, invert: bool = True) -> None:
         self._geometry = Geometry(rows, columns, crop, invert)
-        self._record = record_type(rows, columns)
-        self._size = self._record.itemsize
+        self._size = frame_bytes(self._geometry.taxels)
         self.counts = ProtocolCounts()
         self._clock = ClockCheck(self.counts)
         self._buffer = b""
@@ -88,8 +89,7 @@ class FabricGrid:
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
-        self._buffer = self._buffer[self._position :] + data
-        self._position = 0
+        self._buffer += data
         readings: list[Reading] = []
         while self._seek_header() and (taken := self._take(host_s)) is not None:
             readings += taken
@@ -108,64 +108,57 @@ class FabricGrid:
     def _seek_header(self) -> bool:
         """Move to the next header, dropping what comes before; False when none is in the buffer."""
         start = self._buffer.find(HEADER, self._position)
-        if start < 0:
-            # The last bytes may be the beginning of a header whose rest is still to come.
-            tail = self._buffer[self._position :][-len(HEADER) + 1 :]
-            self._drop(len(self._buffer) - self._position - (len(tail) - len(tail.rstrip(HEADER))))
-            return False
-        self._drop(start - self._position)
-        return True
+        if start >= 0:
+            self._drop(start - self._position)
+            return True
+        # The last bytes may be the beginning of a header whose rest is still to come.
+        tail = self._buffer[self._position :][-len(HEADER) + 1 :]
+        self._drop(len(self._buffer) - self._position - (len(tail) - len(tail.rstrip(HEADER))))
+        return False
 
     def _take(self, host_s: float) -> list[Reading] | None:
-        """Judge what begins at the header at the position; None when it takes more bytes to tell."""
-        windows = (len(self._buffer) - self._position) // self._size
-        if windows == 0:
+        """Judge the window at the position: the readings it lets out, or None when it takes more bytes."""
+        window = self._buffer[self._position : self._position + self._size]
+        if len(window) < self._size:
             return None
-        if self._buffer[self._position + HIGH_BYTE_OF_FIRST_VALUE] > MAX_COUNT >> 8:
-            self._refuse(value_too_high=True)
+        if damage := damage_in(window):
+            self._refuse(damage)
             return []
-        windows = min(windows, 1 if self._claimed else BATCH)
-        records = np.frombuffer(self._buffer, self._record, windows, self._position)
-        intact = well_formed(records)
-        run = windows if intact.all() else int(intact.argmin())
-        if run == 0:
-            self._refuse(value_too_high=bool(records["raw"][0].max() > MAX_COUNT))
-            return []
-        on_time = self._clock.take_run(records["time"][:run])
-        if on_time:
-            return self._accept(records[:on_time], host_s)
-        return self._take_jump(records[:1], host_s)
+        (sensor_ms,) = TIME.unpack_from(window, TIME_AT)
+        if not self._clock.is_on_time(sensor_ms):
+            hides_another = self._hides_another()
+            if hides_another is None:
+                return None
+            if hides_another:
+                self._refuse("bad_time")
+                return []
+        self._position += self._size
+        self._claimed = 0
+        self._in_refused_run = False
+        raw = np.frombuffer(window, "<u2", self._geometry.taxels, VALUES_AT)
+        return self._clock.judge(Reading(sensor_ms, host_s, self._geometry.pressure(raw)))
 
-    def _take_jump(self, record: NDArray[np.void], host_s: float) -> list[Reading] | None:
-        """Judge a well-formed window whose clock jumps; a well-formed one inside it shows that it is false.
+    def _hides_another(self) -> bool | None:
+        """Whether a well-formed window begins inside the one at the position, None when it takes more bytes.
 
-        Two frames in a row cannot hold one: the second's header would be a value above 1023 in it.
+        Then the outer one, whose clock jumps, is false: in two true frames running, the header of the second
+        would be a value above 1023 in every window that begins inside the first.
         """
         inner = self._position
         while (inner := self._buffer.find(HEADER, inner + 1, self._position + self._size)) >= 0:
-            if inner + self._size > len(self._buffer):
+            window = self._buffer[inner : inner + self._size]
+            if len(window) < self._size:
                 return None
-            if well_formed(np.frombuffer(self._buffer, self._record, 1, inner))[0]:
-                self.counts.bad_time += 1
-                self._claimed = self._size
-                self._drop(1)
-                return []
-        return [ready for reading in self._accept(record, host_s) for ready in self._clock.judge(reading)]
+            if damage_in(window) is None:
+                return True
+        return False
 
-    def _accept(self, records: NDArray[np.void], host_s: float) -> list[Reading]:
-        self._position += len(records) * self._size
-        self._claimed = 0
-        self._in_refused_run = False
-        pressures = self._geometry.pressure(records["raw"])
-        times: list[int] = records["time"].tolist()
-        return [Reading(ms, host_s, pressure) for ms, pressure in zip(times, pressures, strict=True)]
-
-    def _refuse(self, *, value_too_high: bool) -> None:
+    def _refuse(self, damage: Damage) -> None:
+        """Give up the window at the position by its first byte; one run of FF is counted once."""
         if not self._in_refused_run:
-            if value_too_high:
-                self.counts.bad_value += 1
-            else:
-                self.counts.bad_checksum += 1
+            self.counts.bad_value += damage == "bad_value"
+            self.counts.bad_checksum += damage == "bad_checksum"
+            self.counts.bad_time += damage == "bad_time"
             self._claimed = self._size
         self._drop(1)
         self._in_refused_run = True

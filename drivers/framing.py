@@ -80,9 +80,10 @@ class Geometry:
         return f"{self.rows}x{self.columns}"
 
     def pressure(self, raw: NDArray[np.uint16]) -> Counts:
-        """Turn raw values (T, rows, columns) into pressure (T, 8, 8) uint16: read-only, on its own memory."""
-        inner = raw[:, self.crop : self.crop + ROWS, self.crop : self.crop + COLUMNS]
-        counts = np.array(np.uint16(MAX_COUNT) - inner if self.invert else inner, dtype=np.uint16, order="C")
+        """Turn raw values (rows * columns,) into pressure (8, 8) uint16: read-only, on its own memory."""
+        grid = raw.reshape(self.rows, self.columns)
+        inner = grid[self.crop : self.crop + ROWS, self.crop : self.crop + COLUMNS]
+        counts = np.array(MAX_COUNT - inner if self.invert else inner, dtype=np.uint16)
         counts.flags.writeable = False
         return counts
 
