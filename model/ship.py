@@ -21,6 +21,7 @@ from model.train import CHECKPOINT_NAME, train_haart
 
 MAX_LENGTH = 432
 LEFT_OUT_FOLDER = "left_out"
+SCORES_NAME = "scores.json"
 
 
 def train_recipe(recipe: Recipe, haart_folder: Path, runs: Path, threads: int) -> None:

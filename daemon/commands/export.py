@@ -1,0 +1,28 @@
+"""`touchd export`: trained networks into ONNX files that take raw counts; needs the extra `train`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from daemon.commands.haart_folder import add_haart_argument
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Calibrate on left-out participants, export, name the files written; returns 0."""
+    parser = argparse.ArgumentParser(prog="touchd export", description="Exports a trained recipe to ONNX.")
+    add_haart_argument(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of checkpoints (runs)")
+    parser.add_argument("--recipe", type=Path, help="YAML file; the recipe of the shipped model without it")
+    parser.add_argument("--weights", type=Path, default=Path("model/weights"), help="where the files go")
+    options = parser.parse_args(arguments)
+
+    from model.recipe import SHIPPED_RECIPE, read_recipe
+    from model.ship import export_recipe
+
+    recipe = read_recipe(options.recipe or SHIPPED_RECIPE)
+    for path in export_recipe(recipe, options.haart, options.runs, options.weights):
+        sys.stdout.write(f"{path}\n")
+    return 0
