@@ -3,7 +3,7 @@
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo run setup test check lint format expectations bench clean
+.PHONY: help demo setup test test-slow check lint format expectations bench clean
 
 # The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
 FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
@@ -20,6 +20,7 @@ DEVELOPMENT := $(VENV)/.development.stamp
 help:
 	@echo "make demo          set up what the daemon needs and show it at work, without any hardware"
 	@echo "make test          set up everything and run all tests"
+	@echo "make test-slow     run the tests that take minutes"
 	@echo "make check         ruff and mypy"
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make expectations  rebuild the expected events beside the shipped recordings"
@@ -34,6 +35,9 @@ setup: $(RUNTIME)
 test: $(DEVELOPMENT)
 	$(BIN)/python -m pytest
 
+test-slow: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -m slow
+
 check: $(DEVELOPMENT)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -44,7 +48,7 @@ format: $(DEVELOPMENT)
 	$(BIN)/ruff format .
 
 bench: $(RUNTIME)
-	$(BIN)/touchd bench
+	@$(BIN)/touchd bench
 
 expectations: $(RUNTIME)
 	$(BIN)/python tests/expectations.py

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from daemon.commands.classify import play
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan
-from daemon.pipeline import Pipeline
+from daemon.pipeline import STAGES, Pipeline
 from daemon.rig import SpawnedDaemon, outline
 from daemon.service import load_model
 from daemon.wire import encoder_for
@@ -93,7 +93,7 @@ def table(figures: Figures) -> str:
 
 
 def measure(touch_s: float) -> Figures:
-    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s` seconds."""
+    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`."""
     stream = touched(touch_s)
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
@@ -138,7 +138,7 @@ def measure(touch_s: float) -> Figures:
 
 
 def touched(touch_s: float) -> Stream:
-    """Return a simulated stream that rests for 20 s and is then touched over and over for `touch_s` seconds."""
+    """Return a simulated stream that rests for 20 s and is then touched over and over for `touch_s`."""
     turns = max(1, round(touch_s / (TOUCH_S + BETWEEN_S)))
     script = [("notouch", QUIET_S)]
     for turn in range(turns):
@@ -156,13 +156,14 @@ def _latencies_ms(
 ) -> list[float]:
     """Return, for each answer that fell due at a length, the time from its last frame to its line."""
     index_at_ms = {int(ms): index for index, ms in enumerate(stream.sensor_ms)}
+    due = dict(zip(STAGES, Settings().scene.answer_at_frames, strict=True))
     first: dict[int, int] = {}
     latencies_ms = []
     for received_s, event in received:
         if isinstance(event, TouchBegan):
             first[event.touch] = index_at_ms[event.sensor_ms]
-        elif isinstance(event, Prediction) and event.stage in ("early", "revised", "final"):
-            last = first[event.touch] + event.frames - 1
+        elif isinstance(event, Prediction) and event.stage in due:
+            last = first[event.touch] + due[event.stage] - 1
             latencies_ms.append(1000 * (received_s - float(sent_s[last])))
     return latencies_ms
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import time
 
 from daemon.notify import Notifier
+
+log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
@@ -21,6 +24,7 @@ class Health:
         self._ready = False
         self._pad_is_away = False
         self._frames = 0
+        self._dropped = 0
         self._next_feed_s = 0.0
         self._status_s = time.monotonic()
 
@@ -48,6 +52,9 @@ class Health:
         passed_s = now_s - self._status_s
         if passed_s < STATUS_EVERY_S:
             return
+        if dropped > self._dropped:
+            log.warning("%d frames dropped: the machine is too busy for the pad", dropped - self._dropped)
+            self._dropped = dropped
         pad = "pad away" if self._pad_is_away else f"{self._frames / passed_s:.1f} frames/s"
         self._notifier.send(STATUS=f"{pad}, {touches} touches, {dropped} frames dropped")
         self._status_s = now_s

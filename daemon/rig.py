@@ -62,7 +62,7 @@ class SpawnedDaemon:
 
 
 def outline(events: Iterable[Event]) -> list[dict[str, object]]:
-    """Return what is said of a stream however it is played: touches and answers, without times and figures."""
+    """Return what is said of a stream however it is played: touches and answers, without their figures."""
     return [
         {"type": event.__struct_config__.tag, **{name: getattr(event, name) for name in OUTLINE[type(event)]}}
         for event in events

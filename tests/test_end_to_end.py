@@ -1,0 +1,181 @@
+"""From bytes on a serial port to lines on standard output: the spawned daemon, a pty, recordings."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+from expectations import RECORDINGS, answers, expected, stream_of
+
+from daemon.config import RobotConfig, SensorSettings, Settings
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from daemon.pipeline import Pipeline
+from daemon.recorded import with_quiet
+from daemon.rig import SpawnedDaemon, outline
+from daemon.service import load_model
+from daemon.wire import encoder_for, parser_for
+from drivers.fake_port import FakePort
+from drivers.fake_robot import LoopbackRobot
+from drivers.line_faults import Faults
+from drivers.recording import Selection, Stream, read_recordings, realign, splice
+from drivers.robot_session import qi_installed
+from drivers.simulator import simulate
+from model.classifier import Classifier
+
+# As fast as leaves the daemon time on a busy machine: the sensor's clock counts, not the arrival.
+SPEED = 16.0
+PLAY_S = 25.0
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+
+requires_haart = pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART is not set")
+
+
+@pytest.fixture(scope="module")
+def classifier() -> Classifier:
+    return load_model(Settings())
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Callable[..., list[Event]]:
+    """What the spawned daemon says to a stream that a fake port plays to it."""
+
+    def run(
+        stream: Stream,
+        *,
+        protocol: str = "fabric-grid",
+        faults: Faults | None = None,
+        robot: RobotConfig | None = None,
+    ) -> list[Event]:
+        sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
+        with (
+            FakePort(stream, encoder_for(sensor), speed=SPEED, faults=faults or Faults()) as port,
+            (tmp_path / "log").open("w+b") as log,
+        ):
+            sensor = msgspec.structs.replace(sensor, port=port.path)
+            daemon = SpawnedDaemon(Settings(sensor=sensor, robot=robot), tmp_path, log)
+            try:
+                assert port.wait(PLAY_S), "the daemon did not take what was played"
+            finally:
+                daemon.process.terminate()
+                events = list(daemon.events())
+                exit_code = daemon.stop()
+            log.seek(0)
+            assert exit_code == 0, log.read().decode()
+        return events
+
+    return run
+
+
+@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
+def test_the_daemon_says_what_is_expected_of_a_shipped_recording(
+    run: Callable[..., list[Event]], recording: Path
+) -> None:
+    assert outline(run(stream_of(recording))) == expected(recording)
+
+
+@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
+def test_classify_says_the_same_as_the_daemon(recording: Path, classifier: Classifier) -> None:
+    assert outline(answers(stream_of(recording), classifier)) == expected(recording)
+
+
+def test_a_pad_that_prints_lines_is_understood_as_well(run: Callable[..., list[Event]]) -> None:
+    assert outline(run(stream_of(LENGTHS), protocol="csv")) == expected(LENGTHS)
+
+
+def test_bytes_that_come_in_pieces_change_nothing(run: Callable[..., list[Event]]) -> None:
+    assert outline(run(stream_of(LENGTHS), faults=Faults(chunk_bytes=40))) == expected(LENGTHS)
+
+
+def test_a_line_with_damaged_frames_gives_the_same_touches_marked_degraded(
+    run: Callable[..., list[Event]],
+) -> None:
+    said = run(stream_of(LENGTHS), faults=Faults(flip_bit_every=50, garbage_every=31))
+    touches = [event.touch for event in said if isinstance(event, TouchEnded)]
+    assert touches == [line["touch"] for line in expected(LENGTHS) if line["type"] == "touch_ended"]
+    assert any(event.degraded for event in said if isinstance(event, Prediction))
+
+
+@pytest.mark.parametrize("size", [1, 7, 208, 210, 5000, None])
+def test_predictions_are_identical_however_the_bytes_were_cut(
+    size: int | None, classifier: Classifier
+) -> None:
+    stream = stream_of(LENGTHS)
+    stop = 600
+    sensor = SensorSettings()
+    encode = encoder_for(sensor)
+    data = b"".join(
+        encode(counts, ms)
+        for counts, ms in zip(stream.counts[:stop], stream.sensor_ms[:stop].tolist(), strict=True)
+    )
+    chance = random.Random(1)
+    parser = parser_for(sensor)
+    events: list[Event] = []
+    pipeline = Pipeline(Settings().pipeline, classifier, events.append)
+    position = 0
+    while position < len(data):
+        step = size or chance.randrange(1, 500)
+        for frame in parser.feed(data[position : position + step], host_s=0.0):
+            pipeline.on_frame(frame)
+        position += step
+    pipeline.flush()
+    whole = Stream(stream.counts[:stop], stream.sensor_ms[:stop], ())
+    assert [_probabilities(event) for event in events] == [
+        _probabilities(event) for event in answers(whole, classifier)
+    ]
+    assert any(isinstance(event, Prediction) for event in events)
+
+
+def _probabilities(event: Event) -> object:
+    return event.probabilities if isinstance(event, Prediction) else type(event)
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
+    with LoopbackRobot() as robot:
+        said = run(stream_of(LENGTHS), robot=RobotConfig(url=robot.url))
+        told = [event.gesture for event in said if isinstance(event, Prediction) and event.told]
+        assert told
+        robot.calls.wait_for_raise("TouchGesture/Status", "down")
+        assert robot.calls.raised("TouchGesture/Gesture") == told
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
+    with LoopbackRobot() as robot:
+        said = run(splice(simulate([("notouch", 60.0)], seed=5)), robot=RobotConfig(url=robot.url))
+        robot.calls.wait_for_raise("TouchGesture/Status", "down")
+        assert robot.calls.raised("TouchGesture/Gesture") == []
+    assert not [event for event in said if isinstance(event, TouchBegan | Prediction)]
+
+
+def test_a_minute_without_a_touch_says_nothing(classifier: Classifier) -> None:
+    assert answers(splice(simulate([("notouch", 60.0)], seed=6)), classifier) == []
+
+
+@requires_haart
+def test_one_real_recording_of_each_gesture_is_felt_as_one_touch_each(
+    run: Callable[..., list[Event]], classifier: Classifier
+) -> None:
+    path = Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz"
+    condition = Selection(participants=("P4",), substrates=("none",), covers=("none",))
+    recordings = [realign(recording) for recording in read_recordings(path, condition)]
+    assert sorted(recording.gesture for recording in recordings) == sorted(classifier.labels)
+    stream = with_quiet(recordings, [recording for recording in recordings if recording.gesture == "notouch"])
+    said = run(stream)
+    assert outline(said) == outline(answers(stream, classifier))
+
+    begins_ms = [event.sensor_ms for event in said if isinstance(event, TouchBegan)]
+    touching = [span for span in stream.spans if span.gesture != "notouch"]
+    assert begins_ms == pytest.approx([int(stream.sensor_ms[span.start]) for span in touching], abs=300)
+    named = {
+        span.gesture: [event for event in said if isinstance(event, Prediction) and event.touch == touch]
+        for touch, span in enumerate(touching, 1)
+    }
+    for gesture, predictions in named.items():
+        assert [event.stage for event in predictions][:3] == ["early", "revised", "final"]
+        if gesture in ("constant", "pat"):
+            assert {event.gesture for event in predictions} == {gesture}
