@@ -177,7 +177,7 @@ def _lines(figures: StreamReport) -> Iterable[str]:
     yield f"{figures.touches} touches of HAART's training participants, each spliced between notouch of the"
     yield "same participant and condition and played through the daemon's own pipeline; each participant is"
     yield f"answered by a network that never saw them. {figures.noticed} touches were noticed. Rebuild with"
-    yield "`python -m daemon.stream_report FOLDER`, FOLDER being HAART's. notouch itself is no touch and so not"
+    yield "`python -m daemon.stream_report FOLDER`, FOLDER being HAART's. notouch is no touch and so not"
     yield "counted here; [accuracy.md](accuracy.md) has it."
     yield ""
     yield "## What the network thinks"
