@@ -22,8 +22,8 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
 # At 5 Hz, faster than a hand pats, a frame 2 ms off its time errs by 6 %; linear interpolation errs by 4 %.
 IN_STEP_MS = 2.0
-# A phase that follows each frame by a tenth stays within IN_STEP_MS of a pad up to 1 % off 54 Hz.
-PHASE_GAIN = 0.1
+# A phase that follows each frame by a fifth lags a pad 1 % off 54 Hz by 0.9 ms; the rest is for jitter.
+PHASE_GAIN = 0.2
 IN_STEP_FRAMES = 27
 # Frames further apart than this have one missing between them, at 50 to 60 Hz.
 LOST_MS = 1.75 * PERIOD_MS

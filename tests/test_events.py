@@ -1,0 +1,107 @@
+"""Events as lines of JSON: what a reader of stdout or the journal can rely on."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from daemon.events import (
+    Event,
+    EventError,
+    Prediction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    decode,
+    encode,
+    epoch_s,
+    timestamp,
+)
+
+TIME = "2026-11-20T10:00:00.000Z"
+EVENTS: list[tuple[Event, dict[str, object]]] = [
+    (
+        TouchBegan(touch=7, time=TIME, sensor_ms=81234),
+        {"type": "touch_began", "touch": 7, "time": TIME, "sensor_ms": 81234},
+    ),
+    (
+        Prediction(
+            touch=7,
+            stage="early",
+            frames=54,
+            elapsed_s=1.0,
+            gesture="stroke",
+            confidence=0.81,
+            probabilities={"pat": 0.19, "stroke": 0.81},
+            changed=True,
+            told=True,
+            degraded=False,
+            latency_ms=1.9,
+            model="tgc",
+            time=TIME,
+        ),
+        {
+            "type": "prediction",
+            "touch": 7,
+            "stage": "early",
+            "frames": 54,
+            "elapsed_s": 1.0,
+            "gesture": "stroke",
+            "confidence": 0.81,
+            "probabilities": {"pat": 0.19, "stroke": 0.81},
+            "changed": True,
+            "told": True,
+            "degraded": False,
+            "latency_ms": 1.9,
+            "model": "tgc",
+            "time": TIME,
+        },
+    ),
+    (
+        TouchEnded(touch=7, gesture="stroke", frames=201, reason="released", time=TIME),
+        {
+            "type": "touch_ended",
+            "touch": 7,
+            "gesture": "stroke",
+            "frames": 201,
+            "reason": "released",
+            "time": TIME,
+        },
+    ),
+    (
+        SensorEvent(state="down", time=TIME, reason="unplugged"),
+        {"type": "sensor", "state": "down", "time": TIME, "reason": "unplugged"},
+    ),
+    (RobotEvent(state="up", time=TIME), {"type": "robot", "state": "up", "time": TIME, "reason": ""}),
+]
+
+
+@pytest.mark.parametrize(("event", "fields"), EVENTS, ids=[str(fields["type"]) for _, fields in EVENTS])
+def test_an_event_is_one_line_of_json_and_comes_back_the_same(
+    event: Event, fields: dict[str, object]
+) -> None:
+    line = encode(event)
+    assert json.loads(line) == fields
+    assert b"\n" not in line
+    assert decode(line) == event
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"{", b'{"type":"unheard_of"}', b'{"type":"touch_began","touch":"seven"}', b"\xff"]
+)
+def test_a_line_that_is_no_event_is_refused_with_a_reason(line: bytes) -> None:
+    with pytest.raises(EventError, match=r"not an event: .+"):
+        decode(line)
+
+
+def test_a_line_of_a_later_version_with_more_fields_is_still_read() -> None:
+    line = encode(RobotEvent(state="up", time=TIME)).replace(b"}", b',"battery":0.5}')
+    assert decode(line) == RobotEvent(state="up", time=TIME)
+
+
+def test_times_are_utc_to_the_millisecond_and_read_back() -> None:
+    assert timestamp(1795168800.0) == "2026-11-20T10:00:00.000Z"
+    assert timestamp(1795168799.9996) == "2026-11-20T10:00:00.000Z"
+    assert epoch_s("2026-11-20T10:00:00.125Z") == 1795168800.125
