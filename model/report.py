@@ -24,7 +24,7 @@ def write_page(scores: Scores, page: Path) -> None:
     figures.mkdir(parents=True, exist_ok=True)
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")
-    page.write_text("\n".join(_lines(scores)) + "\n", encoding="utf-8")
+    page.write_text("\n".join(page_lines(scores)) + "\n", encoding="utf-8")
 
 
 def draw_accuracy(scores: Scores, path: Path) -> None:
@@ -62,7 +62,8 @@ def draw_confusion(labels: Sequence[str], evaluation: Evaluation, path: Path) ->
     plt.close(figure)
 
 
-def _lines(scores: Scores) -> Iterable[str]:
+def page_lines(scores: Scores) -> Iterable[str]:
+    """Yield the page's lines."""
     yield "# How accurate the classifier is"
     yield ""
     yield f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), written by `{scores.command}` on"
