@@ -35,16 +35,16 @@ LONGEST_S = 50.0
 SPEECH_S = 0.8
 
 ACTIONS = (
-    ActionRule(do=(Action(leds=Leds(color="green")), Action(say="A {gesture}.")), stages=()),
-    ActionRule(do=(Action(animated_say="Oh, that is a {gesture}!"),), changed=True),
+    ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {gesture}."))),
+    ActionRule(do=(Action(animated_say="Oh, it is {gesture}!"),), changed=True),
     ActionRule(do=(Action(say="What was that?"),), gestures=("uncertain",)),
 )
 
 NEXT = """
 What to try next:
-  touchd replay FILE.csv.gz              a recording as a pad: it prints the path of a fake serial port
-  touchd run --view --port PATH          the daemon on that port, or on a real pad such as /dev/ttyACM0
-  touchd classify FILE.csv.gz            all answers to a recording at once, as JSON lines
+  touchd replay FILE.csv.gz        a recording as a pad; prints a fake serial port
+  touchd run --view --port PORT    the daemon on that port, or on a real pad
+  touchd classify FILE.csv.gz      all answers to a recording at once
 docs/install.md tells how to wire a real pad and a real Nao.
 """
 

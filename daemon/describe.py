@@ -20,10 +20,10 @@ def describe(event: Event) -> str:
         case TouchBegan():
             return f"touch {event.touch} begins"
         case Prediction():
-            told = "told" if event.told else "not told"
+            told = "  told" if event.told else ""
             return (
                 f"  {event.stage:<9} after {event.elapsed_s:4.1f} s: {event.gesture:<9} "
-                f"{event.confidence:4.0%}  {told:<8}  in {event.latency_ms:.1f} ms"
+                f"{event.confidence:4.0%}  in {event.latency_ms:.1f} ms{told}"
             )
         case TouchEnded():
             length_s = event.frames / FRAME_RATE_HZ

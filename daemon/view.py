@@ -23,6 +23,8 @@ from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Counts
 REFRESH_HZ = 12
 WIDTH = 80
 HISTORY = 11
+TAXEL_WIDTH = 4
+PAD_WIDTH = COLUMNS * TAXEL_WIDTH + 2
 BAR_WIDTH = 22
 # Seen where a terminal has no colours.
 SHADES = " .:-=+*#%@"
@@ -69,7 +71,7 @@ class View:
                 case TouchEnded():
                     self._touch = None
                 case SensorEvent():
-                    self._pad = describe(event)
+                    self._pad = f"pad {event.state}"
         self.note(describe(event), "bold" if isinstance(event, Prediction) and event.told else "dim")
 
     def stop(self, timeout_s: float = 0.0) -> None:
@@ -101,7 +103,7 @@ class View:
         # The root lifts light touches, which would else be lost beside a press.
         levels = np.sqrt(np.minimum(self._pressure, MAX_COUNT) / MAX_COUNT)
         lines = [Text().join(_taxel(float(level)) for level in row) for row in levels]
-        return Panel(Text("\n").join(lines), title=self._pad[:26], width=8 * 4 + 2)
+        return Panel(Text("\n").join(lines), title=self._pad, width=PAD_WIDTH, padding=0)
 
     def _draw_answer(self) -> Panel:
         answer = self._answer
@@ -113,7 +115,7 @@ class View:
                 rows.append(Text(f"{label:<9} {bar:<{BAR_WIDTH}} {probability:4.0%}", style))
             rows.append(Text(f"{answer.stage}, after {answer.elapsed_s:.1f} s", "dim"))
         title = f"touch {self._touch}" if self._touch is not None else "nothing touches"
-        return Panel(Text("\n").join(rows), title=title, width=WIDTH - (8 * 4 + 2), height=ROWS + 2)
+        return Panel(Text("\n").join(rows), title=title, width=WIDTH - PAD_WIDTH, height=ROWS + 2)
 
 
 class ViewHandler(logging.Handler):
@@ -129,8 +131,8 @@ class ViewHandler(logging.Handler):
 
 
 def _taxel(level: float) -> Text:
-    """Return a taxel pressed at `level` (0 to 1), four characters wide: black, red, yellow, white."""
+    """Return a taxel pressed at `level` (0 to 1): from dark through red and yellow to white."""
     shade = SHADES[min(int(level * len(SHADES)), len(SHADES) - 1)]
     red, green, blue = (round(255 * min(max(3 * level - step, 0.0), 1.0)) for step in range(3))
-    color = Color.from_rgb(max(red, 24), max(green, 24), max(blue, 36))
-    return Text(shade * 4, Style(color=color, bgcolor=color))
+    color = Color.from_rgb(max(red, 40), max(green, 40), max(blue, 60))
+    return Text(shade * TAXEL_WIDTH, Style(color=color, bgcolor=color))
