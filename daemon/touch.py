@@ -58,6 +58,10 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
     settled_s: Annotated[float, msgspec.Meta(ge=5, le=3600)] = 10.0
 
+    def __post_init__(self) -> None:
+        if self.release_level > self.onset_level:
+            raise ValueError(f"release_level {self.release_level} is above onset_level {self.onset_level}")
+
 
 @dataclass(frozen=True, slots=True)
 class Onset:
@@ -122,8 +126,10 @@ class TouchTracker:
 
     @property
     def last_contact_index(self) -> int:
-        """The last grid frame with contact, of the touch that goes on."""
-        return self._last_index
+        """The last grid frame with contact of the touch that goes on; the median shows its end late."""
+        if self._last_index == self._index or self._first_index is None:
+            return self._last_index
+        return max(self._first_index, self._last_index - SMOOTH_FRAMES // 2)
 
     def update(self, frame: GridFrame) -> Onset | Release | None:
         """Take the next grid frame; return what it changed. The first half second is learned as rest."""
@@ -201,7 +207,7 @@ class TouchTracker:
     def _end(self, reason: EndReason) -> Release | None:
         if self._first_index is None:
             return None
-        release = Release(self._first_index, self._last_index, reason)
+        release = Release(self._first_index, self.last_contact_index, reason)
         self._first_index = None
         return release
 

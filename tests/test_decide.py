@@ -1,0 +1,181 @@
+"""What the robot is told and when it changes its mind, sequence by sequence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from daemon.decide import Decision, DecisionSettings
+from daemon.events import Stage
+
+LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
+SETTINGS = DecisionSettings(speak_above=0.6, revise_margin=0.15)
+
+
+def probabilities(**given: float) -> NDArray[np.float64]:
+    """Return probabilities with the rest of 1 shared among the labels not given."""
+    rest = (1.0 - sum(given.values())) / (len(LABELS) - len(given))
+    return np.array([given.get(label, rest) for label in LABELS])
+
+
+@dataclass(frozen=True)
+class Step:
+    """One answer asked for, and what must come of it."""
+
+    stage: Stage
+    given: dict[str, float]
+    gesture: str
+    changed: bool
+    told: bool
+    reported_stage: Stage | None = None
+
+
+def early(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
+    return Step("early", given, gesture, changed, told)
+
+
+def revised(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
+    return Step("revised", given, gesture, changed, told)
+
+
+def final(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
+    return Step("final", given, gesture, changed, told)
+
+
+def ongoing(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
+    return Step("ongoing", given, gesture, changed, told)
+
+
+def released(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
+    return Step("released", given, gesture, changed, told)
+
+
+def uncertain(asked: Stage, given: dict[str, float], told: bool) -> Step:
+    return Step(asked, given, "uncertain", True, told, "uncertain")
+
+
+SURE_STROKE = {"stroke": 0.8}
+SEQUENCES: dict[str, list[Step]] = {
+    "a sure answer is told early, once": [
+        early(SURE_STROKE, "stroke", True, True),
+        revised(SURE_STROKE, "stroke", False, False),
+        final(SURE_STROKE, "stroke", False, False),
+        ongoing(SURE_STROKE, "stroke", False, False),
+    ],
+    "confidence of exactly speak_above is enough": [early({"stroke": 0.6}, "stroke", True, True)],
+    "an unsure answer waits until it is sure": [
+        early({"stroke": 0.59}, "stroke", True, False),
+        revised({"stroke": 0.61}, "stroke", False, True),
+        final({"stroke": 0.9}, "stroke", False, False),
+    ],
+    "an answer never sure is told at final all the same": [
+        early({"stroke": 0.3}, "stroke", True, False),
+        revised({"stroke": 0.4}, "stroke", False, False),
+        final({"stroke": 0.3}, "stroke", False, True),
+    ],
+    "before the robot has heard anything the best answer stands, by whatever margin": [
+        early({"stroke": 0.40, "rub": 0.39}, "stroke", True, False),
+        revised({"stroke": 0.40, "rub": 0.41}, "rub", True, False),
+        final({"stroke": 0.42, "rub": 0.41}, "stroke", True, True),
+    ],
+    "what the robot has heard stands against one that is only a little better": [
+        early(SURE_STROKE, "stroke", True, True),
+        revised({"stroke": 0.26, "rub": 0.40}, "stroke", False, False),
+        final({"stroke": 0.26, "rub": 0.40}, "stroke", False, False),
+    ],
+    "at final it gives way to one better by revise_margin, sure or not": [
+        early(SURE_STROKE, "stroke", True, True),
+        revised({"stroke": 0.20, "rub": 0.40}, "stroke", False, False),
+        final({"stroke": 0.20, "rub": 0.40}, "rub", True, True),
+    ],
+    "before final it gives way only to a sure one": [
+        early(SURE_STROKE, "stroke", True, True),
+        revised({"stroke": 0.20, "rub": 0.65}, "rub", True, True),
+        final({"rub": 0.65}, "rub", False, False),
+    ],
+    "a changed mind may change back": [
+        early(SURE_STROKE, "stroke", True, True),
+        revised({"rub": 0.8}, "rub", True, True),
+        final(SURE_STROKE, "stroke", True, True),
+    ],
+    "while a touch goes on only a sure change is told": [
+        final({"stroke": 0.5}, "stroke", True, True),
+        ongoing({"rub": 0.55}, "stroke", False, False),
+        ongoing({"rub": 0.65}, "rub", True, True),
+        ongoing({"rub": 0.95}, "rub", False, False),
+    ],
+    "no touch is never told": [
+        early({"notouch": 0.95}, "notouch", True, False),
+        revised({"notouch": 0.95}, "notouch", False, False),
+        final({"notouch": 0.95}, "notouch", False, False),
+        uncertain("uncertain", {"notouch": 0.95}, told=False),
+    ],
+    "no touch takes nothing back": [
+        early(SURE_STROKE, "stroke", True, True),
+        final({"notouch": 0.95}, "stroke", False, False),
+    ],
+    "any touch replaces no touch": [
+        early({"notouch": 0.45, "pat": 0.4}, "notouch", True, False),
+        revised({"notouch": 0.40, "pat": 0.41}, "pat", True, False),
+        final({"notouch": 0.40, "pat": 0.41}, "pat", False, True),
+    ],
+    "a short touch is answered when it ends": [released({"pat": 0.7}, "pat", True, True)],
+    "a short touch that was told is not told again": [
+        early({"pat": 0.7}, "pat", True, True),
+        released({"pat": 0.9}, "pat", False, False),
+    ],
+    "a short touch may be told otherwise at its end": [
+        early({"pat": 0.7}, "pat", True, True),
+        released({"tickle": 0.7}, "tickle", True, True),
+    ],
+    "a short touch that stays unsure ends in uncertain": [
+        early({"pat": 0.4}, "pat", True, False),
+        uncertain("released", {"pat": 0.5}, told=True),
+    ],
+    "a short touch that the model takes for none ends in uncertain, and the robot is not told": [
+        uncertain("released", {"notouch": 0.9}, told=False),
+    ],
+    "a short touch that was told and then is unsure keeps its answer": [
+        early({"pat": 0.7}, "pat", True, True),
+        released({"pat": 0.2, "rub": 0.3}, "pat", False, False),
+    ],
+}
+
+
+@pytest.mark.parametrize("steps", SEQUENCES.values(), ids=SEQUENCES.keys())
+def test_in_every_sequence(steps: list[Step]) -> None:
+    decision = Decision(SETTINGS, LABELS)
+    told = None
+    for step in steps:
+        answer = decision.answer(step.stage, probabilities(**step.given))
+        assert answer.stage == (step.reported_stage or step.stage)
+        assert (answer.gesture, answer.changed, answer.told) == (step.gesture, step.changed, step.told)
+        asked_of = max(step.given, key=lambda label: step.given[label])
+        named = asked_of if answer.gesture == "uncertain" else answer.gesture
+        assert answer.confidence == pytest.approx(probabilities(**step.given)[LABELS.index(named)])
+        told = answer.gesture if answer.told and answer.stage != "uncertain" else told
+    assert decision.told == told
+
+
+def test_a_scene_shares_the_probability_among_the_gestures_that_can_occur_and_no_touch() -> None:
+    decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
+    answer = decision.answer("early", probabilities(rub=0.5, stroke=0.3, pat=0.1, notouch=0.1))
+    assert answer.gesture == "stroke"
+    assert answer.probabilities == pytest.approx(
+        {"constant": 0, "notouch": 0.2, "pat": 0.2, "rub": 0, "scratch": 0, "stroke": 0.6, "tickle": 0}
+    )
+
+
+def test_a_scene_whose_gestures_the_model_rules_out_is_answered_evenly_and_not_told_early() -> None:
+    decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
+    answer = decision.answer("early", probabilities(rub=1.0))
+    assert answer.confidence == pytest.approx(1 / 3)
+    assert not answer.told
+
+
+def test_stages_out_of_order_are_refused() -> None:
+    with pytest.raises(ValueError, match="must rise"):
+        DecisionSettings(answer_at_frames=(54, 54, 144))
