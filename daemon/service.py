@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from daemon.config import ConfigError, Settings
+from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
@@ -48,26 +48,27 @@ class Outlet:
 
 def load_model(settings: Settings) -> Classifier:
     """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
-    path = settings.model_path or SHIPPED_MODEL
-    classifier = Classifier.load(path)
+    classifier = Classifier.load(settings.model_path or SHIPPED_MODEL)
+    check_fit(settings.scene, classifier)
+    return classifier
+
+
+def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
+    """Raise ConfigError when a scene asks for gestures or lengths that the model does not have."""
     known = set(classifier.labels)
-    scene = settings.scene
-    for name, gestures in (
-        ("scene.gestures", set(scene.gestures)),
-        ("scene.actions", {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}),
-    ):
+    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}
+    for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
         if unknown := sorted(gestures - known):
             raise ConfigError(
-                f"{name}: {unknown[0]} is no gesture of the model {path.name}; "
+                f"{name}: {unknown[0]} is no gesture of the model {classifier.name}; "
                 f"it knows {', '.join(sorted(known - {NO_TOUCH}))}"
             )
     longest = classifier.metadata.max_length
-    if max(scene.answer_at_frames) > longest:
+    if scene.answer_at_frames[-1] > longest:
         raise ConfigError(
-            f"scene.answer_at_frames: {max(scene.answer_at_frames)} is more than "
-            f"the {longest} frames that the model {path.name} takes"
+            f"scene.answer_at_frames: {scene.answer_at_frames[-1]} is more than "
+            f"the {longest} frames that the model {classifier.name} takes"
         )
-    return classifier
 
 
 def check_pad(settings: Settings) -> None:

@@ -9,8 +9,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import msgspec
@@ -51,13 +51,10 @@ def main(arguments: Sequence[str]) -> int:
 def run(settings: Settings, with_view: bool) -> None:
     """Run the daemon in this process until a signal, or a reader of its output that is gone, stops it."""
     stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
-    log = logging.getLogger()
-    log.setLevel(settings.log_level.upper())
     outlet = Outlet()
     show_frame = None
     with ExitStack() as closing:
+        closing.enter_context(_stop_on_signals(stop))
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         check_pad(settings)
@@ -67,11 +64,11 @@ def run(settings: Settings, with_view: bool) -> None:
             from daemon.view import View, ViewHandler
 
             view = closing.enter_context(View(f"touchd on {settings.sensor.port}"))
-            log.addHandler(ViewHandler(view))
+            closing.enter_context(_logging(ViewHandler(view), settings.log_level))
             show_frame = view.show_frame
             outlet.sinks.append(view)
         else:
-            log.addHandler(_to_standard_error())
+            closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
             outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
         if settings.journal is not None:
             outlet.sinks.append(JournalSink(_open_journal(settings.journal)))
@@ -82,10 +79,28 @@ def run(settings: Settings, with_view: bool) -> None:
         notifier.send(STOPPING=1)
 
 
-def _to_standard_error() -> logging.Handler:
-    handler = logging.StreamHandler(sys.stderr)
+@contextmanager
+def _stop_on_signals(stop: threading.Event) -> Iterator[None]:
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _logging(handler: logging.Handler, level: str) -> Iterator[None]:
+    root = logging.getLogger()
     handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-    return handler
+    root.addHandler(handler)
+    root.setLevel(level.upper())
+    try:
+        yield
+    finally:
+        root.removeHandler(handler)
 
 
 def _open_journal(settings: JournalSettings) -> Journal:
