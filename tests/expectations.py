@@ -20,8 +20,8 @@ from daemon.events import Event
 from daemon.pipeline import Pipeline
 from daemon.rig import outline
 from daemon.service import load_model
-from drivers.recording import Stream, read_recordings, splice, write_recordings
-from drivers.simulator import DEMO_SCRIPT, DEMO_SEED, simulate
+from drivers.recording import Stream, read_recordings, splice
+from drivers.simulator import DEMO_SCRIPT, DEMO_SEED, record
 from model.classifier import Classifier
 
 FOLDER = Path(__file__).parent / "recordings"
@@ -86,12 +86,7 @@ def main(arguments: Sequence[str]) -> None:
     if "--record" in arguments:
         for path, (script, seed) in RECORDINGS.items():
             path.unlink(missing_ok=True)
-            provenance = {
-                "source": "simulated by drivers/simulator.py; no person's data",
-                "seed": str(seed),
-                "licence": "Apache-2.0",
-            }
-            write_recordings(path, simulate(script, seed), provenance)
+            record(path, script, seed)
     classifier = load_model(Settings())
     for path in RECORDINGS:
         lines = [json.dumps(line) for line in outline(answers(stream_of(path), classifier))]
