@@ -37,18 +37,13 @@ def _with_gaps(touches: Script) -> Script:
     return script
 
 
-# Every length that ends in another stage: released before early, between early and final, ongoing.
-LENGTHS = _with_gaps(
-    [
-        ("stroke", 0.5),
-        ("pat", 0.8),
-        ("scratch", 1.2),
-        ("tickle", 1.8),
-        ("rub", 2.9),
-        ("constant", 7.0),
-        ("pat", 6.0),
-    ]
-)
+# Touches that end in each stage, and one in which a lying hand begins to pat.
+LENGTHS = [
+    *_with_gaps([("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]),
+    ("constant", 3.6),
+    ("pat", 4.0),
+    ("notouch", GAP_S),
+]
 GESTURES = _with_gaps(
     [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
 )
