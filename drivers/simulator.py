@@ -30,7 +30,7 @@ ROW_LEAK = 0.02
 EDGE_S = 0.08
 FINGER_WIDTH = 0.9
 
-DEMO_SEED = 7
+DEMO_SEED = 20
 DEMO_SCRIPT = (
     ("notouch", 2.5),
     *(
@@ -94,7 +94,7 @@ def flat_hand(
 def constant(rng: RandomState, time_s: Series) -> list[Patch]:
     """A flat hand that lies still, with a slow drift and a little tremor."""
     still = np.zeros_like(time_s)
-    return flat_hand(rng, time_s, still, still, 22.0 * (1.0 + 0.05 * wander(rng, time_s, 0.5)), 0.015)
+    return flat_hand(rng, time_s, still, still, 30.0 * (1.0 + 0.05 * wander(rng, time_s, 0.5)), 0.015)
 
 
 def pat(rng: RandomState, time_s: Series) -> list[Patch]:
@@ -127,7 +127,7 @@ def scratch(rng: RandomState, time_s: Series) -> list[Patch]:
     along = 0.6 * np.cos(pull) + 0.5 * wander(rng, time_s, 0.7)
     force = (0.3 + 0.7 * np.maximum(0.0, np.sin(pull))) * (1.0 + 0.25 * wander(rng, time_s, 6.0))
     tips = [
-        Patch(along + rng.normal(0.0, 0.3), place + 0.0 * along, 0.5, rng.uniform(20.0, 130.0) * force)
+        Patch(along + rng.normal(0.0, 0.3), place + 0.0 * along, 0.5, rng.uniform(20.0, 150.0) * force)
         for place in fingers(3)
     ]
     return [*tips, Patch(along - 1.0, 0.0 * along, 1.8, 5.0 * force)]
@@ -142,7 +142,7 @@ def tickle(rng: RandomState, time_s: Series) -> list[Patch]:
         force = np.maximum(
             0.0, np.sin(flutter + rng.uniform(-3.0, 3.0)) + 0.9 * wander(rng, time_s, 14.0) - 0.6
         )
-        tips.append(Patch(along + 0.4 * np.cos(flutter), across + 1.2 * place, 0.7, 14.0 * force))
+        tips.append(Patch(along + 0.4 * np.cos(flutter), across + 1.2 * place, 0.7, 15.0 * force))
     return [*tips, Patch(along, across, 2.0, 2.0 * (1.0 + 0.5 * wander(rng, time_s, 10.0)))]
 
 
