@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
 import tempfile
@@ -19,7 +20,7 @@ from typing import BinaryIO
 
 import msgspec
 
-from drivers.fake_services import Call, fake_services
+from drivers.fake_services import SERVICE_NAMES, Call, fake_services
 from drivers.loopback_gate import Gate
 from drivers.loopback_robot import LoopbackRobot
 from drivers.robot import RobotSettings, read_login
@@ -31,13 +32,15 @@ __all__ = ["LoopbackRobot", "StubRobot", "add_arguments", "main", "run", "serve"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of the stand-in robot to a command."""
-    parser.add_argument("--port", type=int, default=9559, help="on 127.0.0.1; 0 for any that is free")
+    parser.add_argument("--port", type=_port, default=9559, help="on 127.0.0.1; 0 for any that is free")
     parser.add_argument("--user", help="ask for a login and speak TLS, like NAOqi 2.9")
     parser.add_argument("--token-file", help="a file that holds the token of --user")
     parser.add_argument("--token-env", help="an environment variable that holds the token of --user")
-    parser.add_argument("--call-s", type=float, default=0.0, help="how long every call takes")
-    parser.add_argument("--say-s", type=float, default=0.0, help="how long speech takes")
-    parser.add_argument("--without", action="append", default=[], help="a service to leave out")
+    parser.add_argument("--call-s", type=_seconds, default=0.0, help="how long every call takes")
+    parser.add_argument("--say-s", type=_seconds, default=0.0, help="how long speech takes")
+    parser.add_argument(
+        "--without", action="append", default=[], choices=SERVICE_NAMES, help="a service to leave out"
+    )
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input does")
 
 
@@ -63,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
 def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop: threading.Event) -> None:
     """Be a robot on 127.0.0.1 until told to stop; raises RobotError when it cannot listen.
 
-    out: gets {"listening": url}, then every Call, as one JSON object a line.
+    out: gets {"listening": url} once all services are there, and every Call, as one JSON object a line.
     """
     qi = load_qi()
     writing = threading.Lock()
@@ -77,21 +80,21 @@ def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop:
     with ExitStack() as closing:
         session = qi.Session()
         closing.callback(session.close)
-        inner_port = 0 if login else options.port
         try:
-            session.listenStandalone(f"tcp://127.0.0.1:{inner_port}")
-        except RuntimeError as error:
-            raise RobotError(f"cannot listen on port {inner_port} ({str(error).splitlines()[-1]})") from error
+            session.listenStandalone(f"tcp://127.0.0.1:{0 if login else options.port}")
+            url: str = session.endpoints()[0]
+            if login is not None:
+                folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-fake-robot-")))
+                gate = Gate(options.port, int(url.rsplit(":", 1)[1]), login, folder)
+                closing.callback(gate.close)
+                url = f"tcps://127.0.0.1:{gate.port}"
+        except (RuntimeError, OSError, OverflowError) as error:
+            why = str(error).splitlines()[-1]
+            raise RobotError(f"cannot listen on port {options.port} ({why}); choose another") from error
         for name, service in services.items():
             # Else a speech would hold up every other call.
             qi.multiThreaded()(type(service))
             session.registerService(name, service)
-        url = session.endpoints()[0]
-        if login is not None:
-            folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-fake-robot-")))
-            gate = Gate(options.port, int(url.rsplit(":", 1)[1]), login, folder)
-            closing.callback(gate.close)
-            url = f"tcps://127.0.0.1:{gate.port}"
         report({"listening": url})
         stop.wait()
 
@@ -105,6 +108,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except RobotError as error:
         sys.stderr.write(f"fake-robot: {error}\n")
         return 2
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and int(text) < 2**16):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    if not re.fullmatch(r"\d{1,4}(\.\d+)?", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds from 0 to 9999")
+    return float(text)
 
 
 def _stop_at_end_of_stdin(stop: threading.Event) -> None:

@@ -47,6 +47,11 @@ class CallLog:
         with self._grew:
             return list(self._calls)
 
+    def clear(self) -> None:
+        """Forget the calls so far."""
+        with self._grew:
+            self._calls.clear()
+
     def raised(self, event: str) -> list[object]:
         """Return the values with which an event was raised in the robot's memory, oldest first."""
         return [call.arguments[1] for call in self.all() if _is_raise(call, event)]
@@ -194,6 +199,7 @@ class FakeSystem(_Service):
 SPEECH = (FakeTextToSpeech, FakeAnimatedSpeech)
 OTHERS = (FakeMemory, FakeBehaviorManager, FakeLeds, FakeSystem)
 SPEECH_NAMES = frozenset(kind.name for kind in SPEECH)
+SERVICE_NAMES = tuple(sorted(kind.name for kind in (*OTHERS, *SPEECH)))
 
 
 def fake_services(

@@ -60,7 +60,7 @@ class LoopbackRobot:
             [*command, *self._options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
         )
         assert self._process.stdout is not None
-        self.url = self._first_line(self._process.stdout)
+        self.url = self._wait_for_url(self._process.stdout)
         self._port = int(self.url.rsplit(":", 1)[1])
         self._follower = threading.Thread(
             target=self._follow, args=(self._process.stdout,), name="touchd-loopback-robot", daemon=True
@@ -98,20 +98,25 @@ class LoopbackRobot:
         """Return a new session over qi, as RobotLink asks for it."""
         return QiSession(url, login, limits, hurry)
 
-    def _first_line(self, reports: IO[bytes]) -> str:
+    def _wait_for_url(self, reports: IO[bytes]) -> str:
         # Whatever goes wrong in the other process, this one does not wait for ever.
         timer = threading.Timer(START_S, self._signal, args=(signal.SIGKILL,))
         timer.start()
-        line = reports.readline()
+        url = self._follow(reports)
         timer.cancel()
-        if not line:
+        if not url:
             self._end()
             raise RobotError("the stand-in robot did not start; what it said on stderr tells why")
-        return msgspec.json.decode(line, type=dict[str, str])["listening"]
+        return url
 
-    def _follow(self, reports: IO[bytes]) -> None:
+    def _follow(self, reports: IO[bytes]) -> str:
+        """Note the calls until the robot says where it listens, which is returned, or until its end."""
         for line in reports:
-            self.calls.add(msgspec.json.decode(line, type=Call))
+            report = msgspec.json.decode(line)
+            if "listening" in report:
+                return str(report["listening"])
+            self.calls.add(msgspec.convert(report, Call))
+        return ""
 
     def _signal(self, number: signal.Signals) -> None:
         if self._process is not None:

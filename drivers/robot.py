@@ -5,6 +5,7 @@ The daemon hands messages over and goes on; whether the robot is there, hangs or
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import re
@@ -98,6 +99,8 @@ class RobotLink:
 
     def start(self) -> None:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""
+        # A Python that ends while a thread is inside libqi crashes, which must not hide why it ended.
+        atexit.register(self.stop)
         for worker in self._workers():
             worker.start()
 
@@ -121,6 +124,7 @@ class RobotLink:
         for worker in self._workers():
             if not worker.join(max(0.0, deadline_s - time.monotonic())):
                 log.warning("the link to the robot did not end within %g s", timeout_s)
+        atexit.unregister(self.stop)
 
     def _workers(self) -> list[RobotWorker[RobotMessage] | RobotWorker[Reaction]]:
         return [self._events, *([self._actions] if self._actions else [])]

@@ -26,7 +26,7 @@ class RobotLimits:
     call_s: float = 1.0
     action_s: float = 30.0
     stale_s: float = 2.0
-    heartbeat_s: float = 0.4
+    heartbeat_s: float = 0.3
     shown_s: float = 1.0
     backoff_first_s: float = 0.1
     backoff_cap_s: float = 1.0

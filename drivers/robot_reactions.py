@@ -52,8 +52,7 @@ class ReactionDuty:
         self._limits = limits
 
     def begin(self, session: RobotSession) -> None:
-        """Make sure that the robot answers."""
-        session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
+        """Nothing is told when the robot comes."""
 
     def handle(self, session: RobotSession, item: Reaction) -> None:
         """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""

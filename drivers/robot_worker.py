@@ -29,7 +29,7 @@ class Duty(Protocol[Item_contra]):
     """What a worker does with the session it keeps. Every method may raise RobotLost or RobotRefused."""
 
     def begin(self, session: RobotSession) -> None:
-        """Make the first calls on a new session; the robot counts as up when this returns."""
+        """Make the first calls on a new session, if any."""
         ...
 
     def handle(self, session: RobotSession, item: Item_contra) -> None:
@@ -151,6 +151,8 @@ class RobotWorker(Generic[Item]):
                 with closing(self._open_session(self._stopping)) as session:
                     session.connect()
                     self._duty.begin(session)
+                    # The first one looks its service up, which may take longer than noticing a hang may.
+                    self._heartbeat(session)
                     self._backoff.reset()
                     self._tell("up", "")
                     self._serve(session)
@@ -221,4 +223,7 @@ class RobotWorker(Generic[Item]):
             log.debug("robot still %s: %s", state, reason)
             return
         self._state = state
-        self._on_state(state, reason)
+        try:
+            self._on_state(state, reason)
+        except Exception:
+            log.exception("whoever wanted to know that the robot is %s failed", state)
