@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from drivers.frame import Counts, Frame
+from daemon.ring import RingSettings
+from daemon.touch import TouchSettings
+from drivers.frame import MAX_COUNT, Counts, Frame
 from drivers.protocol import FabricGrid, encode_fabric_grid
 from drivers.recording import ideal_clock_ms
-from drivers.sensor import SensorState
+from drivers.sensor_state import SensorState
 from model.classifier import Classifier
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -42,11 +45,10 @@ class Scripted:
 class Bench:
     """A pipeline with a made pad at 54 Hz before it, and what it said."""
 
-    def __init__(self, model: Scripted | None = None, decision: DecisionSettings | None = None) -> None:
+    def __init__(self, model: Scripted | None = None, settings: PipelineSettings | None = None) -> None:
         self.model = model or Scripted()
         self.said: list[Event] = []
-        settings = PipelineSettings(decision=decision or DecisionSettings())
-        self.pipeline = Pipeline(settings, self.model, self.said.append, STOPPED)
+        self.pipeline = Pipeline(settings or PipelineSettings(), self.model, self.said.append, STOPPED)
         self.pad = MadePad()
         self.sent: list[Counts] = []
         self.clock_ms = 0.0
@@ -117,18 +119,37 @@ def test_the_model_is_asked_about_the_sensor_s_own_frames_from_the_touch_s_first
 def test_a_short_touch_is_answered_when_it_ends_from_its_contact_alone() -> None:
     bench = Bench()
     events = bench.feel(palm(0.5), nothing(2.0))
-    assert [(event.stage, event.frames) for event in predictions(events)] == [("early", 27), ("released", 27)]
-    for window in bench.model.asked:
-        np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 27])
+    assert [(event.stage, event.frames) for event in predictions(events)] == [("released", 27)]
+    (window,) = bench.model.asked
+    np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 27])
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
     assert (ended.frames, ended.gesture) == (27, "stroke")
 
 
-def test_a_tap_too_short_for_an_early_answer_is_answered_once() -> None:
+def test_an_answer_due_in_a_pause_waits_until_the_hand_is_back() -> None:
     bench = Bench()
-    events = bench.feel(palm(0.15), nothing(2.0))
-    assert [(event.stage, event.frames) for event in predictions(events)] == [("released", 8)]
+    pause = nothing(0.5)
+    assert predictions(bench.feel(palm(0.7), pause)) == []
+    events = bench.feel(palm(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [
+        ("early", 54),
+        ("revised", 81),
+        ("final", 144),
+    ]
+    np.testing.assert_array_equal(bench.model.asked[0], bench.sent[LEAD_FRAMES : LEAD_FRAMES + 54])
+
+
+def test_an_answer_that_the_next_has_overtaken_is_not_asked() -> None:
+    bench = Bench()
+    events = bench.feel(palm(40 / 54), nothing(41 / 54), palm(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [("revised", 81), ("final", 144)]
+
+
+def test_a_touch_that_ends_while_an_answer_waits_is_answered_from_its_contact_alone() -> None:
+    bench = Bench()
+    events = bench.feel(palm(1.2), nothing(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [("early", 54), ("released", 65)]
 
 
 def test_the_lift_offs_of_a_pat_are_part_of_what_is_asked() -> None:
@@ -158,7 +179,7 @@ def test_a_long_touch_speaks_again_only_when_its_gesture_changes() -> None:
 
 def test_a_touch_that_the_model_takes_for_none_ends_in_uncertain_and_the_robot_hears_nothing() -> None:
     bench = Bench(Scripted(lambda asked: "notouch"))
-    for seconds, stages in ((4.0, ["early", "revised", "final", "uncertain"]), (0.6, ["early", "uncertain"])):
+    for seconds, stages in ((4.0, ["early", "revised", "final", "uncertain"]), (1.2, ["early", "uncertain"])):
         events = bench.feel(palm(seconds), nothing(2.0))
         assert [event.stage for event in predictions(events)] == stages
         assert told(events) == []
@@ -168,7 +189,7 @@ def test_a_touch_that_the_model_takes_for_none_ends_in_uncertain_and_the_robot_h
 
 
 def test_a_short_touch_without_a_sure_answer_ends_in_uncertain_and_the_robot_hears_that() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.95))
+    bench = Bench(settings=PipelineSettings(decision=DecisionSettings(speak_above=0.95)))
     events = bench.feel(palm(0.6), nothing(2.0))
     assert told(events) == [("uncertain", "uncertain")]
 
@@ -182,6 +203,17 @@ def test_lost_frames_are_bridged_and_the_touch_says_that_it_is_degraded() -> Non
         ("final", True),
     ]
     assert not any(event.degraded for event in predictions(bench.feel(palm(3.0))))
+
+
+def test_an_answer_that_falls_due_within_a_long_bridged_gap_has_its_whole_window() -> None:
+    settings = PipelineSettings(ring=RingSettings(max_gap_s=1.0), touch=TouchSettings(quiet_s=0.1))
+    bench = Bench(settings=settings)
+    events = predictions(bench.feel(palm(4.0), skip=range(130, 182)))
+    assert [(event.stage, event.frames, event.degraded) for event in events] == [
+        ("early", 54, False),
+        ("revised", 81, False),
+        ("final", 144, True),
+    ]
 
 
 def test_a_gap_too_long_to_bridge_ends_the_touch_and_the_next_is_a_new_one() -> None:
@@ -230,7 +262,7 @@ def test_the_end_of_the_stream_ends_the_touch_once() -> None:
 
 @pytest.mark.parametrize("stages", [(10, 20, 30), (54, 81, 432)])
 def test_a_scene_chooses_when_to_answer(stages: tuple[int, int, int]) -> None:
-    bench = Bench(decision=DecisionSettings(answer_at_frames=stages))
+    bench = Bench(settings=PipelineSettings(decision=DecisionSettings(answer_at_frames=stages)))
     events = bench.feel(palm(8.5))
     assert [event.frames for event in predictions(events)] == list(stages)
 
@@ -262,3 +294,55 @@ def test_the_same_bytes_give_the_same_events_however_they_are_cut() -> None:
     assert sum(isinstance(event, TouchEnded) for event in whole) == 3
     assert events([1]) == whole
     assert events(np.random.default_rng(7).integers(1, 700, 100).tolist()) == whole
+
+
+class Fickle:
+    """A model that says something else each time."""
+
+    labels = LABELS
+    name = "fickle"
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
+        assert frames.min() >= 0
+        assert frames.max() <= MAX_COUNT
+        return self._rng.dirichlet(np.full(len(LABELS), 0.3))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_the_pad_and_the_model_do_every_touch_is_answered_and_ended_and_nothing_told_twice(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    said: list[Event] = []
+    scene = DecisionSettings(speak_above=rng.uniform(), revise_margin=rng.uniform(0, 0.5))
+    pipeline = Pipeline(PipelineSettings(decision=scene), Fickle(rng), said.append, STOPPED)
+    pad, clock_ms, rate_hz = MadePad(seed), 0.0, rng.choice([30, 50, 54, 60, 100])
+    for _ in range(30):
+        counts, seconds = rng.uniform(3, 900), rng.choice([0.1, 0.3, 1.0, 3.0])
+        hand = rng.choice([0, 1, 2])
+        scans = (nothing(seconds), palm(seconds, counts), pat(seconds, counts))[hand]
+        for number, scan in enumerate(pad.counts(scans)):
+            pipeline.on_frame(Frame(number, int(clock_ms) % 2**32, 0.0, scan))
+            mishap = rng.choice([0.0, rng.uniform(-30, 60), rng.uniform(-3000, 3000)], p=[0.97, 0.02, 0.01])
+            clock_ms += 1000 / rate_hz + mishap
+        if rng.uniform() < 0.1:
+            pipeline.on_sensor_state(SensorState("down", "unplugged"))
+    pipeline.flush()
+
+    touches = [event for event in said if isinstance(event, TouchEnded)]
+    assert touches
+    assert [event.touch for event in said if isinstance(event, TouchBegan)] == [
+        event.touch for event in touches
+    ]
+    for ended in touches:
+        answers = [event for event in predictions(said) if event.touch == ended.touch]
+        heard = [answer.gesture for answer in answers if answer.told]
+        assert all(one != next_one for one, next_one in pairwise(heard))
+        assert "notouch" not in heard
+        once = [answer.stage for answer in answers if answer.stage != "ongoing"]
+        assert len(once) == len(set(once)) > 0
+        assert ended.gesture == (heard[-1] if heard else "uncertain")
+        assert (ended.gesture == "uncertain") == (answers[-1].stage == "uncertain")
