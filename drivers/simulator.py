@@ -205,7 +205,10 @@ def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
 
 
 def record(path: Path, script: Sequence[tuple[str, float]], seed: int) -> None:
-    """Write what `simulate` returns to a new .csv or .csv.gz file that says of itself what it is."""
+    """Write what `simulate` returns to a new .csv or .csv.gz file that says of itself what it is.
+
+    Raises RecordingError when the file is there already or cannot be written.
+    """
     provenance = {
         "source": "SIMULATED by drivers/simulator.py; no person's data",
         "sensor": f"none; a simulated pad of {ROWS}x{COLUMNS} taxels at {FRAME_RATE_HZ:g} Hz",

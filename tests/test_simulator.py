@@ -10,7 +10,7 @@ import pytest
 
 from daemon.demo import RECORDING as DEMO
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
-from drivers.recording import Recording, Selection, read_recordings, splice
+from drivers.recording import Recording, RecordingError, Selection, read_recordings, splice
 from drivers.simulator import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, record, simulate
 from model.classifier import SHIPPED_MODEL, Classifier
 
@@ -144,7 +144,7 @@ def test_a_recording_is_never_written_over_another(tmp_path: Path) -> None:
     path = tmp_path / "mine.csv"
     path.write_text("keep me")
 
-    with pytest.raises(FileExistsError):
+    with pytest.raises(RecordingError):
         record(path, [("notouch", 0.1)], seed=5)
     assert path.read_text() == "keep me"
 
