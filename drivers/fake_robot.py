@@ -16,7 +16,7 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NoReturn
 
 import msgspec
 
@@ -44,8 +44,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input does")
 
 
-def run(options: argparse.Namespace) -> int:
-    """Be a robot until SIGINT or SIGTERM; raises RobotError with one line for what the user must change."""
+def run(options: argparse.Namespace) -> NoReturn:
+    """Be a robot until SIGINT or SIGTERM, then end the process with exit code 0.
+
+    Raises RobotError with one line for what the user must change.
+    """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -53,14 +56,16 @@ def run(options: argparse.Namespace) -> int:
         threading.Thread(target=_stop_at_end_of_stdin, args=(stop,), daemon=True).start()
     login = read_login(
         RobotSettings(
-            url="tcps://127.0.0.1",
+            url=f"tcps://127.0.0.1:{options.port}",
             user=options.user,
             token_file=options.token_file,
             token_env=options.token_env,
         )
     )
     serve(options, login, sys.stdout.buffer, stop)
-    return 0
+    # Everything is closed and flushed, but libqi's threads may still be letting go of our services, and a
+    # Python that ends meanwhile aborts (3 times in 80 when a client had just left).
+    os._exit(0)
 
 
 def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop: threading.Event) -> None:
@@ -104,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="A robot that reports what it is asked, on 127.0.0.1.")
     add_arguments(parser)
     try:
-        return run(parser.parse_args(arguments))
+        run(parser.parse_args(arguments))
     except RobotError as error:
         sys.stderr.write(f"fake-robot: {error}\n")
         return 2

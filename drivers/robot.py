@@ -147,7 +147,7 @@ def read_login(settings: RobotSettings) -> Login | None:
 
     The token comes from a file or an environment variable, and is in no text made of the result.
     """
-    if not re.fullmatch(r"tcps?://[^\s/@]+", settings.url):
+    if not re.fullmatch(r"tcps?://[^\s/@:]+:\d+", settings.url):
         raise RobotError(f"robot url {settings.url!r} is not an address such as tcp://nao.local:9559")
     if settings.user is None:
         if settings.token_file or settings.token_env:

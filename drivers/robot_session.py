@@ -167,7 +167,7 @@ def _first_line(error: BaseException) -> str:
 
 
 def _with_advice(reason: str) -> str:
-    # A wrong token, tcp:// to a robot that wants TLS, and the reverse all end so, and libqi says no more.
+    # No robot, a wrong token, tcp:// where TLS is wanted, and the reverse all end so; libqi says no more.
     if reason.endswith(("disconnected", "stream truncated")):
-        return f"{reason}; check user and token, and whether the robot wants tcp:// or tcps://"
+        return f"{reason}; if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
     return reason
