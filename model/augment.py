@@ -27,6 +27,18 @@ def crop(recording: Tensor, length: int, settings: AugmentationSettings, rng: to
     return frames[below].float() * (1.0 - part) + frames[below + 1].float() * part
 
 
+def begin_from_rest(
+    window: Tensor, rest: Tensor, settings: AugmentationSettings, rng: torch.Generator
+) -> Tensor:
+    """Return a window (T, 8, 8) that rises from rest (T, 8, 8), as a touch does when a hand comes down."""
+    if not _chance(settings.onset, rng):
+        return window
+    wait, rise = torch.rand(2, generator=rng).tolist()
+    rise_frames = 1.0 + rise * (settings.onset_frames - 1.0)
+    contact = ((torch.arange(len(window)) - wait * settings.onset_wait_frames) / rise_frames).clamp(0.0, 1.0)
+    return torch.lerp(rest, window, contact[:, None, None])
+
+
 def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) float counts with the hand's and the pad's properties varied per window."""
     B = len(counts)

@@ -15,6 +15,8 @@ Disturb = Callable[[Counts32], Counts32]
 """Maps windows of counts (B, T, 8, 8) float32 to disturbed ones of the same shape."""
 
 LOST_SHARE = 0.05
+REST_COUNTS = 2.0
+RISE_FRAMES = 4
 DEAD_ROW = 3
 
 
@@ -63,6 +65,13 @@ def dead_row(counts: Counts32) -> Counts32:
     return broken
 
 
+def from_rest(counts: Counts32) -> Counts32:
+    """Let the touch begin from rest and rise over 75 ms, as a live one does; HAART's begin in the middle."""
+    contact = np.minimum(np.arange(counts.shape[1], dtype=np.float32) / RISE_FRAMES, 1.0)[:, None, None]
+    risen: Counts32 = counts * contact + np.float32(REST_COUNTS) * (1.0 - contact)
+    return risen
+
+
 def lossy(counts: Counts32) -> Counts32:
     """Lose 5 % of the frames (never the first or last) and bridge them as the ring does, linearly."""
     rng = np.random.default_rng(0)
@@ -105,6 +114,7 @@ def _resample(frames: Counts32, places: Places, wanted: Places) -> Counts32:
 
 DISTURBANCES: Mapping[str, Disturb] = {
     "none": lambda counts: counts,
+    "begun from rest": from_rest,
     "counts x 0.5": scaled(0.5),
     "counts x 2": scaled(2.0),
     "+ 10 counts": offset(10.0),

@@ -29,6 +29,12 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     """How far each property of a touch is varied; probabilities a window where nothing else is said."""
 
     published_framing: float = 0.25
+    onset: float = 0.6
+    """Begun from rest, as a live touch is: the recordings themselves are cut from the middle of a gesture."""
+    onset_frames: float = 16.0
+    """The longest rise from rest to full contact."""
+    onset_wait_frames: float = 6.0
+    """The longest rest before it, as the tracker's first frame is not exact."""
     change_pace: float = 0.6
     pace: float = 0.25
     """Time runs up to this share faster or slower."""

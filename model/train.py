@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from drivers.recording import Recording
 from model import checkpoint, haart
-from model.augment import crop, mix, vary
+from model.augment import begin_from_rest, crop, mix, vary
 from model.checkpoint import Checkpoint, CheckpointError
 from model.settings import TrainSettings
 from model.tgc import TGC
@@ -35,6 +35,15 @@ class Training:
         self.labels = tuple(sorted({recording.gesture for recording in recordings}))
         self.counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
         self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
+        self.participants = [recording.participant for recording in recordings]
+        self.resting = {
+            participant: [
+                i
+                for i, recording in enumerate(recordings)
+                if (recording.participant, recording.gesture) == (participant, haart.NO_TOUCH)
+            ]
+            for participant in self.participants
+        }
         self.teachers = [checkpoint.load(Path(path)).build().to(device) for path in settings.teachers]
         torch.manual_seed(settings.seed)
         self.rng = torch.Generator().manual_seed(settings.seed)
@@ -58,12 +67,7 @@ class Training:
         total = 0.0
         for batch in range(self.steps_per_epoch):
             chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
-            windows = torch.stack(
-                [
-                    crop(self.counts[i], settings.window, settings.augmentation, self.rng)
-                    for i in chosen.tolist()
-                ]
-            )
+            windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
             windows = vary(windows, settings.augmentation, self.rng)
             windows, targets = self._mix(
                 windows, functional.one_hot(self.classes[chosen], len(self.labels)).float()
@@ -72,6 +76,16 @@ class Training:
             total += self._step(windows.to(self.device), targets.to(self.device), step)
         self.epoch += 1
         return total / self.steps_per_epoch
+
+    def _window(self, recording: int) -> Tensor:
+        settings = self.settings
+        window = crop(self.counts[recording], settings.window, settings.augmentation, self.rng)
+        resting = self.resting[self.participants[recording]]
+        if not resting:
+            return window
+        rest = self.counts[resting[int(torch.randint(len(resting), (1,), generator=self.rng))]]
+        still = crop(rest, settings.window, settings.augmentation, self.rng)
+        return begin_from_rest(window, still, settings.augmentation, self.rng)
 
     def _mix(self, windows: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
         B = len(windows)
