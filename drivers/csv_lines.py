@@ -96,7 +96,7 @@ class CsvLines:
         has_clock = len(words) == self._geometry.taxels + 1
         right_length = has_clock or len(words) == self._geometry.taxels
         numeric = len(line) <= self._longest_line and all(map(bytes.isdigit, words))
-        if not (right_length and numeric and self._is_our_layout(has_clock)):
+        if not (right_length and numeric and self._follow_layout(has_clock)):
             self.counts.bad_framing += 1
             self.counts.bytes_dropped += len(line) + 1
             return []
@@ -111,14 +111,12 @@ class CsvLines:
             return self._clock.judge(Reading(numbers[0], host_s, pressure))
         return [Reading(int(host_s * 1000) % CLOCK_MODULUS, host_s, pressure)]
 
-    def _is_our_layout(self, has_clock: bool) -> bool:
-        if self._has_clock is None or has_clock == self._has_clock:
-            self._has_clock = has_clock
-            self._lines_of_other_layout = 0
-            return True
-        self._lines_of_other_layout += 1
-        if self._lines_of_other_layout < LINES_TO_CHANGE_LAYOUT:
-            return False
+    def _follow_layout(self, has_clock: bool) -> bool:
+        """Whether a line is of the layout followed; after three running that are not, theirs is followed."""
+        if has_clock != self._has_clock and self._has_clock is not None:
+            self._lines_of_other_layout += 1
+            if self._lines_of_other_layout < LINES_TO_CHANGE_LAYOUT:
+                return False
         self._has_clock = has_clock
         self._lines_of_other_layout = 0
         return True

@@ -20,30 +20,32 @@ def diagnose(data: bytes, expected: str) -> tuple[str, str]:
 
     Returns the kind of trouble ("format", "clock", "damage" or "noise") and a sentence for a person.
     """
-    if numbers := _numbers_a_line(data):
-        return "format", f"looks like lines of {numbers} numbers, configured {expected}"
     starts = [match.start() for match in HEADER.finditer(data)]
-    if len(starts) < LEAST_HEADERS:
-        return "noise", f"bytes but no frame of {expected} in them: noise, wrong baud rate?"
-    found = _geometry(data, starts)
+    found = _lines_in(data) or _fabric_grid_in(data, starts)
     if found == expected:
         return "clock", f"frames of {expected} arrive, but their clock stands still or jumps"
     if found:
         return "format", f"looks like {found}, configured {expected}"
+    if len(starts) < LEAST_HEADERS:
+        return "noise", f"bytes but no frame of {expected} in them: noise, wrong baud rate?"
     return "damage", f"frames begin but none of {expected} is whole: bytes lost or damaged on the way?"
 
 
-def _numbers_a_line(data: bytes) -> int:
-    """Return how many numbers most lines hold, 0 when the data is not lines of numbers."""
+def _lines_in(data: bytes) -> str:
+    """Return what kind of lines of numbers this is, "" when it is not that."""
     lines = data.split(b"\n")[1:-1]
     if len(lines) < LEAST_HEADERS or sum(byte in TEXT for byte in data) < 0.95 * len(data):
-        return 0
-    lengths = Counter(len(re.findall(rb"\d+", line)) for line in lines)
-    return lengths.most_common(1)[0][0]
+        return ""
+    numbers = Counter(len(re.findall(rb"\d+", line)) for line in lines).most_common(1)[0][0]
+    side = math.isqrt(numbers)
+    with_clock = numbers == side * side + 1
+    return f"csv {side}x{side}" if numbers == side * side or with_clock else f"lines of {numbers} numbers"
 
 
-def _geometry(data: bytes, starts: list[int]) -> str:
-    """Return the fabric-grid geometry whose frames lie between the headers, "" when no frame is sound."""
+def _fabric_grid_in(data: bytes, starts: list[int]) -> str:
+    """Return the geometry of the sound frames that lie between the headers, "" when there is none."""
+    if len(starts) < LEAST_HEADERS:
+        return ""
     spacing = Counter(later - earlier for earlier, later in pairwise(starts)).most_common(1)[0][0]
     taxels = (spacing - frame_bytes(0)) // 2
     if taxels <= 0 or frame_bytes(taxels) != spacing:

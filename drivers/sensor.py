@@ -60,7 +60,10 @@ class Sensor:
         self._thread.start()
 
     def stop(self, timeout_s: float = 1.0) -> None:
-        """End reading and close the port; safe to call twice, and before `start`."""
+        """End reading and close the port; safe to call twice, and before `start`.
+
+        A network address that does not answer may keep the thread some seconds longer, not this call.
+        """
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
@@ -112,7 +115,8 @@ class Sensor:
     def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
         """Say why no frame has come since `since_s`."""
         if is_silent:
-            kind, reason = "silent", f"no data for {self._silence_s:g} s"
+            kind = "silent"
+            reason = f"no data for {self._silence_s:g} s: is it the pad's port, and does the pad run?"
         else:
             kind, reason = diagnose(recent, self._protocol.description)
         self._announcer.down(kind, f"{self._port} at {self._baud} baud: {reason}", since_s)

@@ -25,7 +25,7 @@ def test_a_pad_that_falls_silent_is_down_and_up_again_when_it_goes_on() -> None:
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
         next_frames(queue, 5)
         switch.encode = silence
-        assert next_state(queue) == SensorState("down", f"{port.path} at 512000 baud: no data for 0.3 s")
+        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 0.3 s")
         switch.encode = encode_fabric_grid
         assert next_state(queue).reason.startswith(f"frames arrive from {port.path} again after 0.")
         next_frames(queue, 5)
@@ -53,7 +53,7 @@ def clock_stands(counts: Counts, sensor_ms: int) -> bytes:
         (noise, "noise, wrong baud rate?"),
         (half_frames, "frames begin but none of fabric-grid 10x10 is whole"),
         (as_8x8, "looks like fabric-grid 8x8, configured fabric-grid 10x10"),
-        (encode_csv_line, "looks like lines of 101 numbers, configured fabric-grid 10x10"),
+        (encode_csv_line, "looks like csv 10x10, configured fabric-grid 10x10"),
         (clock_stands, "frames of fabric-grid 10x10 arrive, but their clock stands still or jumps"),
     ],
 )
