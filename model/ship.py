@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -34,6 +35,7 @@ def train_recipe(recipe: Recipe, haart_folder: Path, runs: Path, threads: int) -
 def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, one file a further seed into `runs`, and one file a fold; return the paths.
 
+    The shipped network's checkpoint is laid beside it, for comparing with PyTorch and for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
     """
     recordings = haart.read_training(haart_folder)
@@ -48,10 +50,15 @@ def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path)
         written.append(path)
     temperatures = calibrate.fit_temperatures(answers)
     for job in final_jobs(recipe, runs):
+        saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
         path = weights / SHIPPED_MODEL.name if shipped else runs / f"{job.name}.onnx"
-        _export(_load(job, runs), recipe.name, temperatures, calibrate.accuracies(answers), path)
+        _export(saved, recipe.name, temperatures, calibrate.accuracies(answers), path)
         written.append(path)
+        if shipped:
+            beside = path.with_suffix(".pt")
+            checkpoint.save(replace(saved, training={}), beside)
+            written.append(beside)
     return written
 
 
