@@ -91,7 +91,10 @@ class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TouchReport(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything measured; each figure as recorded and with rest levelled (see `daemon.touch_measure`)."""
+    """Everything measured; each figure as recorded and with rest levelled (see `daemon.touch_measure`).
+
+    held_out: training participants. unseen: the test participants together, at the default.
+    """
 
     settings: TouchSettings
     curve: dict[str, tuple[OnsetPoint, ...]]
@@ -100,6 +103,7 @@ class TouchReport(msgspec.Struct, frozen=True, kw_only=True):
     quiet: tuple[QuietPoint, ...]
     joins: int
     touched_joins: int
+    unseen: dict[str, OnsetPoint]
 
 
 class Noticed(msgspec.Struct, frozen=True):
@@ -110,9 +114,14 @@ class Noticed(msgspec.Struct, frozen=True):
     notouch_frames: int
 
 
-def measure(recordings: Sequence[Recording], default: TouchSettings) -> TouchReport:
-    """Measure the tracker on live recordings of gestures and notouch in the same conditions."""
-    cases = {"as recorded": spliced(recordings, False), "rest levelled": spliced(recordings, True)}
+def measure(
+    recordings: Sequence[Recording], unseen: Sequence[Recording], default: TouchSettings
+) -> TouchReport:
+    """Measure the tracker on live recordings of gestures and notouch in the same conditions.
+
+    unseen: recordings of participants on whom nothing was tuned.
+    """
+    cases = _cases(recordings)
     noticed = {name: _at_all_levels(some, recordings, default) for name, some in cases.items()}
     outcomes = {name: [outcome(case, default) for case in some] for name, some in cases.items()}
     joined = [join_touches(_quiet(recordings, name), default) for name in _participants(recordings)]
@@ -127,6 +136,7 @@ def measure(recordings: Sequence[Recording], default: TouchSettings) -> TouchRep
         quiet=tuple(_quiet_point(cases["as recorded"], default, quiet_s) for quiet_s in QUIETS_S),
         joins=sum(joins for joins, _ in joined),
         touched_joins=sum(touched for _, touched in joined),
+        unseen={name: _together(some, unseen, default) for name, some in _cases(unseen).items()},
     )
 
 
@@ -189,9 +199,19 @@ def _at_all_levels(
     }
 
 
+def _cases(recordings: Sequence[Recording]) -> dict[str, list[Case]]:
+    return {"as recorded": spliced(recordings, False), "rest levelled": spliced(recordings, True)}
+
+
+def _together(cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings) -> OnsetPoint:
+    level = default.onset_level
+    people = [at_level(level, name, cases, recordings, default) for name in _participants(recordings)]
+    return point(level, people)
+
+
 def _delay(case: Case, settings: TouchSettings) -> int | None:
     """Return frames from the first visible pressure (0 when it was noticed before), None for a miss."""
-    felt, _ = notice(case, settings)
+    felt = notice(case, settings)
     if felt is None:
         return None
     return max(0, felt.noticed - int(case.visible.argmax())) if case.visible.any() else 0

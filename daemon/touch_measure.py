@@ -106,16 +106,12 @@ def feel(scans: Scans, settings: TouchSettings) -> Iterator[Felt]:
                 yield Felt(noticed, first, last, index)
 
 
-def notice(case: Case, settings: TouchSettings) -> tuple[Felt | None, int]:
-    """Return the first touch in the gesture, None if it is missed, and how many were felt before it."""
-    false = 0
-    for felt in feel(case.scans, settings):
-        if felt.noticed >= case.stop:
-            break
-        if felt.ended is None and felt.noticed >= case.start:
-            return felt, false
-        false += felt.ended is None
-    return None, false
+def notice(case: Case, settings: TouchSettings) -> Felt | None:
+    """Return the first touch noticed in the gesture, None if it is missed."""
+    for felt in feel(case.scans[: case.stop], settings):
+        if felt.noticed >= case.start:
+            return felt
+    return None
 
 
 def outcome(case: Case, settings: TouchSettings) -> Outcome:
