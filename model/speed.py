@@ -1,13 +1,12 @@
 """Size and speed of one answer, ours against the paper's TGC: `touchd speed`.
 
-All are asked in turn in the same run, each on one thread, so that what else the machine does meets all alike.
-The paper's networks have random weights: a product takes as long with any. Needs the extra `train`.
+Shares are of processor time, each network on one thread. The paper's networks have random weights: a product
+takes as long with any. Needs the extra `train`.
 """
 
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,8 +16,6 @@ import numpy as np
 import onnx
 import onnxruntime
 import torch
-from rich.console import Console
-from rich.progress import track
 from rich.table import Table
 
 from drivers.frame import COLUMNS, ROWS
@@ -27,6 +24,7 @@ from model.export import OPSET
 from model.hard_cases import hand
 from model.paper_tgc import PaperSettings, PaperTGC
 from model.settings import LENGTHS
+from model.timing import Timing, time_in_turn
 
 ONNX_RUNTIME = "ONNX Runtime"
 PYTORCH = "PyTorch eager"
@@ -49,20 +47,18 @@ class Contestant:
 
 @dataclass(frozen=True)
 class Speed:
-    """How long one answer takes, over `answers` of them."""
+    """How long one answer of a contestant takes."""
 
     network: str
     runtime: str
     frames: int
     file_bytes: int
-    answers: int
-    p50_ms: float
-    p99_ms: float
+    timing: Timing
 
 
 @dataclass(frozen=True)
 class Share:
-    """Our median time as a share of another network's, both over the same window."""
+    """Our median processor time as a share of another network's, both over the same window."""
 
     of: str
     runtime: str
@@ -80,16 +76,20 @@ def run(
             *ours(model),
             *(each for settings in paper for each in papers(settings, Path(folder))),
         ]
-        return time_in_turn(contestants, answers)
+        timings = time_in_turn([contestant.answer for contestant in contestants], answers)
+    return [
+        Speed(each.network, each.runtime, each.frames, each.file_bytes, timing)
+        for each, timing in zip(contestants, timings, strict=True)
+    ]
 
 
 def shares(speeds: Sequence[Speed]) -> list[Share]:
     """Compare our time in ONNX Runtime with every other contestant's over the same window."""
-    own = {speed.frames: speed.p50_ms for speed in speeds if speed.network == speeds[0].network}
+    own = {speed.frames: speed.timing.processor_ms for speed in speeds if speed.network == speeds[0].network}
     found = []
     for speed in speeds:
         if speed.network != speeds[0].network:
-            share = own[speed.frames] / speed.p50_ms
+            share = own[speed.frames] / speed.timing.processor_ms
             allowed = ALLOWED_SHARE[speed.runtime]
             found.append(Share(speed.network, speed.runtime, share, allowed, share <= allowed))
     return found
@@ -150,28 +150,13 @@ def export_paper(network: PaperTGC, path: Path) -> None:
     onnx.save(program.model_proto, path)
 
 
-def time_in_turn(contestants: Sequence[Contestant], answers: int) -> list[Speed]:
-    """Ask every contestant once a turn, after one turn that does not count."""
-    seconds = np.empty((answers, len(contestants)))
-    for contestant in contestants:
-        contestant.answer()
-    for turn in track(range(answers), description="answers", console=Console(stderr=True), transient=True):
-        for column, contestant in enumerate(contestants):
-            start = time.perf_counter()
-            contestant.answer()
-            seconds[turn, column] = time.perf_counter() - start
-    p50_ms, p99_ms = 1000.0 * np.percentile(seconds, [50, 99], axis=0)
-    return [
-        Speed(c.network, c.runtime, c.frames, c.file_bytes, answers, float(p50), float(p99))
-        for c, p50, p99 in zip(contestants, p50_ms, p99_ms, strict=True)
-    ]
-
-
 def table(speeds: Sequence[Speed]) -> Table:
     """Return the times as a table for the terminal, with our share of each of the paper's."""
     shown = Table(title="One answer on one thread, asked in turn", caption="The paper's weights are random.")
-    for heading in ("network", "runtime", "frames", "file MB", "p50 ms", "p99 ms", "ours takes", "allowed"):
+    for heading in ("network", "runtime", "frames", "file MB", "p50 ms", "p99 ms", "processor ms"):
         shown.add_column(heading, justify="left" if heading in ("network", "runtime") else "right")
+    shown.add_column("ours takes", justify="right")
+    shown.add_column("allowed", justify="right")
     compared = {(share.of, share.runtime): share for share in shares(speeds)}
     for speed in speeds:
         share = compared.get((speed.network, speed.runtime))
@@ -181,8 +166,9 @@ def table(speeds: Sequence[Speed]) -> Table:
             speed.runtime,
             str(speed.frames),
             f"{speed.file_bytes / 1e6:.2f}",
-            f"{speed.p50_ms:.2f}",
-            f"{speed.p99_ms:.2f}",
+            f"{speed.timing.p50_ms:.2f}",
+            f"{speed.timing.p99_ms:.2f}",
+            f"{speed.timing.processor_ms:.2f}",
             *against,
         )
     return shown

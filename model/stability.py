@@ -7,7 +7,6 @@ the frames that they are about: not on the batch, on later frames, on threads, o
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -20,6 +19,7 @@ from rich.table import Table
 
 from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
 from model.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
+from model.timing import time_in_turn
 
 if TYPE_CHECKING:
     from model.reference import Reference
@@ -101,18 +101,11 @@ def _reference(model: Path, classifier: Classifier) -> Reference | None:
 
 
 def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
-    """Return how many times longer an answer takes on `window` than on `usual`: medians, asked in turn.
-
-    Processor time of this thread, which does all the work: what else the machine does is not counted.
-    """
-    seconds = np.empty((TIMED_ANSWERS, 2))
-    for turn in range(TIMED_ANSWERS):
-        for column, counts in enumerate((window, usual)):
-            start = time.thread_time()
-            classifier.probabilities(counts)
-            seconds[turn, column] = time.thread_time() - start
-    slow, normal = np.median(seconds, axis=0)
-    return float(slow / normal)
+    """Return how many times longer an answer takes on `window` than on `usual`, in processor time."""
+    slow, normal = time_in_turn(
+        [lambda: classifier.probabilities(window), lambda: classifier.probabilities(usual)], TIMED_ANSWERS
+    )
+    return slow.processor_ms / normal.processor_ms
 
 
 def table(checks: Sequence[Check]) -> Table:
