@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from drivers.recording import (
     ideal_clock_ms,
     read_recordings,
     realign,
+    set_up,
     splice,
 )
 
@@ -67,9 +69,17 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
 def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> Stream:
     """Splice recordings with four seconds of notouch before, between and after those that touch.
 
+    Before and after a change of participant, substrate or cover, each side has the quiet of its own.
     quiet: notouch recordings to take it from: one of the same participant and condition where there is one,
     else of the same participant, else any; where there is none, each taxel rests at the least it showed.
     """
+    parts: list[Recording] = []
+    for _, together in groupby(recordings, key=set_up):
+        parts += _quietened(list(together), quiet)
+    return splice(parts)
+
+
+def _quietened(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> list[Recording]:
     parts: list[Recording] = []
     for recording in recordings:
         if recording.gesture != NO_TOUCH and (not parts or parts[-1].gesture != NO_TOUCH):
@@ -77,14 +87,13 @@ def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> S
         parts.append(recording)
     if parts[-1].gesture != NO_TOUCH:
         parts.append(_quiet_for(parts[-1], quiet))
-    return splice(parts)
+    return parts
 
 
 def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
     def likeness(candidate: Recording) -> tuple[bool, bool]:
         same_participant = candidate.participant == recording.participant
-        same_condition = (candidate.substrate, candidate.cover) == (recording.substrate, recording.cover)
-        return same_participant, same_condition
+        return same_participant, set_up(candidate) == set_up(recording)
 
     if quiet:
         best = max(quiet, key=likeness)

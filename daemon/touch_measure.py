@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from daemon.ring import GridFrame
 from daemon.touch import FLOOR_COUNTS, LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import Recording
+from drivers.recording import Recording, set_up
 
 Scans = NDArray[np.float32]
 
@@ -73,13 +73,13 @@ class Outcome:
 
 def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
     """Return a case for each touching recording; there must be a notouch one for each condition."""
-    quiet = {_condition(recording): recording for recording in recordings if recording.gesture == NO_TOUCH}
+    quiet = {set_up(recording): recording for recording in recordings if recording.gesture == NO_TOUCH}
     cases = []
     for recording in recordings:
         if recording.gesture == NO_TOUCH:
             continue
         gesture = recording.counts.astype(np.float32)
-        rest = quiet[_condition(recording)].counts.astype(np.float32)
+        rest = quiet[set_up(recording)].counts.astype(np.float32)
         # A resting hand never leaves the pad, so that its recording does not show the pad's own rest.
         if level_rest and recording.gesture != "constant":
             own_rest = np.percentile(gesture, REST_PERCENTILE, axis=0) + REST_OFFSET_COUNTS
@@ -152,7 +152,3 @@ def join_touches(recordings: Sequence[Recording], settings: TouchSettings) -> tu
     noticed = np.array([felt.noticed for felt in feel(scans, settings) if felt.ended is None])
     near = [((noticed >= join) & (noticed < join + LEARN_FRAMES)).any() for join in joins]
     return len(joins), int(sum(near))
-
-
-def _condition(recording: Recording) -> tuple[str, str, str]:
-    return recording.participant, recording.substrate, recording.cover

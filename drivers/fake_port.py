@@ -103,25 +103,29 @@ class FakePort:
 
     def _play(self) -> None:
         begin_s = time.monotonic()
-        first_ms = int(self._stream.sensor_ms[0])
-        for number, index, sensor_ms in self._schedule():
+        for number, index, sensor_ms, elapsed_ms in self._schedule():
             packet = self._encode(self._stream.counts[index], sensor_ms)
             packet = self._faults.on_line(number, packet)
             if self._speed is not None:
-                due_s = begin_s + (sensor_ms - first_ms) / 1000 / self._speed
+                due_s = begin_s + elapsed_ms / 1000 / self._speed
                 self._stop.wait(max(0.0, due_s - time.monotonic()))
             if self._stop.is_set():
                 return
             self._send(index, packet)
 
-    def _schedule(self) -> Iterator[tuple[int, int, int]]:
-        """Yield the number of each frame from 0, its index in the stream and its clock in ms."""
-        frames = len(self._stream.counts)
-        length_ms = int(self._stream.sensor_ms[-1] - self._stream.sensor_ms[0]) + round(1000 / FRAME_RATE_HZ)
+    def _schedule(self) -> Iterator[tuple[int, int, int, int]]:
+        """Yield each frame's number from 0, its index in the stream, its clock, and when it is due, in ms."""
+        period_ms = round(1000 / FRAME_RATE_HZ)
+        steps_ms = np.diff(self._stream.sensor_ms)
+        # A clock that starts anew goes back, time does not.
+        due_ms = np.concatenate([[0], np.cumsum(np.where(steps_ms < 0, period_ms, steps_ms))])
+        frames = len(due_ms)
+        length_ms = int(due_ms[-1]) + period_ms
         number = 0
         while number < frames or self._loop:
             turn, index = divmod(number, frames)
-            yield number, index, int(self._stream.sensor_ms[index]) + turn * length_ms
+            later_ms = turn * length_ms
+            yield number, index, int(self._stream.sensor_ms[index]) + later_ms, int(due_ms[index]) + later_ms
             number += 1
 
     def _send(self, index: int, packet: bytes) -> None:

@@ -142,10 +142,16 @@ def realign(recording: Recording) -> Recording:
     return replace(recording, counts=counts, sensor_ms=recording.sensor_ms[: len(counts)], framing="live")
 
 
-def splice(recordings: Sequence[Recording]) -> Stream:
-    """Join recordings end to end into one stream whose clock runs on without a jump.
+def set_up(recording: Recording) -> tuple[str, str, str]:
+    """Return who touched what: participant, substrate, cover."""
+    return recording.participant, recording.substrate, recording.cover
 
-    Raises RecordingError when there is none to join.
+
+def splice(recordings: Sequence[Recording]) -> Stream:
+    """Join recordings end to end into one stream, as one pad would send it.
+
+    The clock runs on without a jump, and starts anew, as after the pad was set up again, where participant,
+    substrate or cover change: its rest is then another. Raises RecordingError when there is none to join.
     """
     if not recordings:
         raise RecordingError("no recording to play: none matches what was selected")
@@ -154,7 +160,9 @@ def splice(recordings: Sequence[Recording]) -> Stream:
     start = 0
     next_ms = 0
     period_ms = round(1000.0 / FRAME_RATE_HZ)
-    for recording in recordings:
+    for before, recording in zip([recordings[0], *recordings], recordings, strict=False):
+        if set_up(recording) != set_up(before):
+            next_ms = 0
         stop = start + len(recording.counts)
         spans.append(Span(start, stop, recording.gesture))
         clocks.append(recording.sensor_ms - recording.sensor_ms[0] + next_ms)

@@ -197,3 +197,13 @@ def test_a_port_never_started_leaves_nothing_either() -> None:
     assert Path(port.path).exists()
     port.stop()
     assert not Path(port.path).exists()
+
+
+def test_a_clock_that_starts_anew_does_not_change_the_pace() -> None:
+    once = stream_of(20)
+    twice = Stream(np.concatenate([once.counts] * 2), np.concatenate([once.sensor_ms] * 2), once.spans)
+    with FakePort(twice, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
+        data = read_to_end(port, reader)
+    assert data == encoded(twice)
+    # Forty frames take 361 ms at twice the pace; the second twenty in a burst would end 170 ms early.
+    assert port.sent_s[-1] - port.sent_s[0] >= 0.355

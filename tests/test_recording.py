@@ -167,6 +167,11 @@ def test_a_spliced_stream_says_what_is_shown_when_and_its_clock_never_jumps() ->
     assert set(np.diff(stream.sensor_ms)) <= {18, 19}
 
 
+def test_the_clock_starts_anew_where_another_pad_was_touched() -> None:
+    stream = splice([made("P1", "rub", 5), made("P2", "rub", 3)])
+    assert stream.sensor_ms.tolist() == [0, 19, 37, 56, 74, 0, 19, 37]
+
+
 def test_splicing_nothing_says_that_nothing_was_selected() -> None:
     with pytest.raises(RecordingError, match="none matches"):
         splice([])
