@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -19,8 +20,8 @@ from numpy.typing import NDArray
 
 from daemon.commands.classify import play
 from daemon.config import SensorSettings, Settings
-from daemon.events import Event, Prediction, TouchBegan
-from daemon.pipeline import STAGES, Pipeline
+from daemon.events import Event, Prediction, epoch_s
+from daemon.pipeline import Pipeline
 from daemon.rig import SpawnedDaemon, outline
 from daemon.service import load_model
 from daemon.wire import encoder_for
@@ -34,6 +35,8 @@ TOUCHES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
 TOUCH_S = 3.0
 BETWEEN_S = 1.5
 START_S = 30.0
+# Events carry whole milliseconds, which tells the frame they stem from: frames are 18 ms apart.
+STAMP_S = 0.002
 SEED = 1
 TARGETS = {
     "latency_p99_ms": ("at most", 5.0),
@@ -64,6 +67,15 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     start_to_ready_s: float
     classify_times_real_time: float
     same_predictions: bool
+
+
+@dataclass(frozen=True)
+class Received:
+    """An event read from the daemon, and when, by two clocks."""
+
+    event: Event
+    monotonic_s: float
+    epoch_s: float
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -106,7 +118,7 @@ def measure(touch_s: float) -> Figures:
         started_s = time.monotonic()
         daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
         closing.callback(daemon.stop)
-        received: list[tuple[float, Event]] = []
+        received: list[Received] = []
         reader = threading.Thread(target=_receive, args=(daemon, received), name="touchd-bench", daemon=True)
         reader.start()
         while b"READY=1" not in ready.recv(4096):
@@ -119,8 +131,9 @@ def measure(touch_s: float) -> Figures:
         memory_mb = _peak_memory_mb(daemon.process.pid)
         daemon.stop()
         reader.join()
-    latencies_ms = _latencies_ms(stream, port.sent_s, received)
-    inner_ms = [event.latency_ms for _, event in received if isinstance(event, Prediction)]
+    latencies_ms = _latencies_ms(port.sent_s, received)
+    events = [arrived.event for arrived in received]
+    inner_ms = [event.latency_ms for event in events if isinstance(event, Prediction)]
     speed, classified = _classify(stream)
     return Figures(
         answers=len(inner_ms),
@@ -133,7 +146,7 @@ def measure(touch_s: float) -> Figures:
         memory_mb=memory_mb,
         start_to_ready_s=start_to_ready_s,
         classify_times_real_time=speed,
-        same_predictions=outline(event for _, event in received) == outline(classified),
+        same_predictions=outline(events) == outline(classified),
     )
 
 
@@ -146,25 +159,24 @@ def touched(touch_s: float) -> Stream:
     return splice(simulate(script, SEED))
 
 
-def _receive(daemon: SpawnedDaemon, received: list[tuple[float, Event]]) -> None:
+def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
     for event in daemon.events():
-        received.append((time.monotonic(), event))
+        received.append(Received(event, time.monotonic(), time.time()))
 
 
-def _latencies_ms(
-    stream: Stream, sent_s: NDArray[np.float64], received: Sequence[tuple[float, Event]]
-) -> list[float]:
-    """Return, for each answer that fell due at a length, the time from its last frame to its line."""
-    index_at_ms = {int(ms): index for index, ms in enumerate(stream.sensor_ms)}
-    due = dict(zip(STAGES, Settings().scene.answer_at_frames, strict=True))
-    first: dict[int, int] = {}
+def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
+    """Return, for each answer, the time from writing the frame that made it due to reading its line.
+
+    sent_s: (T,) when each frame was written. Which frame it was follows from the event: it says when it was
+    handed over and how long after its frame.
+    """
     latencies_ms = []
-    for received_s, event in received:
-        if isinstance(event, TouchBegan):
-            first[event.touch] = index_at_ms[event.sensor_ms]
-        elif isinstance(event, Prediction) and event.stage in due:
-            last = first[event.touch] + due[event.stage] - 1
-            latencies_ms.append(1000 * (received_s - float(sent_s[last])))
+    for arrived in received:
+        if isinstance(arrived.event, Prediction):
+            since_hand_over_s = arrived.epoch_s - epoch_s(arrived.event.time)
+            frame_s = arrived.monotonic_s - since_hand_over_s - arrived.event.latency_ms / 1000
+            frame = int(np.searchsorted(sent_s, frame_s + STAMP_S)) - 1
+            latencies_ms.append(1000 * (arrived.monotonic_s - float(sent_s[frame])))
     return latencies_ms
 
 
