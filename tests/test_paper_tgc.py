@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-torch = pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = pytest.mark.timeout(120)
 
+import torch  # noqa: E402
 from torch import nn  # noqa: E402
 
 from model.paper_tgc import Attention, FeedForward, PaperSettings, PaperTGC  # noqa: E402
