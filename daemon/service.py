@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import threading
 import time
 from collections.abc import Callable
+
+import numpy as np
 
 from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
@@ -14,7 +17,7 @@ from daemon.health import Health
 from daemon.pipeline import Pipeline
 from daemon.sinks import Sink
 from daemon.wire import parser_for
-from drivers.frame import Counts, Frame
+from drivers.frame import COLUMNS, ROWS, Counts, Frame
 from drivers.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port
 from model.classifier import SHIPPED_MODEL, Classifier
 
@@ -50,6 +53,9 @@ def load_model(settings: Settings) -> Classifier:
     """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
     classifier = Classifier.load(settings.model_path or SHIPPED_MODEL)
     check_fit(settings.scene, classifier)
+    # The first answer of each length takes several times longer than those after it.
+    for frames in settings.scene.answer_at_frames:
+        classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
     return classifier
 
 
@@ -92,6 +98,8 @@ def serve(
     queue = FrameQueue()
     sensor = Sensor(settings.sensor.port, settings.sensor.baud, parser_for(settings.sensor), queue)
     pipeline = Pipeline(settings.pipeline, classifier, outlet.emit)
+    # What was loaded stays: a collection that looks through all of it would take as long as an answer may.
+    gc.freeze()
     sensor.start()
     try:
         while not stop.is_set():
