@@ -80,8 +80,8 @@ def load(path: Path) -> Checkpoint:
         )
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: there is no checkpoint; make one with `touchd train`") from error
-    except Exception as error:  # torch raises many types for a damaged file
-        raise CheckpointError(f"{path}: not a checkpoint of touchd ({error})") from error
+    except Exception as error:  # torch raises many types for a damaged file, some with pages of advice
+        raise CheckpointError(f"{path}: not a checkpoint of touchd; make one with `touchd train`") from error
 
 
 def code_version() -> str:

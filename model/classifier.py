@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -116,12 +117,13 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options.log_severity_level = 3
     # Denormal floats take the processor tens of times longer and mean nothing here.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
+    # Weights outside the file would be looked for in the working folder; here there are none to be found.
+    options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
-        # From bytes, not from the path: ONNX Runtime then refuses weights that lie outside the file.
         content = path.read_bytes()
     except OSError as error:
         raise ModelError(
@@ -140,9 +142,15 @@ def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.Inferen
         )
     if metadata.framing != "live":
         raise ModelError(f"{path}: made for {metadata.framing} framing; a pad sends live frames")
-    inputs = [(entry.name, list(entry.shape[2:])) for entry in session.get_inputs()]
-    if inputs != [("counts", [ROWS, COLUMNS])]:
-        raise ModelError(f"{path}: its inputs are {inputs}, not counts of {ROWS}x{COLUMNS} taxels")
+    # None for batch and frames, which the model must take any number of.
+    inputs = [
+        (entry.name, entry.type, [size if isinstance(size, int) else None for size in entry.shape])
+        for entry in session.get_inputs()
+    ]
+    if inputs != [("counts", "tensor(float)", [None, None, ROWS, COLUMNS])]:
+        raise ModelError(
+            f"{path}: its inputs are {inputs}, not any number of {ROWS}x{COLUMNS} taxels' counts"
+        )
     classes = session.get_outputs()[0].shape[-1]
     if classes != len(metadata.labels):
         raise ModelError(f"{path}: {classes} outputs for {len(metadata.labels)} labels; export it again")
