@@ -26,11 +26,16 @@ OUTLINE: Mapping[type, tuple[str, ...]] = {
 class SpawnedDaemon:
     """`touchd run` in a process of its own, on a configuration written for it.
 
-    folder: where the configuration goes. log: gets what it writes to standard error. extra: more environment.
+    folder: where the configuration goes. log: gets what it writes to standard error, ours when left out.
+    environment: what to add to ours.
     """
 
     def __init__(
-        self, settings: Settings, folder: Path, log: IO[bytes], extra: Mapping[str, str] | None = None
+        self,
+        settings: Settings,
+        folder: Path,
+        log: IO[bytes] | None = None,
+        environment: Mapping[str, str] | None = None,
     ) -> None:
         path = folder / "touchd.yaml"
         path.write_text(yaml.safe_dump(msgspec.to_builtins(settings)))
@@ -38,7 +43,7 @@ class SpawnedDaemon:
             [sys.executable, "-m", "daemon", "run", "-c", str(path)],
             stdout=subprocess.PIPE,
             stderr=log,
-            env={**os.environ, **(extra or {})},
+            env={**os.environ, **(environment or {})},
         )
 
     def events(self) -> Iterator[Event]:
