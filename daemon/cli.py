@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
+from drivers.errors import TouchdError
+
 USERS_MISTAKE = 2
 OUR_MISTAKE = 1
 
@@ -27,6 +29,12 @@ COMMANDS = (
     Command("demo", "daemon.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
+    Command("data", "daemon.commands.data", "fetches the HAART recordings, or checks a folder of them"),
+    Command("train", "daemon.commands.train", "trains the networks of a recipe"),
+    Command("export", "daemon.commands.export", "calibrates trained networks and writes them as ONNX files"),
+    Command("evaluate", "daemon.commands.evaluate", "scores the model, and writes the accuracy page"),
+    Command("stability", "daemon.commands.stability", "checks the model's arithmetic on hard cases"),
+    Command("speed", "daemon.commands.speed", "times an answer against the paper's network"),
     Command("bench", "daemon.bench", "measures latency, processor, memory, start-up and speed"),
 )
 
@@ -63,15 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _complain(error: Exception) -> int:
     """Write one line about an error that a command raised; returns the exit code."""
-    # Here and not above: an error is rare, and importing these takes most of the start-up time.
-    from daemon.config import ConfigError
-    from daemon.journal import JournalError
-    from drivers.recording import RecordingError
-    from drivers.robot import RobotError
-    from drivers.sensor import SensorError
-    from model.classifier import ModelError
-
-    if isinstance(error, (ConfigError, JournalError, ModelError, RecordingError, RobotError, SensorError)):
+    if isinstance(error, TouchdError):
         sys.stderr.write(f"touchd: {error}\n")
         return USERS_MISTAKE
     what = f"{type(error).__name__}: {error}"

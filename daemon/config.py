@@ -13,6 +13,7 @@ from daemon.pipeline import PipelineSettings
 from daemon.ring import RingSettings
 from daemon.strict_yaml import StrictYamlError, convert
 from daemon.touch import TouchSettings
+from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, ROWS
 from drivers.robot_actions import ActionRule
 
@@ -22,7 +23,7 @@ DEFAULT_PORT = "/dev/touchd-pad"
 Side = Annotated[int, msgspec.Meta(ge=8, le=64)]
 
 
-class ConfigError(Exception):
+class ConfigError(TouchdError):
     """The settings cannot be used; the message is one line that names what is wrong and what to do."""
 
 

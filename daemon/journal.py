@@ -7,12 +7,14 @@ import logging
 import os
 from pathlib import Path
 
+from drivers.errors import TouchdError
+
 log = logging.getLogger(__name__)
 
 MAX_LINE_BYTES = 64 * 1024
 
 
-class JournalError(Exception):
+class JournalError(TouchdError):
     """The journal cannot be opened; the message is one line that says why."""
 
 

@@ -8,12 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Counts, Frame
 
 CLOCK_MODULUS = 2**32
 
 
-class ProtocolError(Exception):
+class ProtocolError(TouchdError):
     """A protocol cannot work as configured; the message says which setting and why."""
 
 

@@ -10,6 +10,8 @@ import termios
 
 import serial
 
+from drivers.errors import TouchdError
+
 READ_TIMEOUT_S = 0.1
 
 NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO}
@@ -18,7 +20,7 @@ NOT_ALLOWED = {errno.EACCES, errno.EPERM}
 IN_USE = {errno.EBUSY, errno.EAGAIN}
 
 
-class SensorError(Exception):
+class SensorError(TouchdError):
     """The port cannot be used; the message says why and what to do.
 
     kind: "missing", "denied", "busy" or "unusable".

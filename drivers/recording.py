@@ -20,6 +20,7 @@ from typing import IO, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 CELLS = ROWS * COLUMNS
@@ -32,7 +33,7 @@ Framing = Literal["published", "live"]
 Keys = tuple[str, str, str, str]
 
 
-class RecordingError(Exception):
+class RecordingError(TouchdError):
     """A recording file cannot be read; the message names file, line and what is wrong."""
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from threading import Event
 from typing import Any, Protocol
 
+from drivers.errors import TouchdError
 from drivers.robot_limits import RobotLimits
 
 # While waiting, how often the wish to stop is looked for.
@@ -19,7 +20,7 @@ SLICE_MS = 50
 HURRY_S = 0.25
 
 
-class RobotError(Exception):
+class RobotError(TouchdError):
     """The robot cannot be used as configured: the user must change something. The message is one line."""
 
 

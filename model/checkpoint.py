@@ -13,13 +13,14 @@ import msgspec
 import torch
 from torch import Tensor
 
+from drivers.errors import TouchdError
 from model.settings import TrainSettings
 from model.tgc import TGC
 
 SOURCES = ("haart.py", "augment.py", "tgc.py", "settings.py", "train.py")
 
 
-class CheckpointError(Exception):
+class CheckpointError(TouchdError):
     """A checkpoint is missing, damaged, or belongs to another training."""
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
+from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 
 SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
@@ -19,7 +20,7 @@ MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
 
 
-class ModelError(Exception):
+class ModelError(TouchdError):
     """A model file is missing, unreadable or not made for this pad; the message says which and what to do."""
 
 

@@ -11,13 +11,15 @@ from pathlib import Path
 from urllib.error import HTTPError, URLError
 from urllib.request import Request, urlopen
 
+from drivers.errors import TouchdError
+
 CHUNK_BYTES = 1 << 16
 TIMEOUT_S = 30.0
 Advance = Callable[[int, int | None], None]
 """Told how many bytes are there, and how many there will be (None when the server does not say)."""
 
 
-class DownloadError(Exception):
+class DownloadError(TouchdError):
     """A file could not be had; the message says which, why and what to do, in one line."""
 
 

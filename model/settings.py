@@ -8,6 +8,8 @@ from typing import Any
 import msgspec
 import yaml
 
+from drivers.errors import TouchdError
+
 LENGTHS = (54, 81, 144)
 """The window lengths, in frames, at which touches are answered: 1, 1.5 and 2.67 s."""
 
@@ -78,7 +80,7 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     augmentation: AugmentationSettings = AugmentationSettings()
 
 
-class SettingsError(Exception):
+class SettingsError(TouchdError):
     """The training settings are wrong; the message names the key."""
 
 

@@ -1,0 +1,10 @@
+"""What every error at an edge has in common: a person can put it right."""
+
+from __future__ import annotations
+
+
+class TouchdError(Exception):
+    """Something outside touchd is wrong: a file, a device, a setting, a network.
+
+    The message is one line that says what is wrong, where, and what to do; the command line shows just that.
+    """
