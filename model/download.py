@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import lzma
 import shutil
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -82,31 +81,33 @@ def unpack(
 
     max_bytes: how large each may be. Raises DownloadError; the folder is then as it was.
     """
+    parts = {name: folder / f"{name}.part" for name in expected}
     try:
-        with zipfile.ZipFile(archive) as opened, tempfile.TemporaryDirectory(dir=folder) as scratch:
-            _unpack(archive, opened, Path(scratch), expected, max_bytes)
-            for name in expected:
-                (Path(scratch) / name).replace(folder / name)
+        with zipfile.ZipFile(archive) as opened:
+            for name, part in parts.items():
+                member = _member(archive, opened, name, max_bytes)
+                with opened.open(member) as source, part.open("wb") as target:
+                    shutil.copyfileobj(source, target)
+                _check_part(archive, part, expected[name])
+        for name, part in parts.items():
+            part.replace(folder / name)
     except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError, RuntimeError) as error:
         raise DownloadError(f"{archive}: damaged ({error}); delete it and run this again") from error
     except OSError as error:
         raise DownloadError(
             f"{archive}: cannot be unpacked into {folder} ({error.strerror}); check both and run this again"
         ) from error
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
 
 
-def _unpack(
-    archive: Path, opened: zipfile.ZipFile, scratch: Path, expected: Mapping[str, Contents], max_bytes: int
-) -> None:
-    for name, contents in expected.items():
-        member = _member(archive, opened, name, max_bytes)
-        with opened.open(member) as source, (scratch / name).open("wb") as target:
-            shutil.copyfileobj(source, target)
-        try:
-            check(scratch / name, contents)
-        except RecordingError as error:
-            found = str(error).removeprefix(f"{scratch}/")
-            raise DownloadError(f"{archive}: not the published set ({found})") from error
+def _check_part(archive: Path, part: Path, expected: Contents) -> None:
+    try:
+        check(part, expected)
+    except RecordingError as error:
+        found = str(error).removeprefix(f"{part}: ")
+        raise DownloadError(f"{archive}: not the published set ({part.stem}: {found})") from error
 
 
 def _is_there(folder: Path, name: str) -> bool:
