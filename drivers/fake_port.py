@@ -151,15 +151,17 @@ class FakePort:
 
     def _await_reader(self) -> bool:
         """Wait until a reader has opened the port and discarded what waited in it; False when stopped."""
+        has_discarded = self._discards_input()
         while not self._has_reader():
-            # An earlier reader may have discarded its input too.
-            self._discards_input()
             if self._stop.wait(POLL_S):
                 return False
+            # Asked before looking for a reader, so that what an earlier one did is forgotten.
+            has_discarded = self._discards_input()
         settled_s = time.monotonic() + SETTLE_S
-        while not self._discards_input() and time.monotonic() < settled_s:
+        while not has_discarded and time.monotonic() < settled_s:
             if self._stop.wait(POLL_S):
                 return False
+            has_discarded = self._discards_input()
         return True
 
     def _discards_input(self) -> bool:

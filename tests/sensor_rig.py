@@ -25,7 +25,7 @@ def stream_of(frames: int = 4000) -> Stream:
 
 
 @contextmanager
-def sensing(port: str, protocol: Protocol | None = None, silence_s: float = 0.3) -> Iterator[FrameQueue]:
+def sensing(port: str, protocol: Protocol | None = None, silence_s: float = 0.5) -> Iterator[FrameQueue]:
     """A running sensor's queue; afterwards nothing of the sensor is left."""
     before = set(os.listdir("/proc/self/fd"))
     queue = FrameQueue(100_000)

@@ -24,6 +24,7 @@ from wire import (
     packets,
 )
 
+from drivers.fabric_grid import damage_in
 from drivers.protocol import CsvLines, FabricGrid, ProtocolError, encode_fabric_grid
 
 # --- what a frame is ---------------------------------------------------------------------------------------
@@ -153,14 +154,20 @@ def test_a_header_that_begins_in_a_run_of_ff_is_found(length: int) -> None:
 def test_a_false_frame_with_a_right_checksum_does_not_hide_the_true_one_inside_it() -> None:
     """Two bytes of FF before a header make a window two bytes early; one in 256 passes every other check."""
     found = 0
-    for number in range(2, 800):
-        false = np.frombuffer(b"\xff\xff" + packet(number)[:-2], np.uint8)
-        if int(false[4:8].sum() + false[8:-1:2].sum()) % 256 == false[-1]:
+    for number in range(2, 2000):
+        if damage_in(b"\xff\xff" + packet(number)[:-2]) is None:
             data = packets([0, 1]) + b"\xff\xff" + packets([number, number + 1])
             parser = FabricGrid()
-            assert_are(parser.feed(data, 0.0), [0, 1, number, number + 1])
+            assert_are(fed(parser, data, range(0, len(data), 100)), [0, 1, number, number + 1])
+            assert parser.counts.bad_time == parser.counts.bad == 1
             found += 1
     assert found > 0
+
+
+def test_a_run_of_ff_counts_as_one_however_many_headers_are_in_it() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 1]) + b"\xff" * 100 + packets([2, 3]), 0.0), range(4))
+    assert (parser.counts.bad_value, parser.counts.bad) == (1, 1)
 
 
 def test_a_long_run_of_garbage_counts_as_the_frames_it_took_the_place_of() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from pathlib import Path
 
@@ -11,12 +12,13 @@ import pytest
 import serial
 from sensor_rig import Encode, Switch, assert_played, next_frames, next_state, sensing, silence, stream_of
 
+from drivers import sensor as sensor_module
 from drivers import sensor_state
 from drivers.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.protocol import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from drivers.recording import Stream
-from drivers.sensor import SensorState
+from drivers.sensor import FrameQueue, Sensor, SensorError, SensorState
 from drivers.sensor_state import Announcer
 
 
@@ -25,7 +27,7 @@ def test_a_pad_that_falls_silent_is_down_and_up_again_when_it_goes_on() -> None:
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
         next_frames(queue, 5)
         switch.encode = silence
-        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 0.3 s")
+        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 0.5 s")
         switch.encode = encode_fabric_grid
         assert next_state(queue).reason.startswith(f"frames arrive from {port.path} again after 0.")
         next_frames(queue, 5)
@@ -64,7 +66,7 @@ def test_bytes_without_frames_are_recognised_and_frames_come_again_when_they_are
     switch = Switch(trouble)
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
         assert reason in next_state(queue).reason
-        time.sleep(0.4)
+        time.sleep(0.6)
         switch.encode = encode_fabric_grid
         begun_s = time.monotonic()
         assert next_state(queue).state == "up"
@@ -174,6 +176,29 @@ def test_a_failure_nobody_foresaw_is_told_and_gone_when_its_cause_is() -> None:
         assert next_state(queue).state == "up"
 
 
+def test_what_is_only_passed_through_on_the_way_back_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
+    states: list[SensorState] = []
+    announcer = Announcer(states.append)
+    for kind in ("missing", "denied", "missing", "busy", "busy", "busy"):
+        announcer.down(kind, kind)
+    assert [state.reason for state in states] == ["missing", "busy"]
+    assert [record.message for record in caplog.records] == ["missing", "busy"]
+
+
+def test_however_long_it_is_gone_it_is_looked_for_at_least_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = threading.Semaphore(0)
+
+    def not_there(port: str, baud: int) -> None:
+        looked.release()
+        raise SensorError("missing", "not there")
+
+    monkeypatch.setattr(sensor_module, "open_port", not_there)
+    sensor = Sensor("pad", 512000, FabricGrid(), FrameQueue(), first_retry_s=0.001, longest_retry_s=0.004)
+    sensor.start()
+    assert all(looked.acquire(timeout=5.0) for _ in range(50))
+    sensor.stop()
+
+
 @pytest.mark.parametrize("rate_hz", [43.2, 64.8])
 def test_a_pad_20_percent_too_slow_or_too_fast_loses_nothing(
     rate_hz: float, caplog: pytest.LogCaptureFixture
@@ -181,7 +206,7 @@ def test_a_pad_20_percent_too_slow_or_too_fast_loses_nothing(
     caplog.set_level(logging.INFO)
     counts = stream_of(40).counts
     stream = Stream(counts, np.rint(np.arange(40) * 1000 / rate_hz).astype(np.int64), ())
-    with FakePort(stream, encode_fabric_grid, speed=5.0) as port, sensing(port.path) as queue:
+    with FakePort(stream, encode_fabric_grid, speed=5.0) as port, sensing(port.path, silence_s=5.0) as queue:
         assert_played(next_frames(queue, 40), stream, range(40))
     assert [record.levelname for record in caplog.records] == ["INFO"]
 
@@ -198,7 +223,7 @@ def test_a_clock_that_restarts_jumps_or_wraps_loses_nothing(
     def encode(counts: Counts, sensor_ms: int) -> bytes:
         return encode_fabric_grid(counts, sensor_ms + (before_ms if sensor_ms < 1300 else after_ms))
 
-    with FakePort(stream, encode, speed=5.0) as port, sensing(port.path) as queue:
+    with FakePort(stream, encode, speed=5.0) as port, sensing(port.path, silence_s=5.0) as queue:
         frames = next_frames(queue, 40)
     np.testing.assert_array_equal([frame.pressure for frame in frames], stream.counts)
     assert [record.levelname for record in caplog.records] == ["INFO"]
