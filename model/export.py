@@ -55,6 +55,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
         calibrated,
         (example,),
         dynamo=True,
+        verbose=False,
         opset_version=OPSET,
         input_names=["counts"],
         output_names=["probabilities"],

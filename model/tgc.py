@@ -17,6 +17,8 @@ from drivers.frame import COLUMNS, ROWS
 from model.settings import NetworkSettings
 
 VARIANCE_FLOOR = 1e-5
+# A distance at which even the least of the attention's slopes leaves no weight.
+FAR_FRAMES = 1e6
 KNEE_COUNTS = 4.0
 """Counts below are taken about linearly, above logarithmically: idle taxels read a few counts of noise."""
 # Of log(1 + counts / KNEE_COUNTS) and of its change between frames, over the HAART training recordings.
@@ -119,7 +121,7 @@ class EncoderBlock(nn.Module):
         query, key, value = packed.permute(2, 0, 3, 1, 4)  # each (B, heads, T, width / heads)
         steps = torch.arange(T, device=x.device)
         distance = (steps[:, None] - steps[None, :]).to(x.dtype)  # (T, T)
-        bias = torch.where(distance < 0, torch.full_like(distance, -1e4), -self.slopes * distance)
+        bias = -self.slopes * torch.where(distance < 0, torch.full_like(distance, FAR_FRAMES), distance)
         scores = query @ key.transpose(-1, -2) / math.sqrt(width // self.heads) + bias
         mixed = (torch.softmax(scores, dim=-1) @ value).transpose(1, 2).reshape(B, T, width)
         x = x + self.dropout(self.project(mixed))
@@ -161,7 +163,8 @@ class TGC(nn.Module):
         """Return (B, classes) logits over the whole window (B, T, 8, 8)."""
         features = self.features(counts)
         mean = features.mean(dim=1)
-        variance = (features * features).mean(dim=1) - mean * mean
+        # Not as a difference of means: in float32 its digits cancel where frames hardly change.
+        variance = (features - mean[:, None]).square().mean(dim=1)
         logits: Tensor = self.dense(self._summary(mean, variance, features.amax(dim=1)))
         return logits
 
