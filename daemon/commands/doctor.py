@@ -1,0 +1,83 @@
+"""`touchd doctor`: looks at pad, model, robot and service, and says what to do."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from daemon.config import Settings, load
+from daemon.doctor.check import Check, Verdict
+from daemon.doctor.examine import examine
+
+WIDTH = 80
+VERDICT_WIDTH, NAME_WIDTH = 11, 11
+STYLES: dict[Verdict, str] = {"ok": "green", "warning": "yellow", "to do": "bold red", "not checked": "dim"}
+LISTEN_S = 8.0
+SHORTEST_S, LONGEST_S = 1.0, 600.0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Show a line for each check; returns 0 when there is nothing to do, else 1."""
+    parser = argparse.ArgumentParser(
+        prog="touchd doctor",
+        description="Looks at the pad, the model, the robot and the service, and says what to do. Leave the "
+        "pad alone meanwhile. Exit code 0: nothing to do; 1: something; 2: a mistake in the call.",
+    )
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    parser.add_argument("--port", help="look at this port instead of the configured one")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=LISTEN_S, help="how long to listen to the pad (%(default)g)"
+    )
+    parser.add_argument("--press", action="store_true", help="ask for a corner, to tell how the pad lies")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
+    options = parser.parse_args(arguments)
+    settings = load(options.config) if options.config else Settings()
+    if options.port:
+        settings = msgspec.structs.replace(
+            settings, sensor=msgspec.structs.replace(settings.sensor, port=options.port)
+        )
+    talk = Console(stderr=True, width=WIDTH, highlight=False)
+    checks = examine(settings, options.seconds, lambda line: talk.print(line, style="cyan"), options.press)
+    return _as_json(checks) if options.json else _as_lines(checks)
+
+
+def _as_json(checks: Iterable[Check]) -> int:
+    found = list(checks)
+    to_do = any(check.verdict == "to do" for check in found)
+    sys.stdout.buffer.write(msgspec.json.encode({"ok": not to_do, "checks": found}) + b"\n")
+    return int(to_do)
+
+
+def _as_lines(checks: Iterable[Check]) -> int:
+    console = Console(width=WIDTH, highlight=False)
+    to_do = 0
+    for check in checks:
+        console.print(_line(check))
+        to_do += check.verdict == "to do"
+    console.print(f"{to_do} to do" if to_do else "nothing to do", style="bold")
+    return int(to_do > 0)
+
+
+def _line(check: Check) -> Table:
+    line = Table.grid(padding=(0, 1, 0, 0))
+    line.add_column(width=VERDICT_WIDTH)
+    line.add_column(width=NAME_WIDTH)
+    line.add_column(width=WIDTH - VERDICT_WIDTH - NAME_WIDTH - 3, overflow="fold")
+    line.add_row(Text(check.verdict, STYLES[check.verdict]), check.name, Text(check.found))
+    if check.advice:
+        line.add_row("", "", Text(f"-> {check.advice}", "bold"))
+    return line
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not SHORTEST_S <= seconds <= LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{text} is not within {SHORTEST_S:g} to {LONGEST_S:g}")
+    return seconds

@@ -1,0 +1,88 @@
+"""The examination: every check in turn, each bounded in time, and those left out that cannot be made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import serial
+
+from daemon.config import Settings
+from daemon.doctor.check import Check
+from daemon.doctor.line import check_damage, check_protocol, check_rate, port_is_not_open, port_is_open
+from daemon.doctor.listening import Heard, listen
+from daemon.doctor.machine import check_model, check_robot, check_service
+from daemon.doctor.pad import (
+    check_noise,
+    check_orientation,
+    check_quiet,
+    check_rest,
+    check_taxels,
+    is_pressed,
+)
+from daemon.wire import parser_for
+from drivers.port import open_port
+from drivers.sensor import SensorError, check_port
+
+PRESS_S = 15.0
+# Too few to say anything of a rate.
+LEAST_FRAMES = 10
+
+Say = Callable[[str], None]
+
+
+def examine(settings: Settings, seconds: float, say: Say, with_press: bool = False) -> Iterator[Check]:
+    """Yield each check as soon as it is made.
+
+    seconds: how long the pad is listened to. say: shows a line to the person at the pad. with_press: the
+    person is asked to press a corner, to tell which way round the pad lies.
+    """
+    yield from _examine_pad(settings, seconds, say, with_press)
+    yield check_model(settings)
+    yield check_robot(settings)
+    yield check_service()
+
+
+def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool) -> Iterator[Check]:
+    sensor = settings.sensor
+    try:
+        check_port(sensor.port, sensor.baud)
+        opened = open_port(sensor.port, sensor.baud)
+    except SensorError as error:
+        yield port_is_not_open(error)
+        yield Check("pad", "not checked", "there is no port to read it from")
+        return
+    with opened:
+        yield port_is_open(sensor)
+        say(f"Leave the pad alone for {seconds:g} s ...")
+        heard = listen(opened, parser_for(sensor), seconds)
+        yield check_protocol(heard, sensor, opened)
+        if len(heard.frames) < LEAST_FRAMES:
+            yield Check("pad", "not checked", "no frames come")
+            return
+        yield check_damage(heard)
+        yield check_rate(heard)
+        yield from _examine_rest(heard, settings)
+        yield _examine_orientation(opened, heard, settings, say, with_press)
+
+
+def _examine_rest(heard: Heard, settings: Settings) -> Iterator[Check]:
+    quiet = check_quiet(heard, settings)
+    yield quiet
+    if quiet.verdict == "ok":
+        yield check_rest(heard, settings)
+        yield check_noise(heard)
+    else:
+        yield Check("rest", "not checked", "rest and noise cannot be told from a touch")
+    yield from check_taxels(heard)
+
+
+def _examine_orientation(
+    opened: serial.Serial, heard: Heard, settings: Settings, say: Say, with_press: bool
+) -> Check:
+    if not with_press:
+        return Check("orientation", "not checked", "touchd doctor --press asks for a corner, and tells")
+    rest = np.median(heard.counts(), axis=0)
+    say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
+    pressed = listen(opened, parser_for(settings.sensor), PRESS_S, enough=lambda f: is_pressed(f, rest))
+    return check_orientation(pressed, rest)

@@ -1,0 +1,155 @@
+"""Whether frames come over the pad's line: the port, what is spoken on it, how clean and how fast it is."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import serial
+from numpy.typing import NDArray
+from serial.tools.list_ports import comports
+
+from daemon.config import SensorSettings
+from daemon.doctor.check import Check
+from daemon.doctor.listening import START_S, Heard, listen
+from daemon.wire import parser_for
+from drivers.diagnosis import diagnose
+from drivers.frame import FRAME_RATE_HZ
+from drivers.sensor import SensorError
+
+Series = NDArray[np.float64]
+
+# What boards are usually set to: the lab's Mega and Teensy builds first.
+USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
+TRY_BAUD_S = 0.5
+# The ring lays such rates on the model's 54 Hz.
+SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
+# A frame in a thousand is bridged without harm; one in fifty is a fault that will grow.
+CLEAN_SHARE, BROKEN_SHARE = 0.001, 0.02
+# Two frames so much further apart than usual have lost one between them.
+LOST_STEP = 1.75
+COMPARABLE_S = 1.5
+CLOCK_TOLERANCE = 0.05
+STOPPED_S = 1.0
+
+ADVICE_FOR_PORT = {
+    "missing": "plug the pad in, or name its port in sensor.port or with --port",
+    "denied": "after that: log out and in again",
+    "busy": "end the other program while the doctor looks; the service: sudo systemctl stop touchd",
+    "unusable": "name the pad's port in sensor.port or with --port",
+}
+ADVICE_FOR_BYTES = {
+    "format": "set sensor.protocol, rows, columns and crop to what it looks like",
+    "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
+    "damage": "try a shorter cable and another USB port, without a hub",
+    "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy",
+}
+
+
+def port_is_open(sensor: SensorSettings) -> Check:
+    """Say that the port could be opened, and which device a link stands for."""
+    device = os.path.realpath(sensor.port)
+    is_link = os.path.islink(sensor.port)
+    return Check("port", "ok", f"{sensor.port}{f' ({device})' if is_link else ''}, found and permitted")
+
+
+def port_is_not_open(error: SensorError) -> Check:
+    """Say why the port could not be opened, and which ports there are."""
+    others = ", ".join(sorted(port.device for port in comports()))
+    advice = ADVICE_FOR_PORT[error.kind]
+    if error.kind in ("missing", "unusable"):
+        advice += f"; there are {others}" if others else "; this machine has no serial port at all"
+    return Check("port", "to do", str(error), advice)
+
+
+def check_protocol(heard: Heard, sensor: SensorSettings, opened: serial.Serial) -> Check:
+    """Say whether frames were understood; if not, what the bytes look like, trying other baud rates."""
+    expected = parser_for(sensor).description
+    if heard.frames:
+        return Check("protocol", "ok", f"{expected} at {sensor.baud} baud, as configured")
+    if heard.broke_off:
+        return Check("protocol", "to do", heard.broke_off, "try another cable")
+    if not heard.recent:
+        return Check(
+            "protocol",
+            "to do",
+            f"no data within {START_S:g} s",
+            "is it the pad's port? press the reset button of its board; flash its firmware",
+        )
+    kind, looks = diagnose(heard.recent, expected)
+    if kind == "noise" and (baud := _other_baud(sensor, opened)):
+        return Check("protocol", "to do", f"{expected}, but at {baud} baud", f"set sensor.baud: {baud}")
+    return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
+
+
+def _other_baud(sensor: SensorSettings, opened: serial.Serial) -> int | None:
+    """Return the baud rate at which the pad's frames are understood, None if there is none of the usual."""
+    for baud in USUAL_BAUDS:
+        if baud == sensor.baud:
+            continue
+        try:
+            opened.baudrate = baud
+            opened.reset_input_buffer()
+        except (OSError, ValueError):
+            continue
+        if listen(opened, parser_for(sensor), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
+            return baud
+    return None
+
+
+def check_damage(heard: Heard) -> Check:
+    """Say how many frames arrived damaged."""
+    share = heard.damaged / (heard.damaged + len(heard.frames))
+    figures = {"frames": float(len(heard.frames)), "damaged": float(heard.damaged)}
+    found = f"{len(heard.frames)} frames intact, {heard.damaged} damaged"
+    if share > BROKEN_SHARE:
+        return Check("line", "to do", found, ADVICE_FOR_BYTES["damage"], figures)
+    return Check("line", "ok" if share <= CLEAN_SHARE else "warning", found, "", figures)
+
+
+def check_rate(heard: Heard) -> Check:
+    """Say how many frames a second the pad sends, how evenly, and whether its clock is right."""
+    steps_ms, arrival_s = heard.steps_ms(), heard.arrival_s()
+    if heard.broke_off:
+        return Check("rate", "to do", heard.broke_off, "try another cable")
+    if heard.ended_s - arrival_s[-1] > STOPPED_S:
+        return Check("rate", "to do", "the frames stopped while they were listened to", "try another cable")
+    usual_ms = float(np.median(steps_ms))
+    whole_ms = steps_ms[steps_ms < LOST_STEP * usual_ms]
+    lost = int(np.rint(steps_ms / usual_ms - 1).clip(0).sum())
+    rate_hz = 1000.0 / float(whole_ms.mean())
+    waits_ms = 1000 * np.diff(arrival_s)
+    figures = {
+        "rate_hz": round(rate_hz, 2),
+        "jitter_ms": round(float(whole_ms.std()), 2),
+        "arrival_jitter_ms": round(float(waits_ms.std()), 2),
+        "longest_wait_ms": round(float(waits_ms.max()), 1),
+        "lost": float(lost),
+    }
+    found = (
+        f"{rate_hz:.1f} frames/s, jitter {figures['jitter_ms']:.1f} ms by the pad's clock, "
+        f"{figures['arrival_jitter_ms']:.1f} ms on arrival, longest wait {figures['longest_wait_ms']:.0f} ms"
+    )
+    pace = _pace(steps_ms, arrival_s)
+    if abs(pace - 1) > CLOCK_TOLERANCE:
+        found += f"; its clock runs {pace:.2f} times as fast as this machine's"
+        return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
+    if rate_hz < SLOWEST_HZ:
+        advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
+        return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
+    if lost > CLEAN_SHARE * len(steps_ms):
+        return Check("rate", "warning", f"{found}; {lost} frames lost on the way", "", figures)
+    if rate_hz > FASTEST_HZ:
+        found += f"; the model takes {FRAME_RATE_HZ:g}, so many are left out"
+        return Check("rate", "warning", found, "", figures)
+    return Check("rate", "ok", found, "", figures)
+
+
+def _pace(steps_ms: Series, arrival_s: Series) -> float:
+    """Return how fast the pad's clock runs by this machine's; 1 where too little was heard to tell."""
+    since_s = arrival_s - arrival_s[0]
+    if since_s[-1] < COMPARABLE_S:
+        return 1.0
+    # A line through all frames: one that arrived late must not tip the scales.
+    slope, _ = np.polyfit(since_s, np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000, 1)
+    return float(slope)

@@ -1,0 +1,93 @@
+"""Listening to a pad for a while: what came over its line, however it ended."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import serial
+from numpy.typing import NDArray
+
+from drivers.frame import Counts, Frame
+from drivers.framing import CLOCK_MODULUS
+from drivers.port import SensorError, read_waiting
+from drivers.protocol import Protocol
+
+# Opening the port restarts an Arduino, whose boot loader takes two seconds.
+START_S = 4.0
+# Enough to see many frames of any geometry.
+RECENT_BYTES = 8192
+# No pad sends more than a frame for each tick of its clock.
+TICK_MS = 1
+LONGEST_STEP_MS = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """What came over the line.
+
+    frames: in order. damaged: frames refused as damaged after the first intact one. recent: the last bytes of
+    which no frame could be made. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port
+    went away meanwhile, "" when it did not.
+    """
+
+    frames: tuple[Frame, ...]
+    damaged: int
+    recent: bytes
+    ended_s: float
+    broke_off: str
+
+    def counts(self) -> Counts:
+        """Return the pressure of all frames, (T, 8, 8) uint16."""
+        return np.stack([frame.pressure for frame in self.frames])
+
+    def steps_ms(self) -> NDArray[np.float64]:
+        """Return the times between frames by the pad's clock, (T - 1,)."""
+        stamps = np.array([frame.sensor_ms for frame in self.frames], dtype=np.int64)
+        return (np.diff(stamps) % CLOCK_MODULUS).astype(np.float64)
+
+    def arrival_s(self) -> NDArray[np.float64]:
+        """Return when each frame arrived, (T,), `time.monotonic()`."""
+        return np.array([frame.host_s for frame in self.frames])
+
+
+def listen(
+    opened: serial.Serial,
+    parser: Protocol,
+    seconds: float,
+    start_s: float = START_S,
+    enough: Callable[[Frame], bool] = lambda frame: False,
+) -> Heard:
+    """Listen for `seconds` from the first frame on, by the pad's clock or this machine's, whichever is first.
+
+    start_s: how long the first frame may take. enough: ends it at once when true of a frame. Takes at most
+    start_s + seconds, whatever comes.
+    """
+    frames: list[Frame] = []
+    recent, broke_off = b"", ""
+    damaged_before, passed_ms = 0, 0
+    now_s = time.monotonic()
+    until_s = now_s + start_s
+    is_enough = False
+    while not is_enough and now_s < until_s and passed_ms < 1000 * seconds:
+        try:
+            data = read_waiting(opened)
+        except SensorError as error:
+            broke_off = str(error)
+            break
+        now_s = time.monotonic()
+        arrived = parser.feed(data, now_s)
+        recent = b"" if arrived else (recent + data)[-RECENT_BYTES:]
+        if arrived and not frames:
+            until_s = now_s + seconds
+            damaged_before = parser.counts.bad
+        for frame in arrived:
+            if frames:
+                step_ms = (frame.sensor_ms - frames[-1].sensor_ms) % CLOCK_MODULUS
+                passed_ms += min(max(step_ms, TICK_MS), LONGEST_STEP_MS)
+            frames.append(frame)
+            is_enough |= enough(frame)
+    damaged = parser.counts.bad - damaged_before if frames else 0
+    return Heard(tuple(frames), damaged, recent, now_s, broke_off)

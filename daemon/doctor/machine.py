@@ -1,0 +1,124 @@
+"""What is around the pad: the model, the robot, the service."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+import time
+
+import numpy as np
+
+from daemon.config import ConfigError, Settings
+from daemon.doctor.check import Check
+from daemon.service import load_model
+from drivers.frame import COLUMNS, ROWS
+from drivers.robot import RobotSettings, read_login
+from drivers.robot_session import OpenSession, QiSession, RobotError, RobotLost, RobotRefused
+from model.classifier import ModelError
+
+UNIT = "touchd"
+SYSTEMCTL_S = 3.0
+# As systemctl(1) and org.freedesktop.systemd1(5) name them.
+PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result", "NRestarts", "StatusText")
+# An answer within one frame of the pad, so that none waits for the one before.
+SLOW_ANSWER_MS = 18.5
+TIMED_ANSWERS = 5
+
+
+def check_model(settings: Settings) -> Check:
+    """Load the model as the daemon would, and ask it the longest question that the scene asks."""
+    try:
+        classifier = load_model(settings)
+    except ModelError as error:
+        return Check("model", "to do", str(error), "leave model out of the settings to use the shipped one")
+    except ConfigError as error:
+        return Check("model", "to do", str(error), "make the scene fit the model, or export a model for it")
+    frames = settings.scene.answer_at_frames[-1]
+    window = np.zeros((frames, ROWS, COLUMNS), dtype=np.float32)
+    took_ms: list[float] = []
+    for _ in range(TIMED_ANSWERS):
+        begun_s = time.perf_counter()
+        classifier.probabilities(window)
+        took_ms.append(1000 * (time.perf_counter() - begun_s))
+    answer_ms = float(np.median(took_ms))
+    found = f"{classifier.name}, {len(classifier.labels)} gestures, answers in {answer_ms:.1f} ms"
+    figures = {"answer_ms": round(answer_ms, 2)}
+    if answer_ms > SLOW_ANSWER_MS:
+        return Check("model", "warning", f"{found}: a slow or busy machine, answers come late", "", figures)
+    return Check("model", "ok", found, "", figures)
+
+
+def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Check:
+    """Connect to the configured robot and ask for its version, within its limits of a few seconds."""
+    if settings.robot is None:
+        return Check("robot", "ok", "none is configured")
+    robot = settings.robot
+    wanted = RobotSettings(
+        url=robot.url, user=robot.user, token_file=robot.token_file, token_env=robot.token_env
+    )
+    try:
+        version, took_s = _ask_version(wanted, open_session)
+    except RobotError as error:
+        return Check("robot", "to do", str(error), "see docs/install.md, Wire a robot")
+    except RobotLost as error:
+        advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
+        return Check("robot", "to do", f"{wanted.url}: {error}", advice)
+    except RobotRefused as error:
+        return Check(
+            "robot", "to do", f"{wanted.url}: {error}", "is that a robot with NAOqi? check robot.url"
+        )
+    found = f"NAOqi {version} at {wanted.url}, reached in {1000 * took_s:.0f} ms"
+    return Check("robot", "ok", found, "", {"reached_ms": round(1000 * took_s, 1)})
+
+
+def _ask_version(wanted: RobotSettings, open_session: OpenSession) -> tuple[str, float]:
+    """Return what the robot says it runs, and how long it took to hear it, in seconds."""
+    login = read_login(wanted)
+    session = open_session(wanted.url, login, wanted.limits, threading.Event())
+    begun_s = time.monotonic()
+    try:
+        session.connect()
+        version = session.call("ALSystem", "systemVersion", limit_s=wanted.limits.call_s)
+        return str(version), time.monotonic() - begun_s
+    finally:
+        session.close()
+
+
+def check_service() -> Check:
+    """Ask systemd whether the service is installed, runs, and is started at boot."""
+    state = _unit_state()
+    if state is None:
+        return Check("service", "not checked", "no systemd answers on this machine")
+    if state["LoadState"] != "loaded":
+        return Check("service", "ok", f"no {UNIT} service is installed; docs/install.md tells how")
+    if state["ActiveState"] == "failed":
+        return Check(
+            "service",
+            "to do",
+            f"failed ({state['Result'] or 'no reason given'})",
+            f"sudo journalctl -u {UNIT} -e says why; then sudo systemctl restart {UNIT}",
+        )
+    if state["ActiveState"] != "active":
+        return Check("service", "warning", f"installed, but {state['ActiveState'] or 'not active'}")
+    found = f"runs: {state['StatusText'] or state['SubState']}"
+    if (restarts := state["NRestarts"]) not in ("", "0"):
+        return Check("service", "warning", f"{found}; it was restarted {restarts} times")
+    if state["UnitFileState"] == "disabled":
+        return Check("service", "warning", f"{found}; but it is not started at boot")
+    return Check("service", "ok", found)
+
+
+def _unit_state() -> dict[str, str] | None:
+    """Return what systemd knows of the unit, None where there is no systemd to ask."""
+    try:
+        done = subprocess.run(
+            ["systemctl", "show", UNIT, f"--property={','.join(PROPERTIES)}"],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=SYSTEMCTL_S,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    lines = (line.partition("=") for line in done.stdout.splitlines())
+    return dict.fromkeys(PROPERTIES, "") | {name: value for name, _, value in lines}

@@ -1,0 +1,139 @@
+"""Whether the pad feels as a pad should: its rest, its noise, its taxels, which way round it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.config import Settings
+from daemon.doctor.check import Check
+from daemon.doctor.listening import Heard
+from daemon.ring import Ring
+from daemon.touch import MAX_DEVIATION_COUNTS, Onset, TouchTracker
+from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
+from drivers.pad_health import Finding, Kind, PadHealth
+
+# In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
+WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
+LOADED_COUNTS = 50.0
+# How long PadHealth needs to know a still taxel from one that happens to keep still.
+HEALTH_S = 6.0
+PRESSED_COUNTS = 40
+NAMED_TAXELS = 3
+
+ADVICE_FOR: dict[Kind, str] = {
+    "frozen": "press the reset button of its board; look at the cable between pad and board",
+    "dead line": "look at that wire and its plug",
+    "stuck taxel": "look at the pad there: a thread that came loose, a short?",
+    "saturated": "take the load off the pad; if there is none, look for a short",
+    "drift": "take off what lies on the pad; let it rest some minutes",
+}
+
+
+def check_rest(heard: Heard, settings: Settings) -> Check:
+    """Say how much the pad reads while nothing touches it, and whether that is the right way round."""
+    level = np.median(heard.counts(), axis=0)
+    figures = {"rest_counts": round(float(level.mean()), 1), "highest_rest_counts": float(level.max())}
+    found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
+    if level.mean() > WRONG_WAY_COUNTS:
+        other = str(not settings.sensor.invert).lower()
+        return Check("rest", "to do", f"{found}: upside down", f"set sensor.invert: {other}", figures)
+    if level.max() > LOADED_COUNTS:
+        where = _places(level > LOADED_COUNTS)
+        advice = "take it off; if nothing does, look for a short there"
+        return Check("rest", "to do", f"{found}: something lies on {where}", advice, figures)
+    return Check("rest", "ok", found, "", figures)
+
+
+def check_quiet(heard: Heard, settings: Settings) -> Check:
+    """Say whether the daemon would have felt a touch."""
+    touches = _touches(heard.frames, settings)
+    figures = {"touches": float(touches)}
+    if touches == 0:
+        return Check("quiet", "ok", "no touch was felt while the pad was left alone", "", figures)
+    advice = (
+        "if you did not touch it: look for a loose wire with touchd run --view, or raise touch.onset_level"
+    )
+    return Check("quiet", "to do", f"{_times(touches)} felt while listening", advice, figures)
+
+
+def _touches(frames: Sequence[Frame], settings: Settings) -> int:
+    ring = Ring(settings.ring, 1)
+    tracker = TouchTracker(settings.touch)
+    return sum(isinstance(tracker.update(laid), Onset) for frame in frames for laid in ring.push(frame))
+
+
+def _times(touches: int) -> str:
+    return "a touch was" if touches == 1 else f"{touches} touches were"
+
+
+def check_noise(heard: Heard) -> Check:
+    """Say how much the taxels stray from frame to frame; a pad that was touched meanwhile strays more."""
+    steps = np.diff(heard.counts().astype(np.float64), axis=0)
+    noise = steps.std(axis=0) / np.sqrt(2.0)
+    usual, highest = float(np.median(noise)), float(noise.max())
+    figures = {"noise_counts": round(usual, 2), "highest_noise_counts": round(highest, 2)}
+    found = f"{usual:.1f} counts a taxel, {highest:.1f} at most"
+    loud = noise > MAX_DEVIATION_COUNTS
+    if loud.sum() > ROWS * COLUMNS // 2:
+        advice = "try another USB port or supply, and a cable away from motors; connect the grounds"
+        return Check("noise", "to do", f"{found}: the whole pad is noisy", advice, figures)
+    if loud.any():
+        advice = "look at the wires there; light touches are missed until they are mended"
+        return Check("noise", "to do", f"{found}: {_places(loud)} is noisy", advice, figures)
+    return Check("noise", "ok", found, "", figures)
+
+
+def check_taxels(heard: Heard) -> list[Check]:
+    """Say which taxels are dead or stuck, one check for each kind of trouble."""
+    listened_s = float(heard.steps_ms().sum()) / 1000
+    if listened_s < HEALTH_S:
+        return [
+            Check("taxels", "not checked", f"that takes {HEALTH_S:g} s, frames came for {listened_s:.1f}")
+        ]
+    if not heard.counts().std(axis=0).any():
+        advice = "press all over the pad in touchd run --view: where nothing lights up, it is broken"
+        found = "no value changed: the pad is silent at rest, or it hangs"
+        return [Check("taxels", "warning", found, advice)]
+    health = PadHealth()
+    troubles: dict[Kind, Finding] = {}
+    for frame in heard.frames:
+        if finding := health.update(frame):
+            if finding.began:
+                troubles[finding.kind] = finding
+            else:
+                troubles.pop(finding.kind, None)
+    if not troubles:
+        return [Check("taxels", "ok", f"all {ROWS * COLUMNS} are alive")]
+    return [Check("taxels", "to do", trouble.what, ADVICE_FOR[kind]) for kind, trouble in troubles.items()]
+
+
+def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
+    """Return whether a finger presses the pad in this frame. rest: (8, 8) counts while nothing does."""
+    return bool((frame.pressure - rest).max() >= PRESSED_COUNTS)
+
+
+def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
+    """Say which corner the pad felt when its top left one was pressed, as heard until `is_pressed`."""
+    if not heard.frames or not is_pressed(heard.frames[-1], rest):
+        return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor --press again")
+    pressure = heard.frames[-1].pressure - rest
+    row, column = np.unravel_index(int(pressure.argmax()), pressure.shape)
+    found = f"the top left corner is felt at row {row + 1} column {column + 1}"
+    if row < ROWS // 2 and column < COLUMNS // 2:
+        return Check("orientation", "ok", found)
+    if row >= ROWS // 2 and column >= COLUMNS // 2:
+        return Check("orientation", "to do", found, "turn the pad by 180 degrees")
+    return Check(
+        "orientation", "to do", found, "turn the pad by 90 degrees, or swap its plugs if it is mirrored"
+    )
+
+
+def _places(mask: NDArray[np.bool_]) -> str:
+    """Name the taxels of a mask (8, 8), counted from 1; only the first few."""
+    places = np.argwhere(mask)
+    named = ", ".join(f"row {row + 1} column {column + 1}" for row, column in places[:NAMED_TAXELS])
+    more = len(places) - NAMED_TAXELS
+    return f"{named} and {more} more" if more > 0 else named
