@@ -30,7 +30,7 @@ ROW_LEAK = 0.02
 EDGE_S = 0.08
 FINGER_WIDTH = 0.9
 
-DEMO_SEED = 20
+DEMO_SEED = 38
 DEMO_SCRIPT = (
     ("notouch", 2.5),
     *(
@@ -110,15 +110,15 @@ def stroke(rng: RandomState, time_s: Series) -> list[Patch]:
     part = np.minimum(1.0, cycles(rng, time_s, 1.0) % 1.0 / 0.65)
     force = 7.0 * np.sin(np.pi * part) ** 0.8 * (part < 1.0)
     across = 0.2 * wander(rng, time_s, 1.0)
-    return flat_hand(rng, time_s, 3.0 * (part - 0.5), across, force, 0.5)
+    return flat_hand(rng, time_s, 5.0 * (part - 0.5), across, force, 0.5)
 
 
 def rub(rng: RandomState, time_s: Series) -> list[Patch]:
     """A flat hand that goes to and fro without leaving the pad, pressing more one way than the other."""
     swing = 2.0 * np.pi * cycles(rng, time_s, 1.4)
-    force = 12.5 * (0.8 + 0.2 * np.sin(swing)) * (1.0 + 0.15 * wander(rng, time_s, 6.0))
+    force = 12.0 * (0.8 + 0.2 * np.sin(swing)) * (1.0 + 0.15 * wander(rng, time_s, 6.0))
     across = 0.4 * wander(rng, time_s, 1.0)
-    return flat_hand(rng, time_s, 1.2 * np.cos(swing), across, force, 0.15)
+    return flat_hand(rng, time_s, 2.4 * np.cos(swing), across, force, 0.15)
 
 
 def scratch(rng: RandomState, time_s: Series) -> list[Patch]:
