@@ -9,7 +9,7 @@ import tempfile
 import threading
 import typing
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import msgspec
@@ -33,6 +33,7 @@ RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 # The recording lasts 37 s; whatever goes wrong, the demo is over before a minute is.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
+PACE = 1.0
 
 ACTIONS = (
     ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {gesture}."))),
@@ -72,13 +73,17 @@ class PlainLines:
         """Lines cannot show a pad that moves."""
 
     def note(self, text: str, style: str = "") -> None:
-        """Write a line."""
-        sys.stdout.write(f"{text}\n")
-        sys.stdout.flush()
+        """Write a line; from any thread, so that a reader who is gone is left to `put` to notice."""
+        with suppress(BrokenPipeError):
+            self._write(text)
 
     def put(self, event: Event) -> None:
-        """Write an event in words."""
-        self.note(describe(event))
+        """Write an event in words; raises BrokenPipeError when nobody reads any more."""
+        self._write(describe(event))
+
+    def _write(self, text: str) -> None:
+        sys.stdout.write(f"{text}\n")
+        sys.stdout.flush()
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -120,7 +125,7 @@ def _play(stream: Stream, show: Show, closing: ExitStack) -> tuple[list[Predicti
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
     sensor = SensorSettings()
-    port = closing.enter_context(FakePort(stream, _showing(stream, encoder_for(sensor), show)))
+    port = closing.enter_context(FakePort(stream, _showing(stream, encoder_for(sensor), show), speed=PACE))
     settings = Settings(
         sensor=msgspec.structs.replace(sensor, port=port.path),
         scene=SceneSettings(actions=ACTIONS),

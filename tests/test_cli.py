@@ -18,7 +18,7 @@ import pytest
 from expectations import RECORDINGS, expected
 from rich.console import Console
 
-from daemon import cli
+from daemon import cli, demo
 from daemon.config import ConfigError, SceneSettings
 from daemon.describe import describe
 from daemon.events import Prediction, SensorEvent, TouchBegan, TouchEnded, decode
@@ -26,6 +26,8 @@ from daemon.rig import outline
 from daemon.service import check_fit
 from daemon.view import View
 from drivers.recording import Selection, read_recordings
+from drivers.robot_session import qi_installed
+from drivers.simulator import record
 from model.classifier import Classifier
 
 GESTURES = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
@@ -197,6 +199,37 @@ def test_replay_and_run_work_together_as_two_commands(tmp_path: Path) -> None:
             run.terminate()
             assert run.wait(10) == 0
         assert replay.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    "with_qi", [pytest.param(True, marks=pytest.mark.skipif(not qi_installed(), reason="no qi")), False]
+)
+def test_the_demo_shows_touch_answers_and_robot_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], with_qi: bool
+) -> None:
+    recording = tmp_path / "demo.csv.gz"
+    record(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
+    monkeypatch.setattr(demo, "RECORDING", recording)
+    monkeypatch.setattr(demo, "PACE", 5.0)
+    monkeypatch.setattr(demo, "qi_installed", lambda: with_qi)
+    assert cli.main(["demo", "--plain"]) == 0
+    shown = capfd.readouterr()
+    assert shown.err == ""
+    steps = [
+        "the simulated hand: pat\n",
+        "touch 1 begins\n",
+        "  early ",
+        "  revised ",
+        "  final ",
+        "touch 1 ends: ",
+        "The simulated hand did:  pat\n",
+        "What to try next:\n",
+    ]
+    places = [shown.out.find(step) for step in steps]
+    assert -1 not in places
+    assert places == sorted(places)
+    assert "robot hears Gesture: " in shown.out
+    assert 'robot says "' in shown.out
 
 
 def test_the_view_fits_80_by_24_whatever_it_shows() -> None:
