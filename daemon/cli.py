@@ -29,6 +29,7 @@ COMMANDS = (
     Command("demo", "daemon.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
+    Command("record", "daemon.commands.record", "guides through making recordings of your own"),
     Command("data", "daemon.commands.data", "fetches the HAART recordings, or checks a folder of them"),
     Command("train", "daemon.commands.train", "trains the networks of a recipe"),
     Command("export", "daemon.commands.export", "calibrates trained networks and writes them as ONNX files"),

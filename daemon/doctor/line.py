@@ -6,18 +6,16 @@ import os
 
 import numpy as np
 import serial
-from numpy.typing import NDArray
 from serial.tools.list_ports import comports
 
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
+from daemon.pace import pace_of, steps_ms
 from daemon.wire import parser_for
 from drivers.diagnosis import diagnose
 from drivers.frame import FRAME_RATE_HZ
 from drivers.sensor import SensorError
-
-Series = NDArray[np.float64]
 
 # What boards are usually set to: the lab's Mega and Teensy builds first.
 USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
@@ -26,8 +24,6 @@ TRY_BAUD_S = 0.5
 SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
 # A frame in a thousand is bridged without harm; one in fifty is a fault that will grow.
 CLEAN_SHARE, BROKEN_SHARE = 0.001, 0.02
-# Two frames so much further apart than usual have lost one between them.
-LOST_STEP = 1.75
 COMPARABLE_S = 1.5
 CLOCK_TOLERANCE = 0.05
 STOPPED_S = 1.0
@@ -109,47 +105,46 @@ def check_damage(heard: Heard) -> Check:
 
 def check_rate(heard: Heard) -> Check:
     """Say how many frames a second the pad sends, how evenly, and whether its clock is right."""
-    steps_ms, arrival_s = heard.steps_ms(), heard.arrival_s()
+    arrival_s = heard.arrival_s()
     if heard.broke_off:
         return Check("rate", "to do", heard.broke_off, "try another cable")
     if heard.ended_s - arrival_s[-1] > STOPPED_S:
         return Check("rate", "to do", "the frames stopped while they were listened to", "try another cable")
-    usual_ms = float(np.median(steps_ms))
-    whole_ms = steps_ms[steps_ms < LOST_STEP * usual_ms]
-    lost = int(np.rint(steps_ms / usual_ms - 1).clip(0).sum())
-    rate_hz = 1000.0 / float(whole_ms.mean())
+    pace = pace_of(heard.frames)
     waits_ms = 1000 * np.diff(arrival_s)
     figures = {
-        "rate_hz": round(rate_hz, 2),
-        "jitter_ms": round(float(whole_ms.std()), 2),
+        "rate_hz": round(pace.rate_hz, 2),
+        "jitter_ms": round(pace.jitter_ms, 2),
         "arrival_jitter_ms": round(float(waits_ms.std()), 2),
         "longest_wait_ms": round(float(waits_ms.max()), 1),
-        "lost": float(lost),
+        "lost": float(pace.lost),
     }
     found = (
-        f"{rate_hz:.1f} frames/s, jitter {figures['jitter_ms']:.1f} ms by the pad's clock, "
+        f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms by the pad's clock, "
         f"{figures['arrival_jitter_ms']:.1f} ms on arrival, longest wait {figures['longest_wait_ms']:.0f} ms"
     )
-    pace = _pace(steps_ms, arrival_s)
-    if abs(pace - 1) > CLOCK_TOLERANCE:
-        found += f"; its clock runs {pace:.2f} times as fast as this machine's"
+    clock = _clock_by_ours(heard)
+    if abs(clock - 1) > CLOCK_TOLERANCE:
+        found += f"; its clock runs {clock:.2f} times as fast as this machine's"
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
-    if rate_hz < SLOWEST_HZ:
+    if pace.rate_hz < SLOWEST_HZ:
         advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
         return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
-    if lost > CLEAN_SHARE * len(steps_ms):
-        return Check("rate", "warning", f"{found}; {lost} frames lost on the way", "", figures)
-    if rate_hz > FASTEST_HZ:
+    if pace.lost > CLEAN_SHARE * len(heard.frames):
+        return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
+    if pace.rate_hz > FASTEST_HZ:
         found += f"; the model takes {FRAME_RATE_HZ:g}, so many are left out"
         return Check("rate", "warning", found, "", figures)
     return Check("rate", "ok", found, "", figures)
 
 
-def _pace(steps_ms: Series, arrival_s: Series) -> float:
+def _clock_by_ours(heard: Heard) -> float:
     """Return how fast the pad's clock runs by this machine's; 1 where too little was heard to tell."""
+    arrival_s = heard.arrival_s()
     since_s = arrival_s - arrival_s[0]
     if since_s[-1] < COMPARABLE_S:
         return 1.0
     # A line through all frames: one that arrived late must not tip the scales.
-    slope, _ = np.polyfit(since_s, np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000, 1)
+    clock_s = np.concatenate([[0.0], np.cumsum(steps_ms(heard.frames))]) / 1000
+    slope, _ = np.polyfit(since_s, clock_s, 1)
     return float(slope)

@@ -43,11 +43,6 @@ class Heard:
         """Return the pressure of all frames, (T, 8, 8) uint16."""
         return np.stack([frame.pressure for frame in self.frames])
 
-    def steps_ms(self) -> NDArray[np.float64]:
-        """Return the times between frames by the pad's clock, (T - 1,)."""
-        stamps = np.array([frame.sensor_ms for frame in self.frames], dtype=np.int64)
-        return (np.diff(stamps) % CLOCK_MODULUS).astype(np.float64)
-
     def arrival_s(self) -> NDArray[np.float64]:
         """Return when each frame arrived, (T,), `time.monotonic()`."""
         return np.array([frame.host_s for frame in self.frames])

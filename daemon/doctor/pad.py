@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard
+from daemon.pace import steps_ms
 from daemon.ring import Ring
 from daemon.touch import MAX_DEVIATION_COUNTS, Onset, TouchTracker
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
@@ -88,7 +89,7 @@ def check_noise(heard: Heard) -> Check:
 
 def check_taxels(heard: Heard) -> list[Check]:
     """Say which taxels are dead or stuck, one check for each kind of trouble."""
-    listened_s = float(heard.steps_ms().sum()) / 1000
+    listened_s = float(steps_ms(heard.frames).sum()) / 1000
     if listened_s < HEALTH_S:
         return [
             Check("taxels", "not checked", f"that takes {HEALTH_S:g} s, frames came for {listened_s:.1f}")

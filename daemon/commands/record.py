@@ -1,0 +1,105 @@
+"""`touchd record`: guides a person through making a lab's own recordings, a file each."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from rich.console import Console
+
+from daemon.ask import Stopped, ask_name
+from daemon.capture import Pad
+from daemon.config import Settings, load
+from daemon.dialogue import Dialogue, Terms
+from daemon.record import NAME_RULE, Session, is_name, prepare
+from drivers.sensor import check_port
+
+GESTURES = "constant,notouch,pat,rub,scratch,stroke,tickle"
+WIDTH = 80
+MOST_ROUNDS = 100
+MOST_GESTURES = 50
+SHORTEST_S, LONGEST_S = 1.0, 60.0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Ask for one recording after the other until all are there, or until told to stop; returns 0."""
+    parser = argparse.ArgumentParser(
+        prog="touchd record",
+        description="Makes recordings of the pad for training, one file each, never written over. What "
+        "FOLDER holds already is not asked for again, so the same command goes on after a pause or a crash. "
+        "What the options leave open is asked for.",
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the recordings go")
+    parser.add_argument("--participant", type=_name, metavar="NAME", help="who touches")
+    parser.add_argument("--substrate", type=_name, metavar="NAME", help="what is under the pad, as in foam")
+    parser.add_argument("--cover", type=_name, metavar="NAME", help="what is over the pad, as in fur")
+    parser.add_argument(
+        "--gestures", type=_names, default=GESTURES, metavar="A,B,...", help="what is done (%(default)s)"
+    )
+    parser.add_argument("--rounds", type=_rounds, default=1, help="how often each gesture (%(default)s)")
+    parser.add_argument("--seconds", type=_seconds, default=8.0, help="length kept of each (%(default)g)")
+    parser.add_argument(
+        "--countdown", type=_seconds, default=3.0, help="how long the pad is left alone before (%(default)g)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="another order of gestures (%(default)s)")
+    parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    parser.add_argument("--port", help="read this port instead of the configured one")
+    options = parser.parse_args(arguments)
+    settings = load(options.config) if options.config else Settings()
+    if options.port:
+        settings = msgspec.structs.replace(
+            settings, sensor=msgspec.structs.replace(settings.sensor, port=options.port)
+        )
+    check_port(settings.sensor.port, settings.sensor.baud)
+    prepare(options.folder)
+    console = Console(width=WIDTH, highlight=False)
+    try:
+        with Pad(settings) as pad:
+            terms = Terms(options.seconds, options.countdown, options.licence)
+            Dialogue(console, pad, settings, _session(console, options), terms).run()
+    except (Stopped, KeyboardInterrupt):
+        console.print("\nStopped. What was kept is safe; the same command goes on from here.")
+    return 0
+
+
+def _session(console: Console, options: argparse.Namespace) -> Session:
+    """Return the session that the options describe, asking for what they leave open; raises Stopped."""
+    return Session(
+        folder=options.folder,
+        participant=options.participant or ask_name(console, "Who touches the pad?"),
+        substrate=options.substrate or ask_name(console, "What is under the pad?", "none"),
+        cover=options.cover or ask_name(console, "What is over the pad?", "none"),
+        gestures=options.gestures,
+        rounds=options.rounds,
+        seed=options.seed,
+    )
+
+
+def _name(text: str) -> str:
+    if not is_name(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no name: {NAME_RULE}")
+    return text
+
+
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(_name(name.strip()) for name in text.split(",")))
+    if len(names) > MOST_GESTURES:
+        raise argparse.ArgumentTypeError(f"more than {MOST_GESTURES} gestures")
+    return names
+
+
+def _rounds(text: str) -> int:
+    rounds = int(text)
+    if not 1 <= rounds <= MOST_ROUNDS:
+        raise argparse.ArgumentTypeError(f"{text} is not within 1 to {MOST_ROUNDS}")
+    return rounds
+
+
+def _seconds(text: str) -> float:
+    seconds = float(text)
+    if not SHORTEST_S <= seconds <= LONGEST_S:
+        raise argparse.ArgumentTypeError(f"{text} is not within {SHORTEST_S:g} to {LONGEST_S:g}")
+    return seconds

@@ -1,0 +1,106 @@
+"""A lab's own recordings: what is to be recorded, in which order, and each kept in a file of its own.
+
+One file a recording, FOLDER/participant_substrate_cover_gesture_number.csv.gz, in our own layout with its
+provenance. A file is there whole or not at all and is never written over, so a session that was cut off goes
+on where it ended.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers.recording import Recording, RecordingError, write_recordings
+
+SUFFIX = ".csv.gz"
+# Names are parts of file names, divided by "_", and cells of a CSV file.
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
+NAME_RULE = "a name has letters, digits and - only, 32 at most"
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording to be made: the `number`-th (from 1) of a gesture, and the file for it."""
+
+    gesture: str
+    number: int
+    path: Path
+
+
+@dataclass(frozen=True)
+class Session:
+    """Who does which gestures on what, how many rounds of them; each round in an order of its own.
+
+    The order depends on seed, participant and condition alone: the same session asks in the same order.
+    """
+
+    folder: Path
+    participant: str
+    substrate: str
+    cover: str
+    gestures: tuple[str, ...]
+    rounds: int
+    seed: int
+
+    def takes(self) -> list[Take]:
+        """Return every recording of the session, in the order in which they are asked for."""
+        return [
+            Take(gesture, number, self.folder / f"{self._setting}_{gesture}_{number}{SUFFIX}")
+            for number in range(1, self.rounds + 1)
+            for gesture in self._shuffled(number)
+        ]
+
+    @property
+    def _setting(self) -> str:
+        return f"{self.participant}_{self.substrate}_{self.cover}"
+
+    def _shuffled(self, number: int) -> list[str]:
+        gestures = sorted(self.gestures)
+        random.Random(f"{self.seed} {self._setting} {number}").shuffle(gestures)
+        return gestures
+
+
+def is_name(text: str) -> bool:
+    """Return whether a text can name a participant, a substrate, a cover or a gesture."""
+    return NAME.fullmatch(text) is not None
+
+
+def prepare(folder: Path) -> None:
+    """Make the folder, and see that recordings can be kept in it; raises RecordingError where they cannot."""
+    probe = folder / f".touchd-probe-{os.getpid()}"
+    linked = probe.with_suffix(".linked")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            probe.touch()
+            os.link(probe, linked)
+        finally:
+            probe.unlink(missing_ok=True)
+            linked.unlink(missing_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"{folder}: recordings cannot be kept there ({error.strerror}); name another folder"
+        ) from error
+
+
+def keep(path: Path, recording: Recording, provenance: Mapping[str, str]) -> None:
+    """Write a recording to its file, whole or not at all; raises RecordingError, also when it is there."""
+    partial = path.with_name(f".partial-{path.name}")
+    try:
+        # Left by a session that was cut off while it wrote.
+        partial.unlink(missing_ok=True)
+        write_recordings(partial, [recording], provenance)
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        # Unlike a renaming, a link fails where a file is there already.
+        os.link(partial, path)
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: is there already, and is never written over") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        partial.unlink(missing_ok=True)

@@ -1,0 +1,66 @@
+"""A program on a terminal of its own: what it shows is waited for, and answered as a person would."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import select
+import subprocess
+import sys
+import time
+from types import TracebackType
+
+SHOWS_WITHIN_S = 20.0
+ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
+
+
+class Terminal:
+    """Runs `touchd` with these arguments on a pty of 80x24."""
+
+    def __init__(self, *arguments: str) -> None:
+        self._master, slave = pty.openpty()
+        self.process = subprocess.Popen(
+            [sys.executable, "-m", "daemon", *arguments],
+            stdin=slave,
+            stdout=slave,
+            stderr=slave,
+            env={**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"},
+            start_new_session=True,
+        )
+        os.close(slave)
+        self._unread = ""
+        self.shown = ""
+
+    def until(self, text: str) -> str:
+        """Wait until a text is shown, and return what was shown up to it, without colours and movements."""
+        until_s = time.monotonic() + SHOWS_WITHIN_S
+        while text not in self._unread:
+            ready, _, _ = select.select([self._master], [], [], max(0.0, until_s - time.monotonic()))
+            data = self._read() if ready else b""
+            assert data, f"{text!r} was not shown; this was: {self._unread}"
+            self._unread = ESCAPES.sub("", self._unread + data.decode(errors="replace"))
+        before, _, self._unread = self._unread.partition(text)
+        self.shown += before + text
+        return before
+
+    def answer(self, line: str) -> None:
+        os.write(self._master, f"{line}\n".encode())
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._master, 65536)
+        except OSError:
+            # A terminal that its program has left cannot be read.
+            return b""
+
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        os.close(self._master)
