@@ -14,6 +14,7 @@ from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
+from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
 from daemon.sinks import Sink
 from daemon.wire import parser_for
@@ -98,6 +99,7 @@ def serve(
     queue = FrameQueue()
     sensor = Sensor(settings.sensor.port, settings.sensor.baud, parser_for(settings.sensor), queue)
     pipeline = Pipeline(settings.pipeline, classifier, outlet.emit)
+    pad_watch = PadWatch()
     # What was loaded stays: a collection that looks through all of it would take as long as an answer may.
     gc.freeze()
     sensor.start()
@@ -107,6 +109,7 @@ def serve(
                 case Frame() as frame:
                     pipeline.on_frame(frame)
                     health.frame_processed()
+                    pad_watch.update(frame)
                     if show_frame is not None:
                         show_frame(frame.pressure)
                 case SensorState() as state:
