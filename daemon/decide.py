@@ -39,6 +39,7 @@ class ProbabilityModel(typing.Protocol):
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One scene: which gestures can occur, when to answer, and how sure to be.
 
+    The defaults of the last two come from a measurement: docs/decision.md.
     gestures: those that can occur; empty means all the model knows. "notouch" always can, named or not.
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
     speak_above: calibrated confidence from which the robot is told before the final answer.
@@ -47,8 +48,8 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     gestures: tuple[str, ...] = ()
     answer_at_frames: tuple[FrameCount, FrameCount, FrameCount] = (54, 81, 144)
-    speak_above: Probability = 0.6
-    revise_margin: Probability = 0.15
+    speak_above: Probability = 0.65
+    revise_margin: Probability = 0.1
 
     def __post_init__(self) -> None:
         early, revised, final = self.answer_at_frames

@@ -62,6 +62,8 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     command: str
     machine: str
     labels: tuple[str, ...]
+    seeds: dict[str, dict[str, float]]
+    """Of the recipe's every seed, the shipped one too: accuracy on test by frames, realigned."""
     test: Evaluation
     left_out: Evaluation
 
@@ -80,6 +82,12 @@ def evaluate(split: Split) -> Evaluation:
             name: score(live, LENGTHS[-1], disturb).accuracy for name, disturb in DISTURBANCES.items()
         },
     )
+
+
+def accuracies(split: Split, lengths: Sequence[int]) -> dict[str, float]:
+    """Return the macro accuracy at each length, realigned, by the number of frames."""
+    live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
+    return {str(length): score(live, length).accuracy for length in lengths}
 
 
 def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:

@@ -76,6 +76,7 @@ def page_lines(scores: Scores) -> Iterable[str]:
     yield ""
     yield "![Accuracy against time](figures/accuracy.png)"
     yield ""
+    yield from _seed_table(scores)
     for name, evaluation in (
         ("Test participants", scores.test),
         ("Training participants, left out", scores.left_out),
@@ -88,6 +89,18 @@ def page_lines(scores: Scores) -> Iterable[str]:
     yield "## What is confused (test, realigned)"
     yield ""
     yield "![Confusion at the three answers](figures/confusion.png)"
+
+
+def _seed_table(scores: Scores) -> Iterable[str]:
+    yield "The same recipe from other seeds, on the test participants, realigned; the first ships:"
+    yield ""
+    yield f"| seed | {' | '.join(f'{length} frames' for length in LENGTHS)} |"
+    yield f"|---{'|---' * len(LENGTHS)}|"
+    for seed, accuracies in scores.seeds.items():
+        yield f"| {seed} | {' | '.join(_percent(accuracies[str(length)]) for length in LENGTHS)} |"
+    columns = [[100 * row[str(length)] for row in scores.seeds.values()] for length in LENGTHS]
+    yield f"| **mean ± sd** | {' | '.join(f'{np.mean(c):.1f} ± {np.std(c, ddof=1):.1f}' for c in columns)} |"
+    yield ""
 
 
 def _length_table(evaluation: Evaluation) -> Iterable[str]:

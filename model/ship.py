@@ -22,6 +22,7 @@ from model.train import CHECKPOINT_NAME, train_haart
 
 MAX_LENGTH = 432
 LEFT_OUT_FOLDER = "left_out"
+SEEDS_FOLDER = "seeds"
 SCORES_NAME = "scores.json"
 
 
@@ -33,7 +34,7 @@ def train_recipe(recipe: Recipe, haart_folder: Path, runs: Path, threads: int) -
 
 
 def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path) -> list[Path]:
-    """Export the shipped network, one file a further seed into `runs`, and one file a fold; return the paths.
+    """Export the shipped network, one file a further seed and one file a fold; return the paths.
 
     The shipped network's checkpoint is laid beside it, for comparing with PyTorch and for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
@@ -52,7 +53,7 @@ def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path)
     for job in final_jobs(recipe, runs):
         saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
-        path = weights / SHIPPED_MODEL.name if shipped else runs / f"{job.name}.onnx"
+        path = weights / SHIPPED_MODEL.name if shipped else seed_path(weights, job.settings.seed)
         _export(saved, recipe.name, temperatures, calibrate.accuracies(answers), path)
         written.append(path)
         if shipped:
@@ -66,13 +67,19 @@ def evaluate_shipped(haart_folder: Path, weights: Path, command: str) -> evaluat
     """Score the shipped file on the test participants, and the fold files on the ones they never saw."""
     model = weights / SHIPPED_MODEL.name
     classifier = Classifier.load(model)
+    test = haart.read_test(haart_folder)
+    seeds = [model, *sorted((weights / SEEDS_FOLDER).glob("*.onnx"))]
     return evaluate.Scores(
         model=classifier.name,
         model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
         command=command,
         machine=f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
         labels=classifier.labels,
-        test=evaluate.evaluate([(classifier, haart.read_test(haart_folder))]),
+        seeds={
+            str(seed.metadata.training["seed"]): evaluate.accuracies([(seed, test)], LENGTHS)
+            for seed in map(Classifier.load, seeds)
+        },
+        test=evaluate.evaluate([(classifier, test)]),
         left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(haart_folder))),
     )
 
@@ -89,6 +96,11 @@ def left_out_split(weights: Path, recordings: Sequence[Recording]) -> evaluate.S
 def fold_path(weights: Path, participants: Sequence[str]) -> Path:
     """Return where the network lies that never saw these participants."""
     return weights / LEFT_OUT_FOLDER / f"{'-'.join(participants)}.onnx"
+
+
+def seed_path(weights: Path, seed: int) -> Path:
+    """Return where the network of a further seed lies."""
+    return weights / SEEDS_FOLDER / f"seed{seed}.onnx"
 
 
 def _export(
