@@ -3,7 +3,7 @@
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo setup test test-slow check lint format expectations bench clean
+.PHONY: help demo setup test test-slow check lint format expectations bench soak clean
 
 # The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
 FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
@@ -23,6 +23,7 @@ help:
 	@echo "make test-slow     run the tests that take minutes"
 	@echo "make check         ruff and mypy"
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
+	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some ten minutes)"
 	@echo "make expectations  rebuild the expected events beside the shipped recordings"
 	@echo "make setup         set up what the daemon needs: $(BIN)/touchd"
 	@echo "make clean         remove $(VENV) and what tools left behind"
@@ -49,6 +50,9 @@ format: $(DEVELOPMENT)
 
 bench: $(RUNTIME)
 	@$(BIN)/touchd bench
+
+soak: $(RUNTIME)
+	PYTHONPATH=.:tests $(BIN)/python tests/soak.py --out docs/soak.json
 
 expectations: $(RUNTIME)
 	$(BIN)/python tests/expectations.py

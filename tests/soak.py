@@ -1,0 +1,256 @@
+"""A day of sensor time, flat out: nothing grows, nothing is lost. By hand: make soak, or
+
+    python tests/soak.py --hours 24 --out docs/soak.json
+
+Bytes go through parser, ring, touch tracker, classifier, decision, journal and the link to a stand-in robot
+that is switched off and on; the pad is unplugged now and then, and its line has bursts of garbage. There is
+no serial port in it: flat out, the daemon's queue would give frames up, as it should. Ends with exit code 1
+when anything grew or was lost; a run that --minutes cut short says how many hours it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+
+from daemon.config import Settings
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
+from daemon.journal import Journal
+from daemon.pad_watch import PadWatch
+from daemon.pipeline import Pipeline
+from daemon.recorded import with_quiet
+from daemon.service import load_model
+from daemon.sinks import JournalSink, RobotSink
+from daemon.wire import encoder_for, parser_for
+from drivers.fake_robot import StubRobot
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import Selection, Stream, read_recordings, realign, splice
+from drivers.robot import RobotLink, RobotSettings
+from drivers.sensor import SensorState
+from drivers.simulator import simulate
+
+HOUR_FRAMES = round(3600 * FRAME_RATE_HZ)
+CHUNK_FRAMES = 20
+ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8
+UNPLUGGED_EVERY_FRAMES = HOUR_FRAMES // 3
+GARBAGE_EVERY_CHUNKS = 50
+MAX_GROWTH_MB = 5.0
+# A touch of this many frames has had its final answer; two to spare for the median that smooths its end.
+FINAL_FRAMES = 144 + 2
+JOURNAL_BYTES = 1_000_000
+JOURNAL_KEEP = 2
+GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
+
+
+class Audit:
+    """Looks at every event: touches are numbered without a gap, each has its answers, and none twice."""
+
+    def __init__(self) -> None:
+        self.touches = self.predictions = self.events = 0
+        self.wrong: deque[str] = deque(maxlen=20)
+        self._stages: list[str] | None = None
+
+    def see(self, event: Event) -> None:
+        """Take the next event."""
+        self.events += 1
+        match event:
+            case TouchBegan():
+                self._expect(self._stages is None and event.touch == self.touches + 1, event)
+                self.touches = event.touch
+                self._stages = []
+            case Prediction():
+                stages = self._stages if self._stages is not None else []
+                again = event.stage != "ongoing" and event.stage in stages
+                self._expect(self._stages is not None and event.touch == self.touches and not again, event)
+                stages.append(event.stage)
+                self.predictions += 1
+            case TouchEnded():
+                stages = self._stages or [""]
+                answered = "final" in stages or stages[-1] in ("released", "uncertain")
+                long = event.frames >= FINAL_FRAMES
+                self._expect(event.touch == self.touches and answered, event)
+                self._expect(not long or "final" in stages, event)
+                self._stages = None
+
+    def _expect(self, holds: bool, event: Event) -> None:
+        if not holds:
+            self.wrong.append(f"after {self._stages}: {encode(event).decode()}")
+
+
+def recorded() -> Stream:
+    """HAART's test participants where there are any, else ten minutes of a simulated hand."""
+    if folder := os.environ.get("TOUCHD_HAART"):
+        path = Path(folder) / "testWITHLABELS.csv.gz"
+        found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]
+        touching = [recording for recording in found if recording.gesture != "notouch"]
+        return with_quiet(touching, [recording for recording in found if recording.gesture == "notouch"])
+    rng = random.Random(1)
+    script = [("notouch", 3.0)]
+    for _ in range(120):
+        script += [(rng.choice(GESTURES), rng.uniform(0.3, 6.0)), ("notouch", rng.uniform(1.2, 3.0))]
+    return splice(simulate(script, 1))
+
+
+def line(stream: Stream, settings: Settings) -> Iterator[bytes]:
+    """Yield what the pad sends, for ever: the stream over and over, its clock going on, and some garbage."""
+    encode_frame = encoder_for(settings.sensor)
+    rng = random.Random(2)
+    round_ms = int(stream.sensor_ms[-1] - stream.sensor_ms[0]) + round(1000 / FRAME_RATE_HZ)
+    offset_ms, chunks = 0, 0
+    while True:
+        for start in range(0, len(stream.counts), CHUNK_FRAMES):
+            part = slice(start, start + CHUNK_FRAMES)
+            clock_ms = (stream.sensor_ms[part] + offset_ms).tolist()
+            chunks += 1
+            garbage = rng.randbytes(rng.randrange(400)) if chunks % GARBAGE_EVERY_CHUNKS == 0 else b""
+            yield b"".join(map(encode_frame, stream.counts[part], clock_ms)) + garbage
+        offset_ms = (offset_ms + round_ms) % 2**32
+
+
+def memory_mb() -> float:
+    """What of this process is resident now (see proc(5))."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class Soak:
+    """The daemon's parts joined as in the daemon, and what was measured of them every hour."""
+
+    def __init__(self, folder: Path) -> None:
+        self.audit = Audit()
+        self.robot = StubRobot()
+        self.robot_switched = 0
+        self.hours: list[dict[str, float]] = []
+        self._path = folder / "events.jsonl"
+        self._latest: deque[bytes] = deque(maxlen=1000)
+        settings = Settings()
+        self._parser = parser_for(settings.sensor)
+        self._line = line(recorded(), settings)
+        self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
+        self._journal_sink = JournalSink(self._journal)
+        self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
+        self._robot_sink = RobotSink(self._link)
+        self._pipeline = Pipeline(settings.pipeline, load_model(settings), self._emit)
+        self._pad_watch = PadWatch()
+
+    def run(self, hours: float, until_s: float) -> dict[str, object]:
+        """Go through so many hours of sensor time, or until that monotonic time; returns the figures."""
+        began_s, began_cpu_s, frames = time.monotonic(), time.process_time(), 0
+        self._measure()
+        for data in self._line:
+            before = frames
+            for frame in self._parser.feed(data, time.monotonic()):
+                self._pipeline.on_frame(frame)
+                self._pad_watch.update(frame)
+                frames += 1
+            if frames // ROBOT_EVERY_FRAMES != before // ROBOT_EVERY_FRAMES:
+                self._switch_the_robot()
+            if frames // UNPLUGGED_EVERY_FRAMES != before // UNPLUGGED_EVERY_FRAMES:
+                self._unplug()
+            if frames // HOUR_FRAMES != before // HOUR_FRAMES:
+                self._measure()
+            if frames >= hours * HOUR_FRAMES or time.monotonic() >= until_s:
+                break
+        self._pipeline.flush()
+        took_s, took_cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
+        self._journal_sink.stop(10.0)
+        self._robot_sink.stop(2.0)
+        return self._figures(frames, took_s, took_cpu_s)
+
+    def _emit(self, event: Event) -> None:
+        self.audit.see(event)
+        self._latest.append(encode(event))
+        self._journal_sink.put(event)
+        self._robot_sink.put(event)
+
+    def _switch_the_robot(self) -> None:
+        self.robot_switched += 1
+        if self.robot_switched % 2:
+            self.robot.start()
+        else:
+            self.robot.kill()
+
+    def _unplug(self) -> None:
+        self._pipeline.on_sensor_state(SensorState("down", "unplugged"))
+        self._parser.reset()
+        self._pipeline.on_sensor_state(SensorState("up", "plugged in"))
+
+    def _measure(self) -> None:
+        self.hours.append(
+            {
+                "memory_mb": round(memory_mb(), 2),
+                "threads": len(os.listdir("/proc/self/task")),
+                "descriptors": len(os.listdir("/proc/self/fd")),
+            }
+        )
+
+    def _figures(self, frames: int, took_s: float, took_cpu_s: float) -> dict[str, object]:
+        counts = self._link.counts
+        settled = self.hours[1:] or self.hours
+        growth_mb = max(hour["memory_mb"] for hour in settled) - settled[0]["memory_mb"]
+        files = [self._path.with_name(f"{self._path.name}.{number}") for number in range(JOURNAL_KEEP, 0, -1)]
+        written = b"".join(file.read_bytes() for file in [*files, self._path] if file.exists())
+        latest = list(self._latest)
+        holds = {
+            "every touch has its answers, none twice": not self.audit.wrong and self.audit.touches > 0,
+            "memory grows at most 5 MB after the first hour": growth_mb <= MAX_GROWTH_MB,
+            "threads and descriptors are constant": all(
+                hour["threads"] == settled[0]["threads"] and hour["descriptors"] == settled[0]["descriptors"]
+                for hour in settled
+            ),
+            "the journal holds the latest events and stays within its bound": (
+                written.splitlines()[-len(latest) :] == latest
+                and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
+                and self._journal.lost + self._journal_sink.dropped == 0
+            ),
+            "what became of each message to the robot is known": counts.queued
+            >= counts.sent + counts.dropped + counts.stale + counts.failed,
+        }
+        return {
+            "sensor_hours": round(frames / HOUR_FRAMES, 3),
+            "frames": frames,
+            "bytes_dropped_as_garbage": self._parser.counts.bytes_dropped,
+            "touches": self.audit.touches,
+            "predictions": self.audit.predictions,
+            "events": self.audit.events,
+            "wall_s": round(took_s, 1),
+            "cpu_s": round(took_cpu_s, 1),
+            "memory_growth_after_first_hour_mb": round(growth_mb, 2) if len(self.hours) > 2 else None,
+            "hours": self.hours,
+            "robot": {
+                "switched_on_or_off": self.robot_switched,
+                **{name: getattr(counts, name) for name in ("queued", "sent", "dropped", "stale", "failed")},
+            },
+            "wrong": list(self.audit.wrong),
+            "holds": holds,
+        }
+
+
+def main() -> int:
+    """Soak, and write the figures; returns 1 when something does not hold."""
+    parser = argparse.ArgumentParser(description="A day of sensor time, flat out: nothing grows or is lost.")
+    parser.add_argument("--hours", type=float, default=24.0, help="of sensor time (default 24)")
+    parser.add_argument("--minutes", type=float, default=1e6, help="end after so many minutes of real time")
+    parser.add_argument("--out", type=Path, help="write the figures there too, as JSON")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="touchd-soak-") as folder:
+        figures = Soak(Path(folder)).run(options.hours, time.monotonic() + 60 * options.minutes)
+    text = json.dumps(figures, indent=1) + "\n"
+    sys.stdout.write(text)
+    if options.out:
+        options.out.write_text(text)
+    holds = figures["holds"]
+    assert isinstance(holds, dict)
+    return 0 if all(holds.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
