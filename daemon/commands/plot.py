@@ -1,0 +1,53 @@
+"""`touchd plot`: recordings, or a journal of events, as a picture; needs matplotlib, of the extra `train`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from daemon import plot_journal, plot_recording
+from daemon.config import Settings, load
+from daemon.plot import PlotError, new_figure, save
+from daemon.recorded import add_arguments, chosen_stream
+from daemon.service import load_model
+from daemon.touches import read_journal
+
+RECORDING_SUFFIXES = (".csv", ".csv.gz")
+MOST_TOUCHES = 100
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Draw the files and name the picture; returns 0."""
+    parser = argparse.ArgumentParser(
+        prog="touchd plot",
+        description="Draws recordings (pressure, touches, answers, mean pad), or the touches of one journal.",
+    )
+    add_arguments(parser)
+    parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; FILE's name with .png")
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    parser.add_argument(
+        "--touches",
+        type=int,
+        choices=range(1, MOST_TOUCHES + 1),
+        default=24,
+        metavar="N",
+        help="how many of a journal's last touches (%(default)s)",
+    )
+    options = parser.parse_args(arguments)
+    path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
+    # Whether there is a matplotlib is known before the work.
+    new_figure(1.0)
+    names = ", ".join(file.name for file in options.files)
+    if all(file.name.endswith(RECORDING_SUFFIXES) for file in options.files):
+        settings = load(options.config) if options.config else Settings()
+        felt = plot_recording.feel(chosen_stream(options), settings, load_model(settings))
+        figure = plot_recording.draw(felt, names)
+    elif len(options.files) == 1:
+        figure = plot_journal.draw(read_journal(options.files[0])[-options.touches :], names)
+    else:
+        raise PlotError(f"{names}: one journal at a time, or recordings only")
+    save(figure, path)
+    sys.stdout.write(f"{path}\n")
+    return 0

@@ -1,0 +1,99 @@
+"""What the pictures of recordings and of journals share: paper, colours, marks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from daemon.decide import NO_TOUCH
+from daemon.events import UNCERTAIN, Prediction
+from drivers.errors import TouchdError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH_INCHES = 12.0
+DOTS_PER_INCH = 130
+FORMATS = (".png", ".svg", ".pdf")
+INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
+# Okabe and Ito's colours, told apart by colour-blind people too; gestures of a lab's own take the last ones.
+COLOURS: Mapping[str, str] = {
+    "constant": "#0072b2",
+    "pat": "#e69f00",
+    "rub": "#009e73",
+    "scratch": "#d55e00",
+    "stroke": "#cc79a7",
+    "tickle": "#56b4e9",
+    NO_TOUCH: "#9a9a9a",
+    UNCERTAIN: "#9a9a9a",
+}
+OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
+
+
+class PlotError(TouchdError):
+    """A picture cannot be made; the message is one line that says what to do."""
+
+
+def colour_of(gesture: str, gestures: Iterable[str]) -> str:
+    """Return a gesture's colour among all that a picture shows."""
+    if gesture in COLOURS:
+        return COLOURS[gesture]
+    others = sorted(set(gestures) - COLOURS.keys())
+    return OTHER_COLOURS[others.index(gesture) % len(OTHER_COLOURS)]
+
+
+def new_figure(height_inches: float) -> Figure:
+    """Return an empty figure; raises PlotError where matplotlib is not installed."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise PlotError("a picture takes matplotlib: pip install 'touchd[train]'") from error
+    return Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format that its file's name asks for; raises PlotError."""
+    if path.suffix not in FORMATS:
+        raise PlotError(f"{path}: a picture's name ends with {', '.join(FORMATS)}; give one with -o")
+    try:
+        figure.savefig(path, dpi=DOTS_PER_INCH)
+    except OSError as error:
+        raise PlotError(f"{path}: cannot be written ({error.strerror}); name another file with -o") from error
+
+
+def draw_answer(
+    axes: Axes, at_s: float, height: float, answer: Prediction, colour: str, *, wrong: bool
+) -> None:
+    """Mark an answer where it was given: filled when the robot was told, in words beside it."""
+    axes.plot(
+        [at_s],
+        [height],
+        marker="o",
+        markersize=6,
+        markeredgewidth=1.4,
+        markeredgecolor=colour,
+        markerfacecolor=colour if answer.told else "white",
+        clip_on=False,
+        zorder=3,
+    )
+    axes.annotate(
+        f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN,
+        (at_s, height),
+        xytext=(6, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        color="#c00000" if wrong else INK,
+        fontstyle="italic" if wrong else "normal",
+        annotation_clip=False,
+    )
+
+
+def bare(axes: Axes, *keep: str) -> None:
+    """Take away the frame around axes, but for the sides that are kept."""
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in keep)
+        spine.set_color(QUIET_INK)
+    axes.tick_params(colors=QUIET_INK, labelsize=8)
