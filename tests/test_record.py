@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +22,7 @@ from drivers.protocol import encode_fabric_grid
 from drivers.recording import Recording, RecordingError, Stream, ideal_clock_ms, read_recordings
 from drivers.simulator import simulate
 
-SPEED = 4.0
+SPEED = 6.0
 
 
 class Hand:
@@ -213,48 +211,39 @@ def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
         question = terminal.until(", s to skip")
 
 
-def test_after_a_crash_only_the_recording_that_went_on_is_asked_for_again(
+def test_only_what_is_not_there_is_asked_for_and_a_crash_leaves_nothing_half(
     tmp_path: Path, port: FakePort
 ) -> None:
+    kept = tmp_path / "anna_foam_fur_notouch_1.csv.gz"
+    keep(kept, recording(), {})
     options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch", "--rounds", "2")
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
-        terminal.until("1 of 2: notouch")
-        terminal.until("Enter to begin")
-        terminal.answer("")
-        terminal.until("Enter to keep it")
-        terminal.answer("")
-        terminal.until("2 of 2: notouch")
+        assert "1 of 2" not in terminal.until("2 of 2: notouch")
         terminal.until("Enter to begin")
         terminal.answer("")
         terminal.until("notouch now")
         terminal.process.kill()
         terminal.process.wait()
-    kept = [path.name for path in tmp_path.iterdir()]
-    assert kept == ["anna_foam_fur_notouch_1.csv.gz"]
+    assert list(tmp_path.iterdir()) == [kept]
+
+
+def test_who_has_had_enough_is_told_how_to_go_on(tmp_path: Path, port: FakePort) -> None:
+    options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch")
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
-        assert "1 of 2" not in terminal.until("2 of 2: notouch")
         terminal.until("Enter to begin")
         terminal.answer("q")
         terminal.until("the same command goes on from here")
         assert terminal.process.wait(10) == 0
 
 
-def test_without_anybody_to_answer_it_ends(tmp_path: Path, port: FakePort) -> None:
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "daemon",
-            *arguments(port, tmp_path, "--participant", "anna", "--cover", "fur"),
-        ],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=20,
-    )
-    assert done.returncode == 0
-    assert "Stopped" in done.stdout
+def test_without_anybody_to_answer_it_ends(
+    tmp_path: Path, port: FakePort, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Path("/dev/null").open() as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        assert cli.main(arguments(port, tmp_path, "--participant", "anna", "--cover", "fur")) == 0
+    assert "Stopped" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_cannot_be_recorded_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

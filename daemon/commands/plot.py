@@ -28,12 +28,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; FILE's name with .png")
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument(
-        "--touches",
-        type=int,
-        choices=range(1, MOST_TOUCHES + 1),
-        default=24,
-        metavar="N",
-        help="how many of a journal's last touches (%(default)s)",
+        "--touches", type=_touches, default=24, metavar="N", help="a journal's last touches (%(default)s)"
     )
     options = parser.parse_args(arguments)
     path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
@@ -42,8 +37,9 @@ def main(arguments: Sequence[str]) -> int:
     names = ", ".join(file.name for file in options.files)
     if all(file.name.endswith(RECORDING_SUFFIXES) for file in options.files):
         settings = load(options.config) if options.config else Settings()
-        felt = plot_recording.feel(chosen_stream(options), settings, load_model(settings))
-        figure = plot_recording.draw(felt, names)
+        model = load_model(settings)
+        felt = plot_recording.feel(chosen_stream(options), settings, model)
+        figure = plot_recording.draw(felt, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
         figure = plot_journal.draw(read_journal(options.files[0])[-options.touches :], names)
     else:
@@ -51,3 +47,10 @@ def main(arguments: Sequence[str]) -> int:
     save(figure, path)
     sys.stdout.write(f"{path}\n")
     return 0
+
+
+def _touches(text: str) -> int:
+    touches = int(text)
+    if not 1 <= touches <= MOST_TOUCHES:
+        raise argparse.ArgumentTypeError(f"{text} is not within 1 to {MOST_TOUCHES}")
+    return touches

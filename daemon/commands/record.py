@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -53,6 +54,8 @@ def main(arguments: Sequence[str]) -> int:
         settings = msgspec.structs.replace(
             settings, sensor=msgspec.structs.replace(settings.sensor, port=options.port)
         )
+    # The dialogue tells what the sensor logs; on standard error it would tear the bar.
+    logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)
     prepare(options.folder)
     console = Console(width=WIDTH, highlight=False)
