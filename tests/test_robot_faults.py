@@ -357,7 +357,6 @@ def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
 @needs_qi
 @needs_openssl
 @pytest.mark.slow
-@pytest.mark.skipif("TOUCHD_SLOW" not in os.environ, reason="takes minutes; set TOUCHD_SLOW=1")
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("state", EXIT_STATES)
 def test_fifty_of_fifty_programs_end_cleanly_in_every_state(state: str) -> None:
