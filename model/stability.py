@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
@@ -28,6 +29,7 @@ EXTREME_FACTORS = (1e4, -1e4, 1e30, -1e30)
 TIMED_ANSWERS = 60
 REPEATS = 3
 EMPTY = "Empty: does not apply, or needs the extra `train` and the checkpoint beside the model."
+TITLE = "Worst deviation seen; what is allowed is in the heading"
 LATER_FRAMES = 54
 
 SUMS_TO_1 = "sums to 1"
@@ -110,10 +112,10 @@ def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray
 
 def table(checks: Sequence[Check]) -> Table:
     """Return the checks as a table for the terminal: a case a row, a property a column."""
-    shown = Table(title="Worst deviation seen; what is allowed is in the heading", caption=EMPTY)
-    shown.add_column("case")
+    shown = Table(title=TITLE, caption=EMPTY, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    shown.add_column("case", min_width=16)
     for measure, tolerance in TOLERANCES.items():
-        shown.add_column(f"{measure}\n≤ {tolerance:g}", justify="right")
+        shown.add_column(f"{measure}\n≤{tolerance:.2g}", justify="right", overflow="fold")
     cells = {(check.case, check.measure): check for check in checks}
     for case in dict.fromkeys(check.case for check in checks):
         shown.add_row(case, *(_cell(cells.get((case, measure))) for measure in TOLERANCES))
@@ -197,4 +199,5 @@ def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 def _cell(check: Check | None) -> str:
     if check is None:
         return ""
-    return f"[green]{check.worst:.2g}[/]" if check.passed else f"[bold red]{check.worst:.2g} FAILS[/]"
+    worst = f"{check.worst:.0e}" if 0 < check.worst < 1e-2 else f"{check.worst:.2g}"
+    return f"[green]{worst}[/]" if check.passed else f"[bold red]{worst} FAILS[/]"
