@@ -78,8 +78,8 @@ def load_qi() -> Any:
     except ImportError as error:
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
         raise RobotError(
-            f"a robot is configured but qi, which speaks to it, {why}; "
-            "pip install 'touchd[nao]' (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
+            f"qi, the library that speaks to NAOqi, {why}; "
+            "pip install 'touchd[nao]' (Linux x86_64, Python 3.10 to 3.12), or do without a robot (robot: null)"
         ) from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from collections.abc import Iterator
@@ -12,14 +13,18 @@ import pytest
 
 from drivers.fake_robot import LoopbackRobot, StubRobot
 from drivers.robot import RobotLimits, RobotLink, RobotMessage, RobotSettings
-from drivers.robot_session import qi_installed
+from drivers.robot_session import Login, qi_installed
 
 Robot = StubRobot | LoopbackRobot
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 both_kinds = [pytest.param(StubRobot, id="stub"), pytest.param(LoopbackRobot, id="qi", marks=needs_qi)]
 every_robot = pytest.mark.parametrize("make_robot", both_kinds)
 
+LOGIN = Login("nao", "s3cret-token")
+# For tests of what follows once a hang is noticed, which takes 1.3 s by default.
+IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
 GESTURE, DETAIL, STATUS = "TouchGesture/Gesture", "TouchGesture/Detail", "TouchGesture/Status"
 
 
