@@ -79,7 +79,7 @@ def load_qi() -> Any:
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
         raise RobotError(
             f"qi, the library that speaks to NAOqi, {why}; "
-            "pip install 'touchd[nao]' (Linux x86_64, Python 3.10 to 3.12), or do without a robot (robot: null)"
+            "pip install 'touchd[nao]' (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
         ) from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)
