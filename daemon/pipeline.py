@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -75,17 +76,21 @@ class Pipeline:
         emit: Callable[[Event], None],
         clock: Clock | None = None,
     ) -> None:
-        self._decision_settings = settings.decision
-        self._final_frames = settings.decision.answer_at_frames[-1]
-        self._model = model
         self._emit = emit
         self._clock = clock or Clock()
         self._tracker = TouchTracker(settings.touch)
-        # The longest window, and how far from the newest frame it may end: in a quiet, and in a bridged gap.
-        spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s) * FRAME_RATE_HZ)
-        self._ring = Ring(settings.ring, self._final_frames + LEARN_FRAMES + spare_frames)
+        self._ring = Ring(settings.ring, _history_frames(settings))
         self._touches = 0
         self._touch: Touch | None = None
+        self._changes: deque[tuple[PipelineSettings, ProbabilityModel]] = deque(maxlen=1)
+        self._take_over(settings, model)
+
+    def change(self, settings: PipelineSettings, model: ProbabilityModel) -> None:
+        """Go by other settings and another model from the next touch on; may come from any thread.
+
+        A touch that goes on ends by the old ones. What is known of the pad, and the numbers, go on.
+        """
+        self._changes.append((settings, model))
 
     def on_frame(self, frame: Frame) -> None:
         """Take the sensor's next frame."""
@@ -102,7 +107,16 @@ class Pipeline:
         """End the touch that goes on, if any: no frame will come any more."""
         self._stop("stopped")
 
+    def _take_over(self, settings: PipelineSettings, model: ProbabilityModel) -> None:
+        self._decision_settings = settings.decision
+        self._final_frames = settings.decision.answer_at_frames[-1]
+        self._model = model
+        self._tracker.change(settings.touch)
+        self._ring.change(settings.ring, _history_frames(settings))
+
     def _advance(self, frame: GridFrame) -> None:
+        if self._changes and self._touch is None:
+            self._take_over(*self._changes.pop())
         match self._tracker.update(frame):
             case Onset(first_index):
                 self._begin(first_index, frame)
@@ -191,3 +205,9 @@ class Pipeline:
 
     def _now(self) -> str:
         return timestamp(self._clock.epoch_s())
+
+
+def _history_frames(settings: PipelineSettings) -> int:
+    """The longest window, and how far from the newest frame it may end: in a quiet, and in a bridged gap."""
+    spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s) * FRAME_RATE_HZ)
+    return settings.decision.answer_at_frames[-1] + LEARN_FRAMES + spare_frames

@@ -105,6 +105,11 @@ class Ring:
         """Take the next frame for the first of another sensor; the history and its indices stay."""
         self._sensor_ms = None
 
+    def change(self, settings: RingSettings, capacity: int) -> None:
+        """Go by other settings from the next frame on, and keep that many frames; the history stays."""
+        self._max_gap_ms = settings.max_gap_s * 1000.0
+        self._history = deque(self._history, maxlen=capacity)
+
     def frames(self, start_index: int, stop_index: int) -> list[GridFrame]:
         """Return the frames start_index <= index < stop_index; raises ValueError unless all are there.
 

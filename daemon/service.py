@@ -10,19 +10,18 @@ from collections.abc import Callable
 
 import numpy as np
 
-from daemon.config import ConfigError, SceneSettings, Settings
+from daemon.config import ConfigError, SceneSettings, SensorSettings, Settings
 from daemon.decide import NO_TOUCH
+from daemon.destinations import link_to_robot, open_journal
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
 from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
-from daemon.sinks import Sink
+from daemon.sinks import JournalSink, RobotSink, Sink
 from daemon.wire import parser_for
 from drivers.frame import COLUMNS, ROWS, Counts, Frame
 from drivers.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port
 from model.classifier import SHIPPED_MODEL, Classifier
-
-log = logging.getLogger(__name__)
 
 # How often a loop without frames looks whether it shall stop, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
@@ -31,10 +30,15 @@ SINKS_STOP_S = 1.2
 
 
 class Outlet:
-    """Hands every event to every sink, from whichever thread it comes; no sink makes it wait."""
+    """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
 
-    def __init__(self) -> None:
-        self.sinks: list[Sink] = []
+    Journal and robot are always among the sinks, and do nothing where none is configured.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.journal = JournalSink(open_journal(settings.journal))
+        self.robot = RobotSink(None)
+        self.sinks: list[Sink] = [self.journal, self.robot]
         self.touches = 0
 
     def emit(self, event: Event) -> None:
@@ -87,37 +91,107 @@ def check_pad(settings: Settings) -> None:
             raise
 
 
-def serve(
-    settings: Settings,
-    classifier: Classifier,
-    outlet: Outlet,
-    health: Health,
-    stop: threading.Event,
-    show_frame: Callable[[Counts], None] | None = None,
-) -> None:
-    """Run until `stop` is set; then every thread that this began has ended. show_frame: gets each frame."""
-    queue = FrameQueue()
-    sensor = Sensor(settings.sensor.port, settings.sensor.baud, parser_for(settings.sensor), queue)
-    pipeline = Pipeline(settings.pipeline, classifier, outlet.emit)
-    pad_watch = PadWatch()
-    # What was loaded stays: a collection that looks through all of it would take as long as an answer may.
-    gc.freeze()
-    sensor.start()
-    try:
-        while not stop.is_set():
-            match queue.get(timeout_s=IDLE_S):
-                case Frame() as frame:
-                    pipeline.on_frame(frame)
-                    health.frame_processed()
-                    pad_watch.update(frame)
-                    if show_frame is not None:
-                        show_frame(frame.pressure)
-                case SensorState() as state:
-                    pipeline.on_sensor_state(state)
-                    health.pad_state(state.state == "up")
-                case None:
-                    health.idle()
-            health.report(outlet.touches, queue.dropped)
-    finally:
-        sensor.stop(SENSOR_STOP_S)
-        pipeline.flush()
+class Pad:
+    """The reader of the configured pad, and the queue that it fills."""
+
+    def __init__(self, settings: SensorSettings) -> None:
+        self.queue = FrameQueue()
+        self._sensor = self._reader(settings)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._sensor.start()
+
+    def change(self, settings: SensorSettings) -> None:
+        """Read another pad, or the same in another way; what was read before stays in the queue."""
+        self.stop()
+        self.queue.put(SensorState("down", f"now {settings.port} is read, as configured"))
+        self._sensor = self._reader(settings)
+        self._sensor.start()
+
+    def stop(self) -> None:
+        """End reading, within SENSOR_STOP_S."""
+        self._sensor.stop(SENSOR_STOP_S)
+
+    def _reader(self, settings: SensorSettings) -> Sensor:
+        return Sensor(settings.port, settings.baud, parser_for(settings), self.queue)
+
+
+class Service:
+    """The daemon's loop and all that it joins.
+
+    show_frame: gets each frame.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        classifier: Classifier,
+        outlet: Outlet,
+        health: Health,
+        show_frame: Callable[[Counts], None] | None = None,
+    ) -> None:
+        self._settings = settings
+        self._classifier = classifier
+        self._outlet = outlet
+        self._health = health
+        self._show_frame = show_frame
+        self._pad = Pad(settings.sensor)
+        self._pad_watch = PadWatch()
+        self._pipeline = Pipeline(settings.pipeline, classifier, outlet.emit)
+
+    def run(self, stop: threading.Event) -> None:
+        """Run until `stop` is set; then the pad is no longer read and the touch that went on has ended."""
+        # What was loaded stays: a collection that looks through it all would take as long as an answer may.
+        gc.freeze()
+        self._pad.start()
+        try:
+            while not stop.is_set():
+                self._take(self._pad.queue.get(timeout_s=IDLE_S))
+                self._health.report(self._outlet.touches, self._pad.queue.dropped)
+        finally:
+            self._pad.stop()
+            self._pipeline.flush()
+
+    def change(self, settings: Settings) -> list[str]:
+        """Go by other settings, while `run` goes on in another thread; returns the names of what changed.
+
+        Touch, ring, scene and model count from the next touch on. Raises TouchdError when the settings cannot
+        be used; then nothing has changed.
+        """
+        before = self._settings
+        fields = Settings.__struct_fields__
+        names = [name for name in fields if getattr(before, name) != getattr(settings, name)]
+        classifier = load_model(settings) if "model" in names else self._classifier
+        check_fit(settings.scene, classifier)
+        if settings.sensor.port != before.sensor.port:
+            check_pad(settings)
+        tells_anew = "robot" in names or settings.scene.actions != before.scene.actions
+        link = link_to_robot(settings.robot, settings.scene, self._outlet.emit) if tells_anew else None
+        # Last, since it is the one that leaves something behind; nothing after it fails.
+        journal = open_journal(settings.journal) if "journal" in names else None
+        self._settings, self._classifier = settings, classifier
+        logging.getLogger().setLevel(settings.log_level.upper())
+        if {"touch", "ring", "scene", "model"} & set(names):
+            self._pipeline.change(settings.pipeline, classifier)
+        if "journal" in names:
+            self._outlet.journal.use(journal)
+        if tells_anew:
+            self._outlet.robot.use(link)
+        if "sensor" in names:
+            self._pad.change(settings.sensor)
+        return names
+
+    def _take(self, item: Frame | SensorState | None) -> None:
+        match item:
+            case Frame() as frame:
+                self._pipeline.on_frame(frame)
+                self._health.frame_processed()
+                self._pad_watch.update(frame)
+                if self._show_frame is not None:
+                    self._show_frame(frame.pressure)
+            case SensorState() as state:
+                self._pipeline.on_sensor_state(state)
+                self._health.pad_state(state.state == "up")
+            case None:
+                self._health.idle()

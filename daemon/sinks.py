@@ -13,12 +13,13 @@ from collections.abc import Callable
 
 from daemon.events import Event, Prediction, SensorEvent, encode, epoch_s
 from daemon.journal import Journal
-from drivers.robot import RobotLink, RobotMessage
+from drivers.robot import RobotLink, RobotMessage, State
 
 log = logging.getLogger(__name__)
 
 CAPACITY = 1000
 WRITABLE_WAIT_S = 0.1
+ROBOT_STOP_S = 1.0
 
 
 class Sink(typing.Protocol):
@@ -115,46 +116,78 @@ class LinesSink(QueuedSink):
 
 
 class JournalSink(QueuedSink):
-    """One JSON line an event to the journal."""
+    """One JSON line an event to the journal, if there is one."""
 
-    def __init__(self, journal: Journal, capacity: int = CAPACITY) -> None:
+    def __init__(self, journal: Journal | None, capacity: int = CAPACITY) -> None:
         self._journal = journal
+        self._using = threading.Lock()
         super().__init__("journal", capacity)
+
+    def use(self, journal: Journal | None) -> None:
+        """Write to another journal from the next line on, and close the one before; from any thread."""
+        with self._using:
+            before, self._journal = self._journal, journal
+            if before is not None:
+                before.close()
 
     def write(self, event: Event) -> None:
         """Append one line."""
-        self._journal.append(encode(event))
+        with self._using:
+            if self._journal is not None:
+                self._journal.append(encode(event))
 
     def stop(self, timeout_s: float) -> None:
         """Write what is queued and close the file."""
         super().stop(timeout_s)
-        self._journal.close()
+        # A disk that hangs keeps the thread and the lock; the file is then left as it is.
+        if not self._thread.is_alive():
+            self.use(None)
 
 
 class RobotSink:
-    """The robot: told what is to be told, and whether there is a pad. The link has its own queue and thread.
+    """The robot, if there is one: told what is to be told, and whether there is a pad.
 
-    link: started here.
+    The link, which is started here, has its own queue and thread.
     """
 
     name = "robot"
 
-    def __init__(self, link: RobotLink) -> None:
-        self._link = link
+    def __init__(self, link: RobotLink | None) -> None:
+        self._link: RobotLink | None = None
         self._sequence = 0
-        link.start()
+        self._pad: State = "up"
+        self._dropped_before = 0
+        self.use(link)
+
+    def use(self, link: RobotLink | None) -> None:
+        """Tell another robot from now on; from any thread. Leaving the one before may take ROBOT_STOP_S.
+
+        What is put meanwhile waits for the new one. The numbers of the messages go on.
+        """
+        if link is not None:
+            link.set_status(self._pad)
+        before, self._link = self._link, link
+        if before is not None:
+            before.stop(ROBOT_STOP_S)
+            self._dropped_before += _given_up(before)
+        if link is not None:
+            link.start()
 
     @property
     def dropped(self) -> int:
         """Messages that the robot was too slow for, or not there for."""
-        counts = self._link.counts
-        return counts.dropped + counts.stale
+        return self._dropped_before + (_given_up(self._link) if self._link is not None else 0)
 
     def put(self, event: Event) -> None:
         """Publish a prediction that is told; returns at once. Call it from one thread."""
+        link = self._link
+        if isinstance(event, SensorEvent):
+            self._pad = event.state
+        if link is None:
+            return
         if isinstance(event, Prediction) and event.told:
             self._sequence += 1
-            self._link.publish(
+            link.publish(
                 RobotMessage(
                     gesture=event.gesture,
                     confidence=event.confidence,
@@ -165,8 +198,14 @@ class RobotSink:
                 )
             )
         elif isinstance(event, SensorEvent):
-            self._link.set_status(event.state)
+            link.set_status(event.state)
 
     def stop(self, timeout_s: float) -> None:
         """Say goodbye to the robot."""
-        self._link.stop(timeout_s)
+        if self._link is not None:
+            self._link.stop(timeout_s)
+
+
+def _given_up(link: RobotLink) -> int:
+    counts = link.counts
+    return counts.dropped + counts.stale

@@ -112,9 +112,7 @@ class TouchTracker:
     """Follows the pad frame by frame and says when a touch begins and ends."""
 
     def __init__(self, settings: TouchSettings) -> None:
-        self._settings = settings
-        self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
-        self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)
+        self.change(settings)
         self._rest = Rest()
         self._recent: deque[Taxels] = deque(maxlen=LEARN_FRAMES)
         self._index = -1
@@ -124,6 +122,12 @@ class TouchTracker:
         self._last_index = 0
         self._still = self._rest.counts
         self._still_since = 0
+
+    def change(self, settings: TouchSettings) -> None:
+        """Go by other settings from the next frame on; what is known of the pad stays."""
+        self._settings = settings
+        self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
+        self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)
 
     @property
     def last_contact_index(self) -> int:

@@ -142,10 +142,10 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     shutil.copytree("/usr/lib/systemd/system", root / "usr/lib/systemd/system", symlinks=True)
     (root / "etc/systemd/system").mkdir(parents=True)
     shutil.copy(UNITS / "touchd.service", root / "etc/systemd/system")
-    program = root / "opt/touchd/bin/touchd"
-    program.parent.mkdir(parents=True)
-    program.write_text("#!/bin/sh\n")
-    program.chmod(0o755)
+    for program in (root / "opt/touchd/bin/touchd", root / "bin/kill"):
+        program.parent.mkdir(parents=True)
+        program.write_text("#!/bin/sh\n")
+        program.chmod(0o755)
     done = subprocess.run(
         ["systemd-analyze", "verify", f"--root={root}", "touchd.service"],
         capture_output=True,

@@ -8,23 +8,19 @@ import os
 import signal
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import msgspec
 
-from daemon.config import JournalSettings, RobotConfig, SceneSettings, Settings, load
-from daemon.events import RobotEvent, timestamp
+from daemon.config import Settings, load
+from daemon.destinations import link_to_robot
 from daemon.health import Health
-from daemon.journal import Journal
 from daemon.notify import Notifier
-from daemon.service import Outlet, check_pad, load_model, serve
-from daemon.sinks import JournalSink, LinesSink, RobotSink
-from drivers.robot import RobotLink, RobotSettings, State
-
-BYTES_PER_MB = 1_000_000
+from daemon.reread import rereading
+from daemon.service import Outlet, Service, check_pad, load_model
+from daemon.sinks import LinesSink
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -39,27 +35,40 @@ def main(arguments: Sequence[str]) -> int:
         "--view", action="store_true", help="show the pad in the terminal instead of JSON lines"
     )
     options = parser.parse_args(arguments)
-    settings = load(options.config) if options.config else Settings()
-    if options.port:
-        settings = msgspec.structs.replace(
-            settings, sensor=msgspec.structs.replace(settings.sensor, port=options.port)
-        )
-    run(settings, with_view=options.view)
+
+    def read() -> Settings:
+        settings = load(options.config) if options.config else Settings()
+        if options.port:
+            sensor = msgspec.structs.replace(settings.sensor, port=options.port)
+            settings = msgspec.structs.replace(settings, sensor=sensor)
+        return settings
+
+    # A terminal that goes away sends SIGHUP too, and then nobody is left to have meant it.
+    can_reread = options.config is not None and not sys.stdout.isatty()
+    run(read, with_view=options.view, can_reread=can_reread)
     return 0
 
 
-def run(settings: Settings, with_view: bool) -> None:
-    """Run the daemon in this process until a signal, or a reader of its output that is gone, stops it."""
-    stop = threading.Event()
-    outlet = Outlet()
-    show_frame = None
+def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None:
+    """Run the daemon in this process until a signal, or a reader of its output that is gone, stops it.
+
+    read: returns the settings, now and, where SIGHUP means that (`can_reread`), again.
+    """
+    stop, hung_up = threading.Event(), threading.Event()
+    settings = read()
     with ExitStack() as closing:
-        closing.enter_context(_stop_on_signals(stop))
+        closing.enter_context(
+            _on_signals(
+                {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGHUP: hung_up if can_reread else stop}
+            )
+        )
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         check_pad(settings)
         classifier = load_model(settings)
+        outlet = Outlet(settings)
         closing.callback(outlet.stop)
+        show_frame = None
         if with_view:
             from daemon.view import View, ViewHandler
 
@@ -70,20 +79,19 @@ def run(settings: Settings, with_view: bool) -> None:
         else:
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
             outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
-        if settings.journal is not None:
-            outlet.sinks.append(JournalSink(_open_journal(settings.journal)))
-        if settings.robot is not None:
-            link = RobotLink(_robot_settings(settings.robot, settings.scene), _robot_reporter(outlet))
-            outlet.sinks.append(RobotSink(link))
-        serve(settings, classifier, outlet, Health(notifier), stop, show_frame)
+        outlet.robot.use(link_to_robot(settings.robot, settings.scene, outlet.emit))
+        service = Service(settings, classifier, outlet, Health(notifier), show_frame)
+        closing.enter_context(rereading(hung_up, read, service.change))
+        service.run(stop)
         notifier.send(STOPPING=1)
 
 
 @contextmanager
-def _stop_on_signals(stop: threading.Event) -> Iterator[None]:
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, lambda *_: stop.set())
+def _on_signals(wanted: Mapping[signal.Signals, threading.Event]) -> Iterator[None]:
+    """Have each of these signals set its event, and do nothing else."""
+    before = {number: signal.getsignal(number) for number in wanted}
+    for number, event in wanted.items():
+        signal.signal(number, lambda *_, event=event: event.set())
     try:
         yield
     finally:
@@ -101,26 +109,3 @@ def _logging(handler: logging.Handler, level: str) -> Iterator[None]:
         yield
     finally:
         root.removeHandler(handler)
-
-
-def _open_journal(settings: JournalSettings) -> Journal:
-    path = Path(settings.path).expanduser()
-    return Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
-
-
-def _robot_settings(robot: RobotConfig, scene: SceneSettings) -> RobotSettings:
-    return RobotSettings(
-        url=robot.url,
-        prefix=robot.prefix,
-        user=robot.user,
-        token_file=robot.token_file,
-        token_env=robot.token_env,
-        actions=scene.actions,
-    )
-
-
-def _robot_reporter(outlet: Outlet) -> Callable[[State, str], None]:
-    def report(state: State, reason: str) -> None:
-        outlet.emit(RobotEvent(state=state, time=timestamp(time.time()), reason=reason))
-
-    return report

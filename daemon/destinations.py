@@ -1,0 +1,48 @@
+"""What the configuration says of journal and robot, made into the things themselves."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from daemon.config import JournalSettings, RobotConfig, SceneSettings
+from daemon.events import Event, RobotEvent, timestamp
+from daemon.journal import Journal
+from drivers.robot import RobotLink, RobotSettings, State
+
+BYTES_PER_MB = 1_000_000
+
+
+def open_journal(settings: JournalSettings | None) -> Journal | None:
+    """Return the configured journal, if any; raises JournalError."""
+    if settings is None:
+        return None
+    path = Path(settings.path).expanduser()
+    return Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
+
+
+def link_to_robot(
+    robot: RobotConfig | None, scene: SceneSettings, emit: Callable[[Event], None]
+) -> RobotLink | None:
+    """Return a link, not yet started, to the configured robot, if any; raises RobotError.
+
+    emit: gets an event when the robot comes or goes, from the link's thread.
+    """
+
+    def report(state: State, reason: str) -> None:
+        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=reason))
+
+    if robot is None:
+        return None
+    return RobotLink(
+        RobotSettings(
+            url=robot.url,
+            prefix=robot.prefix,
+            user=robot.user,
+            token_file=robot.token_file,
+            token_env=robot.token_env,
+            actions=scene.actions,
+        ),
+        report,
+    )
