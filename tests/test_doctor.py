@@ -112,12 +112,27 @@ def test_a_configuration_or_a_time_that_cannot_be_is_a_mistake_in_the_call(
     assert ended.value.code == 2
 
 
-def test_a_busy_port_is_named_with_how_to_free_it() -> None:
+def test_a_port_that_the_service_reads_is_told_from_one_that_another_program_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     port = FakePort(Stream(resting(1.0), ideal_clock_ms(54), ()), encode_fabric_grid)
+    settings = Settings(sensor=SensorSettings(port=port.path))
     with port, serial.Serial(port.path, exclusive=True):
-        busy = the("port", examine(Settings(sensor=SensorSettings(port=port.path)), 1.0, print))
-    assert "busy" in busy.found
-    assert "sudo systemctl stop touchd" in busy.advice
+        other = the("port", examine(settings, 1.0, print))
+        systemd_says("LoadState=loaded\nActiveState=active", tmp_path, monkeypatch)
+        service = the("port", examine(settings, 1.0, print))
+    assert other.verdict == "to do"
+    assert "busy" in other.found
+    assert service.verdict == "not checked"
+    assert "sudo systemctl stop touchd" in service.advice
+
+
+def systemd_says(answer: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a systemctl in the way that gives this answer, and fails where it is none."""
+    program = folder / "systemctl"
+    program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
 
 
 def noise(counts: Counts, sensor_ms: int) -> bytes:
@@ -344,10 +359,7 @@ def test_a_robot_with_a_user_but_no_token_is_told_before_it_is_called() -> None:
 def test_the_state_of_the_service_is_told(
     answer: str, verdict: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = tmp_path / "systemctl"
-    program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    systemd_says(answer, tmp_path, monkeypatch)
     check = check_service()
     assert check.verdict == verdict
     assert found in check.found

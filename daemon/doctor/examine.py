@@ -9,9 +9,16 @@ import serial
 
 from daemon.config import Settings
 from daemon.doctor.check import Check
-from daemon.doctor.line import check_damage, check_protocol, check_rate, port_is_not_open, port_is_open
+from daemon.doctor.line import (
+    check_damage,
+    check_protocol,
+    check_rate,
+    port_is_not_open,
+    port_is_open,
+    port_is_taken,
+)
 from daemon.doctor.listening import Heard, listen
-from daemon.doctor.machine import check_model, check_robot, check_service
+from daemon.doctor.machine import check_model, check_robot, check_service, service_runs
 from daemon.doctor.pad import (
     check_noise,
     check_orientation,
@@ -49,7 +56,7 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool)
         check_port(sensor.port, sensor.baud)
         opened = open_port(sensor.port, sensor.baud)
     except SensorError as error:
-        yield port_is_not_open(error)
+        yield port_is_taken() if error.kind == "busy" and service_runs() else port_is_not_open(error)
         yield Check("pad", "not checked", "there is no port to read it from")
         return
     with opened:

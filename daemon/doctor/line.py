@@ -31,7 +31,7 @@ STOPPED_S = 1.0
 ADVICE_FOR_PORT = {
     "missing": "plug the pad in, or name its port in sensor.port or with --port",
     "denied": "after that: log out and in again",
-    "busy": "end the other program while the doctor looks; the service: sudo systemctl stop touchd",
+    "busy": "end the other program while the doctor looks",
     "unusable": "name the pad's port in sensor.port or with --port",
 }
 ADVICE_FOR_BYTES = {
@@ -47,6 +47,12 @@ def port_is_open(sensor: SensorSettings) -> Check:
     device = os.path.realpath(sensor.port)
     is_link = os.path.islink(sensor.port)
     return Check("port", "ok", f"{sensor.port}{f' ({device})' if is_link else ''}, found and permitted")
+
+
+def port_is_taken() -> Check:
+    """Say that the daemon itself reads the port, which is as it should be."""
+    advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
+    return Check("port", "not checked", "the service touchd reads it", advice)
 
 
 def port_is_not_open(error: SensorError) -> Check:

@@ -108,6 +108,12 @@ def check_service() -> Check:
     return Check("service", "ok", found)
 
 
+def service_runs() -> bool:
+    """Return whether systemd runs the service now."""
+    state = _unit_state()
+    return state is not None and state["ActiveState"] == "active"
+
+
 def _unit_state() -> dict[str, str] | None:
     """Return what systemd knows of the unit, None where there is no systemd to ask."""
     try:
