@@ -36,6 +36,7 @@ COMMANDS = (
     Command("evaluate", "daemon.commands.evaluate", "scores the model, and writes the accuracy page"),
     Command("stability", "daemon.commands.stability", "checks the model's arithmetic on hard cases"),
     Command("speed", "daemon.commands.speed", "times an answer against the paper's network"),
+    Command("quantize", "daemon.commands.quantize", "weighs int8 copies of the model against float32"),
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
     Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
     Command("bench", "daemon.bench", "measures latency, processor, memory, start-up and speed"),
