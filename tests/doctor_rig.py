@@ -36,13 +36,12 @@ def heard(
     encode: Encode = encode_fabric_grid,
     rate_hz: float = 54.0,
     faults: Faults = NO_FAULTS,
-    speed: float | None = None,
 ) -> Heard:
-    """What is heard of these counts over a pty, by default flat out."""
+    """What is heard of these counts over a pty, flat out."""
     clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
     almost_all_s = (len(counts) - 3) / rate_hz
     with (
-        FakePort(Stream(counts, clock_ms, ()), encode, speed=speed, faults=faults) as port,
+        FakePort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
         open_port(port.path, 512_000) as opened,
     ):
         return listen(opened, parser_for(SETTINGS.sensor), almost_all_s)
