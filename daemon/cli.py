@@ -28,6 +28,7 @@ COMMANDS = (
     Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
     Command("demo", "daemon.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
+    Command("fake-robot", "daemon.commands.fake_robot", "stands in for a robot, prints what it is asked"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
     Command("record", "daemon.commands.record", "guides through making recordings of your own"),
     Command("data", "daemon.commands.data", "fetches the HAART recordings, or checks a folder of them"),

@@ -1,0 +1,18 @@
+"""`touchd fake-robot`: a stand-in robot on this computer, so that a lab can see what its Nao would do."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from drivers import fake_robot
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Be a robot until Ctrl-C or SIGTERM; every call comes out as one JSON object a line."""
+    parser = argparse.ArgumentParser(
+        prog="touchd fake-robot",
+        description="Real qi services on 127.0.0.1; prints where it listens, then every call, as JSON lines.",
+    )
+    fake_robot.add_arguments(parser)
+    fake_robot.run(parser.parse_args(arguments))
