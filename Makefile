@@ -3,13 +3,24 @@
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo setup test test-slow check lint format expectations bench soak clean
+.PHONY: help demo setup test test-slow check lint format expectations bench soak install \
+	install-program install-files uninstall clean
 
 # The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
 FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
 CANDIDATES := python3 python3.12 python3.11 python3.10
 PYTHON ?= $(shell for python in $(CANDIDATES); do \
 	$$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && command -v $$python && break; done)
+
+# Fails with what to do where no Python fits.
+define check-python
+for python in $(or $(PYTHON),$(CANDIDATES)); do \
+  $$python -c '$(FITS)' 2>/dev/null || continue; \
+  $$python -c 'import ensurepip, venv' 2>/dev/null && exit 0; \
+  echo "$$python cannot make a virtual environment; on Debian or Ubuntu: sudo apt install python3-venv"; exit 1; \
+done; \
+echo "touchd needs Python 3.10, 3.11 or 3.12 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
+endef
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -25,6 +36,7 @@ help:
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some ten minutes)"
 	@echo "make expectations  rebuild the expected events beside the shipped recordings"
+	@echo "make install       put the service in place, or upgrade it (sudo; PREFIX, DESTDIR); make uninstall removes it"
 	@echo "make setup         set up what the daemon needs: $(BIN)/touchd"
 	@echo "make clean         remove $(VENV) and what tools left behind"
 
@@ -57,16 +69,59 @@ soak: $(RUNTIME)
 expectations: $(RUNTIME)
 	$(BIN)/python tests/expectations.py
 
+# PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
+PREFIX ?= /opt
+PROGRAM := $(PREFIX)/touchd
+ETC := $(DESTDIR)/etc
+
+install: install-program install-files
+
+install-program:
+	@$(check-python)
+	@case "$$(readlink -f "$$(command -v $(PYTHON))")" in /home/*|/root/*) \
+	  echo "$(PYTHON) is in a home folder, which the service cannot see; make install PYTHON=/usr/bin/python3"; exit 1;; esac
+	@echo "Installing $(PROGRAM) (some 100 MB)"
+	@rm -rf build
+	@$(PYTHON) -m venv --clear $(DESTDIR)$(PROGRAM)
+	@$(DESTDIR)$(PROGRAM)/bin/python -m pip install --quiet --disable-pip-version-check '.[nao]'
+	@rm -rf build
+	@grep -rlIF "$(DESTDIR)$(PROGRAM)" $(DESTDIR)$(PROGRAM)/bin | xargs -r sed -i 's#$(DESTDIR)$(PROGRAM)#$(PROGRAM)#g'
+
+# What is in /etc/touchd already is the user's: an upgrade only renews the example beside it.
+install-files:
+	@install -d $(ETC)/touchd $(ETC)/systemd/system
+	@sed 's#/opt/touchd#$(PROGRAM)#g' systemd/touchd.service > $(ETC)/systemd/system/touchd.service
+	@chmod 644 $(ETC)/systemd/system/touchd.service
+	@install -D -m 644 systemd/99-touchd.rules $(ETC)/udev/rules.d/99-touchd.rules
+	@install -D -m 644 systemd/touchd.sysusers.conf $(ETC)/sysusers.d/touchd.conf
+	@install -D -m 644 systemd/touchd.tmpfiles.conf $(ETC)/tmpfiles.d/touchd.conf
+	@install -m 640 systemd/touchd.example.yaml $(ETC)/touchd/touchd.example.yaml
+	@test -e $(ETC)/touchd/touchd.yaml || install -m 640 systemd/touchd.example.yaml $(ETC)/touchd/touchd.yaml
+ifeq ($(DESTDIR),)
+	@systemd-sysusers touchd.conf
+	@systemd-tmpfiles --create touchd.conf
+	@if test -d /run/systemd/system; then systemctl daemon-reload; systemctl try-restart touchd; \
+	  udevadm control --reload; udevadm trigger --subsystem-match=tty; fi
+endif
+	@echo "Installed. The configuration is /etc/touchd/touchd.yaml; to start: sudo systemctl enable --now touchd"
+
+uninstall:
+ifeq ($(DESTDIR),)
+	@if test -d /run/systemd/system; then systemctl disable --now touchd; fi
+endif
+	@rm -f $(ETC)/systemd/system/touchd.service $(ETC)/udev/rules.d/99-touchd.rules \
+	  $(ETC)/sysusers.d/touchd.conf $(ETC)/tmpfiles.d/touchd.conf $(ETC)/touchd/touchd.example.yaml
+	@if test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then rm -rf $(DESTDIR)$(PROGRAM); fi
+ifeq ($(DESTDIR),)
+	@if test -d /run/systemd/system; then systemctl daemon-reload; udevadm control --reload; fi
+endif
+	@echo "Removed. Kept: /etc/touchd/touchd.yaml, the journal in /var/lib/touchd, the user touchd"
+
 clean:
 	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 
 $(BIN)/python:
-	@for python in $(or $(PYTHON),$(CANDIDATES)); do \
-	  $$python -c '$(FITS)' 2>/dev/null || continue; \
-	  $$python -c 'import ensurepip, venv' 2>/dev/null && exit 0; \
-	  echo "$$python cannot make a virtual environment; on Debian or Ubuntu: sudo apt install python3-venv"; exit 1; \
-	done; \
-	echo "touchd needs Python 3.10, 3.11 or 3.12 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
+	@$(check-python)
 	@echo "Making $(VENV) with $(PYTHON)"
 	@$(PYTHON) -m venv --clear $(VENV)
 
