@@ -173,6 +173,8 @@ class Soak:
 
     def _switch_the_robot(self) -> None:
         self.robot_switched += 1
+        # What the stand-in remembers is no memory of the daemon's.
+        self.robot.calls.clear()
         if self.robot_switched % 2:
             self.robot.start()
         else:
