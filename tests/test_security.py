@@ -1,0 +1,147 @@
+"""What comes from outside is data: nothing listens, nothing is run, nothing is without bound."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from expectations import RECORDINGS, stream_of
+
+from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings
+from daemon.events import RobotEvent, SensorEvent
+from daemon.rig import SpawnedDaemon
+from daemon.strict_yaml import _StrictLoader
+from daemon.wire import encoder_for
+from drivers.fake_port import FakePort
+from drivers.robot_session import qi_installed
+
+ROOT = Path(__file__).parent.parent
+SOURCES = sorted(path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("*.py"))
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+# Modules that run what they read.
+RUNS_WHAT_IT_READS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+LISTENS = "0A"
+LOOPBACK = "0100007F"
+
+
+def dangers(source: str) -> Iterator[str]:
+    """Yield what in a source file could run what it reads."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names if name.name.split(".")[0] in RUNS_WHAT_IT_READS)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in RUNS_WHAT_IT_READS:
+            yield node.module or ""
+        elif isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            given = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+            if called in ("eval", "exec", "os.system", "os.popen") or given.get("shell") == "True":
+                yield called
+            if called == "torch.load" and given.get("weights_only") != "True":
+                yield "torch.load without weights_only"
+            if called in ("np.load", "numpy.load") and given.get("allow_pickle", "False") != "False":
+                yield "np.load with allow_pickle"
+            loads_yaml = called in ("yaml.load", "yaml.unsafe_load", "yaml.full_load", "yaml.load_all")
+            if loads_yaml and "_StrictLoader" not in ast.unparse(node):
+                yield called
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import pickle",
+        "from joblib import load",
+        "torch.load(path)",
+        "torch.load(path, weights_only=False)",
+        "np.load(path, allow_pickle=True)",
+        "yaml.unsafe_load(text)",
+        "subprocess.run(command, shell=True)",
+        "eval(text)",
+    ],
+)
+def test_what_runs_what_it_reads_would_be_found(source: str) -> None:
+    assert list(dangers(source))
+
+
+def test_nothing_in_the_sources_runs_what_it_reads() -> None:
+    assert len(SOURCES) > 50
+    assert {str(path): found for path in SOURCES if (found := list(dangers(path.read_text())))} == {}
+
+
+def test_configuration_is_read_by_a_loader_that_makes_no_objects() -> None:
+    assert issubclass(_StrictLoader, yaml.SafeLoader | yaml.CSafeLoader)
+
+
+def test_a_checkpoint_that_holds_a_program_is_refused_and_not_run(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    from model import checkpoint
+
+    ran = tmp_path / "ran"
+
+    class Trap:
+        def __reduce__(self) -> tuple[object, ...]:
+            return os.mkdir, (str(ran),)
+
+    torch.save({"state": Trap()}, tmp_path / "trap.pt")
+    with pytest.raises(Exception, match=r"trap\.pt"):
+        checkpoint.load(tmp_path / "trap.pt")
+    assert not ran.exists()
+    torch.load(tmp_path / "trap.pt", weights_only=False)
+    assert ran.exists(), "the trap would not have caught anything"
+
+
+def sockets(pid: int) -> list[tuple[str, str, str]]:
+    """Return protocol, local address and state, as proc(5) writes them, of a process's network sockets."""
+    links = [link.readlink().name for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()]
+    inodes = {name[len("socket:[") : -1] for name in links if name.startswith("socket:[")}
+    found = []
+    for protocol in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/{pid}/net/{protocol}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in inodes:
+                found.append((protocol, fields[1], fields[3]))
+    return found
+
+
+def test_a_socket_that_listens_would_be_found() -> None:
+    with socket.create_server(("127.0.0.1", 0)):
+        assert ("tcp", LISTENS) in [(protocol, state) for protocol, _, state in sockets(os.getpid())]
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_the_daemon_listens_nowhere_and_the_stand_in_robot_on_this_computer_only(tmp_path: Path) -> None:
+    fake_robot = [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"]
+    with (
+        subprocess.Popen(fake_robot, stdout=subprocess.PIPE) as robot,
+        FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as pad,
+    ):
+        assert robot.stdout is not None
+        settings = Settings(
+            sensor=SensorSettings(port=pad.path),
+            robot=RobotConfig(url=json.loads(robot.stdout.readline())["listening"]),
+            journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
+        )
+        daemon = SpawnedDaemon(settings, tmp_path)
+        await_both(daemon)
+        daemons, robots = sockets(daemon.process.pid), sockets(robot.pid)
+        assert daemon.stop() == 0
+        robot.terminate()
+    assert [one for one in daemons if one[2] == LISTENS or one[0].startswith("udp")] == []
+    assert {address.partition(":")[0] for _, address, _ in daemons + robots} == {LOOPBACK}
+    assert LISTENS in [state for _, _, state in robots]
+
+
+def await_both(daemon: SpawnedDaemon) -> None:
+    """Wait until pad and robot are there."""
+    waited_for = {SensorEvent, RobotEvent}
+    for event in daemon.events():
+        waited_for.discard(type(event))
+        if not waited_for:
+            return
