@@ -12,6 +12,10 @@ from drivers.errors import TouchdError
 log = logging.getLogger(__name__)
 
 MAX_LINE_BYTES = 64 * 1024
+# A process that is killed while it writes leaves whole pages: Linux looks for the signal between them. So no
+# event may cross one; the line before is filled up with blanks, which JSON ignores.
+PAGE_BYTES = 4096
+MAX_EVENT_BYTES = 1024
 
 
 class JournalError(TouchdError):
@@ -40,11 +44,10 @@ class Journal:
 
     def append(self, line: bytes) -> None:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""
-        data = line + b"\n"
         try:
-            if self._size and self._size + len(data) > self._max_bytes:
+            if self._size and self._size + len(line) + 1 > self._max_bytes:
                 self._rotate()
-            self._write(data)
+            self._write(line + b" " * self._blanks_after(line) + b"\n")
         except OSError as error:
             self.lost += 1
             level = logging.DEBUG if self._failing else logging.WARNING
@@ -62,6 +65,12 @@ class Journal:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
+
+    def _blanks_after(self, line: bytes) -> int:
+        """Return how many blanks keep the next event from crossing into another page."""
+        room = -(self._size + len(line) + 1) % PAGE_BYTES
+        fits = self._size + len(line) + 1 + room <= self._max_bytes
+        return room if room < MAX_EVENT_BYTES and fits else 0
 
     def _write(self, data: bytes) -> None:
         written = os.write(self._fd, data)

@@ -209,7 +209,7 @@ class Soak:
                 for hour in settled
             ),
             "the journal holds the latest events and stays within its bound": (
-                written.splitlines()[-len(latest) :] == latest
+                [entry.rstrip() for entry in written.splitlines()[-len(latest) :]] == latest
                 and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
                 and self._journal.lost + self._journal_sink.dropped == 0
             ),

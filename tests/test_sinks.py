@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from daemon.events import SensorEvent, TouchBegan, decode
-from daemon.journal import Journal, JournalError
+from daemon.journal import PAGE_BYTES, Journal, JournalError
 from daemon.sinks import JournalSink, LinesSink
 
 
@@ -113,6 +115,22 @@ def test_half_a_line_left_by_a_power_cut_is_taken_off(tmp_path: Path) -> None:
     assert path.read_bytes() == b'{"n": 1}\n{"n": 2}\n'
 
 
+def test_no_event_crosses_a_page_so_that_a_kill_cannot_halve_it(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    journal = Journal(path, max_bytes=10_000_000, keep=1)
+    lines = [b'{"n": "' + b"x" * length + b'"}' for length in range(1000)]
+    for line in lines:
+        journal.append(line)
+    journal.close()
+    written = path.read_bytes()
+    assert [line.rstrip() for line in written.splitlines()] == lines
+    position = 0
+    for line in written.splitlines(keepends=True):
+        assert position // PAGE_BYTES == (position + len(line) - 1) // PAGE_BYTES
+        position += len(line)
+    assert len(written) < 1.3 * sum(map(len, lines))
+
+
 def test_a_journal_that_cannot_be_opened_is_one_clear_line(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match=r"cannot be written \(No such file or directory\)"):
         Journal(tmp_path / "nowhere" / "events.jsonl", max_bytes=1000, keep=1)
@@ -155,13 +173,13 @@ def test_a_full_disk_is_warned_of_once_and_leaves_only_whole_lines(tmp_path: Pat
 
 
 KILL_MID_WRITE = """
-import sys
+import random, sys
 from pathlib import Path
 from daemon.journal import Journal
 journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
 print("writing", flush=True)
 while True:
-    journal.append(b'{"n": "' + b"x" * 2000 + b'"}')
+    journal.append(b'{"n": "' + b"x" * random.randrange(1, 1000) + b'"}')
 """
 
 
@@ -179,3 +197,71 @@ def test_a_journal_killed_at_any_point_holds_whole_lines(tmp_path: Path) -> None
         for line in file.read_bytes().split(b"\n")[:-1]:
             json.loads(line)
         assert file.stat().st_size == 0 or file.read_bytes().endswith(b"\n")
+
+
+FILL_A_SMALL_DISK = """
+import json, logging, sys
+from pathlib import Path
+from daemon.journal import Journal
+logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
+path = Path(sys.argv[1])
+ballast = path.with_name("ballast")
+ballast.write_bytes(bytes(16_384))
+journal = Journal(path, max_bytes=10**9, keep=1)
+number = 0
+while journal.lost < 500:
+    journal.append(b'{"n": %d}' % number)
+    number += 1
+full = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
+ballast.unlink()
+journal.append(b'{"n": -1}')
+after = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
+assert full == list(range(number - 500)), full[-5:]
+assert after == [*full, -1], after[-5:]
+"""
+
+
+@pytest.mark.skipif(
+    subprocess.run(
+        ["unshare", "--mount", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
+    ).returncode
+    != 0,
+    reason="a small disk cannot be mounted here",
+)
+def test_on_a_disk_that_is_really_full_the_journal_stays_valid_and_goes_on_when_there_is_room(
+    tmp_path: Path,
+) -> None:
+    mounted = 'mount -t tmpfs -o size=64k none "$0" && exec "$1" -c "$2" "$0/events.jsonl"'
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", mounted, str(tmp_path), sys.executable, FILL_A_SMALL_DISK],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=20,
+    )
+    assert done.returncode == 0, done.stderr
+    warning, recovery = done.stderr.splitlines()
+    assert warning.startswith("WARNING")
+    assert "No space left on device; events are not kept" in warning
+    assert recovery.startswith("INFO")
+    assert "works again; 500 events were lost" in recovery
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_a_journal_killed_fifty_times_holds_whole_lines_and_is_gone_on_with(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    chance = random.Random(1)
+    for _ in range(50):
+        with subprocess.Popen(
+            [sys.executable, "-c", KILL_MID_WRITE, str(path)], stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(chance.uniform(0.0, 0.1))
+            process.kill()
+        for file in tmp_path.iterdir():
+            written = file.read_bytes()
+            assert written.endswith(b"\n") or not written
+            assert all(json.loads(line)["n"] for line in written.splitlines())
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 4 * 100_000
