@@ -24,6 +24,7 @@ class Health:
         self._ready = False
         self._pad_is_away = False
         self._frames = 0
+        self._frames_in_all = 0
         self._dropped = 0
         self._next_feed_s = 0.0
         self._status_s = time.monotonic()
@@ -39,6 +40,7 @@ class Health:
     def frame_processed(self) -> None:
         """A frame went through the pipeline."""
         self._frames += 1
+        self._frames_in_all += 1
         self._feed()
 
     def idle(self) -> None:
@@ -59,6 +61,10 @@ class Health:
         self._notifier.send(STATUS=f"{pad}, {touches} touches, {dropped} frames dropped")
         self._status_s = now_s
         self._frames = 0
+
+    def end(self, touches: int, dropped: int) -> None:
+        """Say what it was in all."""
+        log.info("%d frames, %d touches, %d frames dropped in all", self._frames_in_all, touches, dropped)
 
     def _feed(self) -> None:
         now_s = time.monotonic()

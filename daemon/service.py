@@ -151,7 +151,11 @@ class Service:
                 self._health.report(self._outlet.touches, self._pad.queue.dropped)
         finally:
             self._pad.stop()
+            # What had arrived was felt.
+            for _ in range(len(self._pad.queue)):
+                self._take(self._pad.queue.get(timeout_s=0))
             self._pipeline.flush()
+            self._health.end(self._outlet.touches, self._pad.queue.dropped)
 
     def change(self, settings: Settings) -> list[str]:
         """Go by other settings, while `run` goes on in another thread; returns the names of what changed.

@@ -1,0 +1,87 @@
+"""The real daemon while both cores are taken by others, at the pad's rate and far beyond it.
+
+To see the figures: pytest -m slow tests/test_load.py -s
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from expectations import RECORDINGS, expected, stream_of
+
+from daemon.config import SensorSettings, Settings
+from daemon.events import Event, Prediction
+from daemon.rig import SpawnedDaemon, outline
+from daemon.wire import encoder_for
+from drivers.fake_port import FakePort
+
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
+
+Play = Callable[[float], tuple[list[Event], int, int]]
+
+
+@pytest.fixture
+def busy() -> Iterator[None]:
+    """Every core is taken."""
+    burners = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 2)
+    ]
+    yield
+    for burner in burners:
+        burner.kill()
+        burner.wait()
+
+
+@pytest.fixture
+def play(tmp_path: Path) -> Play:
+    """Plays a recording to the daemon so many times faster; returns events, frames processed and dropped."""
+
+    def play(speed: float) -> tuple[list[Event], int, int]:
+        with (
+            FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=speed) as port,
+            (tmp_path / "log").open("w+") as log,
+        ):
+            daemon = SpawnedDaemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, log.buffer)
+            assert port.wait(90)
+            daemon.process.terminate()
+            events = list(daemon.events())
+            assert daemon.stop() == 0
+            log.seek(0)
+            said = IN_ALL.search(log.read())
+        assert said is not None
+        return events, int(said[1]), int(said[3])
+
+    return play
+
+
+def test_what_it_says_at_the_end_adds_up_to_what_was_sent(play: Play) -> None:
+    _, processed, dropped = play(100.0)
+    assert processed + dropped == len(stream_of(LENGTHS).counts)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+@pytest.mark.usefixtures("busy")
+def test_at_the_pads_rate_no_frame_is_lost_while_every_core_is_busy(play: Play) -> None:
+    events, processed, dropped = play(1.0)
+    assert (processed, dropped) == (len(stream_of(LENGTHS).counts), 0)
+    assert outline(events) == expected(LENGTHS)
+    slowest_ms = max(event.latency_ms for event in events if isinstance(event, Prediction))
+    sys.stdout.write(f"1 times: {processed} frames, {dropped} dropped, slowest answer {slowest_ms:.1f} ms\n")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+@pytest.mark.usefixtures("busy")
+@pytest.mark.parametrize("speed", [10.0, 50.0])
+def test_far_beyond_the_pads_rate_it_says_what_it_dropped(play: Play, speed: float) -> None:
+    _, processed, dropped = play(speed)
+    assert processed + dropped == len(stream_of(LENGTHS).counts)
+    sys.stdout.write(f"{speed:g} times: {processed} frames, {dropped} dropped\n")
