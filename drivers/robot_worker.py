@@ -23,6 +23,8 @@ State = Literal["up", "down"]
 
 # How often a quiet connection is looked at, which bounds how long a killed robot goes unnoticed.
 LOOK_S = 0.05
+# Of the two seconds that stopping may take, what is left for answers that were given just before.
+LAST_WORDS_S = 0.5
 
 
 class Duty(Protocol[Item_contra]):
@@ -156,6 +158,7 @@ class RobotWorker(Generic[Item]):
                     self._backoff.reset()
                     self._tell("up", "")
                     self._serve(session)
+                    self._handle_what_waits(session)
                     self._duty.end(session)
             except (RobotLost, RobotRefused) as error:
                 self._tell("down", str(error))
@@ -179,6 +182,12 @@ class RobotWorker(Generic[Item]):
                 answered_s = time.monotonic()
             else:
                 self._wake.wait(LOOK_S)
+
+    def _handle_what_waits(self, session: RobotSession) -> None:
+        """On the way out, handle what was queued before, for as long as there is time."""
+        deadline_s = time.monotonic() + LAST_WORDS_S
+        while time.monotonic() < deadline_s and self._handle_next(session):
+            pass
 
     def _heartbeat(self, session: RobotSession) -> None:
         # An error is an answer too: only silence means that the robot hangs.

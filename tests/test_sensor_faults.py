@@ -136,6 +136,7 @@ def test_a_loose_plug_is_warned_of_once(caplog: pytest.LogCaptureFixture, tmp_pa
 def test_a_pad_that_goes_for_good_soon_after_it_came_back_is_warned_of(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    caplog.set_level(logging.WARNING)
     states: list[SensorState] = []
     announcer = Announcer(states.append)
     announcer.down("missing", "gone")
@@ -177,6 +178,7 @@ def test_a_failure_nobody_foresaw_is_told_and_gone_when_its_cause_is() -> None:
 
 
 def test_what_is_only_passed_through_on_the_way_back_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
     states: list[SensorState] = []
     announcer = Announcer(states.append)
     for kind in ("missing", "denied", "missing", "busy", "busy", "busy"):

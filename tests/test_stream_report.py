@@ -13,6 +13,7 @@ from daemon.decide import DecisionSettings
 from daemon.stream_measure import Said, Told, decide, listen
 from daemon.stream_report import LEAST_RIGHT_EARLY, MOST_CHANGED, MOST_HARMED, StreamReport, choose
 from daemon.touch_measure import spliced
+from drivers.recording import Selection, read_recordings
 from model import haart
 from model.classifier import SHIPPED_MODEL
 
@@ -68,10 +69,10 @@ def test_one_participants_touches_are_answered_by_a_network_that_never_saw_them(
     pytest.importorskip("torch", reason="needs the extra train")
     from model.ship import left_out_split
 
-    training = haart.read_training(Path(os.environ["TOUCHD_HAART"]))
-    classifier, recordings = left_out_split(SHIPPED_MODEL.parent, haart.realigned(training))[-1]
-    one = [recording for recording in recordings if recording.participant == "P8"]
-    said = list(listen(spliced(one, level_rest=True), classifier))
+    path = haart.find(Path(os.environ["TOUCHD_HAART"]), haart.TRAINING_FILE)
+    of_one = haart.realigned(read_recordings(path, Selection(participants=("P8",))))
+    classifier = next(fold for fold, recordings in left_out_split(SHIPPED_MODEL.parent, of_one) if recordings)
+    said = list(listen(spliced(of_one, level_rest=True), classifier))
     right = [
         max(LABELS, key=lambda label, p=p: p[LABELS.index(label)]) == touch.gesture
         for touch in said
