@@ -63,8 +63,19 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     )
     assert program is not None
     proto = program.model_proto
+    _forget_where_it_was_made(proto)
     entry = proto.metadata_props.add()
     entry.key, entry.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
     onnx.checker.check_model(proto)
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(proto, path)
+
+
+def _forget_where_it_was_made(proto: onnx.ModelProto) -> None:
+    """Remove what the exporter notes of source files and their places on this machine."""
+    for entry in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
+        del entry.metadata_props[:]
+        entry.doc_string = ""
+    for tensor in proto.graph.initializer:
+        del tensor.metadata_props[:]
+    del proto.graph.metadata_props[:]

@@ -156,6 +156,10 @@ def test_the_exported_file_says_what_it_is(exported: Path) -> None:
     assert Classifier.load(exported).metadata == metadata()
 
 
+def test_the_exported_file_does_not_say_where_it_was_made(exported: Path) -> None:
+    assert str(Path(__file__).parent.parent).encode() not in exported.read_bytes()
+
+
 @torch.no_grad()
 @pytest.mark.parametrize("frames", [1, 2, 9, 27, 54, 67, 81, 108, 144, 216, 432])
 def test_the_exported_file_answers_as_pytorch_does_in_float64(exported: Path, frames: int) -> None:
