@@ -17,14 +17,13 @@ from daemon.wire import parser_for
 from drivers.frame import Frame
 from drivers.framing import CLOCK_MODULUS
 from drivers.pad_health import Kind, PadHealth
-from drivers.recording import Recording
+from drivers.recording import NO_TOUCH, Recording
 from drivers.sensor import FrameQueue, Sensor, SensorState
 
 SILENCE_S = 2.5
 RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
-NO_TOUCH = "notouch"
 NO_FRAME = "no frame comes: is the pad plugged in, and does it run?"
 
 

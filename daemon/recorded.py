@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import (
+    NO_TOUCH,
     Recording,
     RecordingError,
     Selection,
@@ -23,7 +24,6 @@ from drivers.recording import (
     splice,
 )
 
-NO_TOUCH = "notouch"
 # Long enough for a touch to end and the pad's rest to be found again, short enough to wait for.
 QUIET_FRAMES = round(4.0 * FRAME_RATE_HZ)
 

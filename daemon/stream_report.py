@@ -17,8 +17,8 @@ from daemon.decide import DecisionSettings
 from daemon.events import Stage
 from daemon.pipeline import STAGES
 from daemon.stream_measure import Said, decide, listen
-from daemon.touch_measure import NO_TOUCH, spliced
-from drivers.recording import Recording
+from daemon.touch_measure import spliced
+from drivers.recording import NO_TOUCH, Recording
 from model import haart
 from model.classifier import SHIPPED_MODEL
 from model.metrics import expected_calibration_error

@@ -9,7 +9,6 @@ import numpy as np
 
 from daemon.touch import TouchSettings
 from daemon.touch_measure import (
-    NO_TOUCH,
     Case,
     Outcome,
     false_touches,
@@ -19,7 +18,7 @@ from daemon.touch_measure import (
     spliced,
 )
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import Recording
+from drivers.recording import NO_TOUCH, Recording
 
 ONSET_LEVELS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 QUIETS_S = (0.4, 0.5, 0.6, 0.8, 1.0)

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from daemon.ring import GridFrame
 from daemon.touch import FLOOR_COUNTS, LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import Recording, set_up
+from drivers.recording import NO_TOUCH, Recording, set_up
 
 Scans = NDArray[np.float32]
 
-NO_TOUCH = "notouch"
 LEAD_FRAMES = 270
 # The most that any single scan of a notouch recording has above its rest is 19 counts.
 VISIBLE_COUNTS = 20.0

@@ -26,6 +26,8 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 CELLS = ROWS * COLUMNS
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
+NO_TOUCH = "notouch"
+"""The label of a recording in which nothing touches the pad."""
 # Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.
 MOST_LINES = 1_000_000
 LONGEST_LINE = 4096

@@ -19,7 +19,6 @@ from drivers.recording import Recording, RecordingError, read_recordings, realig
 TRAINING_FILE = "training.csv"
 TEST_FILE = "testWITHLABELS.csv"
 PUBLISHED_FRAMES = 432
-NO_TOUCH = "notouch"
 GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from drivers.recording import Recording
+from drivers.recording import NO_TOUCH, Recording
 from model import checkpoint, haart
 from model.augment import begin_from_rest, crop, mix, vary
 from model.checkpoint import Checkpoint, CheckpointError
@@ -40,7 +40,7 @@ class Training:
             participant: [
                 i
                 for i, recording in enumerate(recordings)
-                if (recording.participant, recording.gesture) == (participant, haart.NO_TOUCH)
+                if (recording.participant, recording.gesture) == (participant, NO_TOUCH)
             ]
             for participant in self.participants
         }

@@ -14,9 +14,9 @@ from daemon.events import Event, Prediction
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.touch import TouchSettings
 from daemon.touch_figures import MAX_DELAY_MS, MAX_FALSE_PER_10_MIN, MAX_MISSED, TouchReport, at_level, point
-from daemon.touch_measure import NO_TOUCH, spliced
+from daemon.touch_measure import spliced
 from drivers.frame import Frame
-from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings, realign
+from drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
 from model.classifier import Classifier
 from model.haart import TRAINING_FILE, find
 
