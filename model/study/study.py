@@ -1,0 +1,24 @@
+"""What every part of the study is given to work with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from model.study.results import Results
+
+
+@dataclass(frozen=True)
+class Study:
+    """haart: folder of recordings; runs: of checkpoints; docs: of the page; threads: where there is no GPU."""
+
+    haart: Path
+    runs: Path
+    results: Results
+    threads: int
+    docs: Path
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where the parts keep what they have half done."""
+        return self.runs / "report"
