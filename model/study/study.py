@@ -10,7 +10,7 @@ from model.study.results import Results
 
 @dataclass(frozen=True)
 class Study:
-    """haart: folder of recordings; runs: of checkpoints; docs: of the page; threads: where there is no GPU."""
+    """haart: folder of recordings; runs: of checkpoints; docs: of the page; threads: of the processor."""
 
     haart: Path
     runs: Path
