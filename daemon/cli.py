@@ -35,6 +35,7 @@ COMMANDS = (
     Command("train", "daemon.commands.train", "trains the networks of a recipe"),
     Command("export", "daemon.commands.export", "calibrates trained networks and writes them as ONNX files"),
     Command("evaluate", "daemon.commands.evaluate", "scores the model, and writes the accuracy page"),
+    Command("report", "daemon.commands.report", "the paper's tables and figures beside ours"),
     Command("stability", "daemon.commands.stability", "checks the model's arithmetic on hard cases"),
     Command("speed", "daemon.commands.speed", "times an answer against the paper's network"),
     Command("quantize", "daemon.commands.quantize", "weighs int8 copies of the model against float32"),
