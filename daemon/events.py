@@ -64,6 +64,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     frames: from first to last contact, on the 54 Hz grid.
     reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "gap" (more
     frames lost than can be bridged, or the sensor restarted); "sensor" (gone); "stopped" (the stream ended).
+    sensor_ms: the sensor's clock at the last contact; None in journals of before it was said.
     """
 
     touch: int
@@ -71,6 +72,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     frames: int
     reason: EndReason
     time: str
+    sensor_ms: int | None = None
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):

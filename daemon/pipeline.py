@@ -143,7 +143,7 @@ class Pipeline:
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
         )
-        sensor_ms = round(so_far[0].sensor_ms) % CLOCK_WRAP_MS
+        sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms))
 
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
@@ -169,10 +169,15 @@ class Pipeline:
             self._ask(touch, "released", frames, since_s)
         elif touch.decision.told is None:
             self._ask(touch, "uncertain", frames, since_s)
-        gesture = touch.decision.told or UNCERTAIN
+        (last,) = self._ring.frames(release.last_index, release.last_index + 1)
         self._emit(
             TouchEnded(
-                touch=touch.number, gesture=gesture, frames=frames, reason=release.reason, time=self._now()
+                touch=touch.number,
+                gesture=touch.decision.told or UNCERTAIN,
+                frames=frames,
+                reason=release.reason,
+                time=self._now(),
+                sensor_ms=_as_sent(last),
             )
         )
 
@@ -205,6 +210,11 @@ class Pipeline:
 
     def _now(self) -> str:
         return timestamp(self._clock.epoch_s())
+
+
+def _as_sent(frame: GridFrame) -> int:
+    """Return the sensor's clock at a point of the grid as the sensor sends it, (0 to 2^32 - 1) ms."""
+    return round(frame.sensor_ms) % CLOCK_WRAP_MS
 
 
 def _history_frames(settings: PipelineSettings) -> int:

@@ -10,12 +10,15 @@ import typing
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from daemon.events import Event, Prediction, SensorEvent, encode, epoch_s
 from daemon.journal import Journal
 from drivers.robot import RobotLink, RobotMessage, State
 
 log = logging.getLogger(__name__)
+
+Item = TypeVar("Item")
 
 CAPACITY = 1000
 WRITABLE_WAIT_S = 0.1
@@ -41,27 +44,27 @@ class Sink(typing.Protocol):
         ...
 
 
-class QueuedSink(ABC):
-    """A thread that passes events on, one by one; a full queue drops its oldest event and counts it."""
+class QueuedSink(ABC, Generic[Item]):
+    """A thread that passes items, events mostly, on one by one; a full queue drops and counts its oldest."""
 
     def __init__(self, name: str, capacity: int = CAPACITY) -> None:
         self.name = name
         self.dropped = 0
         self._capacity = capacity
-        self._events: deque[Event] = deque()
+        self._items: deque[Item] = deque()
         self._changed = threading.Condition()
         self._draining = False
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
         self._thread.start()
 
-    def put(self, event: Event) -> None:
+    def put(self, item: Item) -> None:
         """Queue an event; never blocks."""
         with self._changed:
-            if len(self._events) == self._capacity:
-                self._events.popleft()
+            if len(self._items) == self._capacity:
+                self._items.popleft()
                 self.dropped += 1
-            self._events.append(event)
+            self._items.append(item)
             self._changed.notify()
 
     def stop(self, timeout_s: float) -> None:
@@ -74,24 +77,24 @@ class QueuedSink(ABC):
         self._thread.join(timeout_s / 2)
 
     @abstractmethod
-    def write(self, event: Event) -> None:
+    def write(self, item: Item) -> None:
         """Pass one event on; may block, but not for long once `_abandoned` is set."""
 
     def _run(self) -> None:
         while not self._abandoned.is_set():
             with self._changed:
-                while not self._events and not self._draining:
+                while not self._items and not self._draining:
                     self._changed.wait()
-                if not self._events:
+                if not self._items:
                     break
-                event = self._events.popleft()
+                item = self._items.popleft()
             try:
-                self.write(event)
+                self.write(item)
             except Exception:
                 log.exception("%s: an event could not be passed on", self.name)
 
 
-class LinesSink(QueuedSink):
+class LinesSink(QueuedSink[Event]):
     """One JSON line an event to a file descriptor, usually standard output.
 
     on_gone: called once, from the sink's thread, when nobody reads any more.
@@ -102,9 +105,9 @@ class LinesSink(QueuedSink):
         self._on_gone = on_gone
         super().__init__("stdout", capacity)
 
-    def write(self, event: Event) -> None:
+    def write(self, item: Event) -> None:
         """Write one line; waits for a slow reader, and for none once it is gone."""
-        data = encode(event) + b"\n"
+        data = encode(item) + b"\n"
         try:
             while data and not self._abandoned.is_set():
                 # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
@@ -115,7 +118,7 @@ class LinesSink(QueuedSink):
             self._on_gone()
 
 
-class JournalSink(QueuedSink):
+class JournalSink(QueuedSink[Event]):
     """One JSON line an event to the journal, if there is one."""
 
     def __init__(self, journal: Journal | None, capacity: int = CAPACITY) -> None:
@@ -130,11 +133,11 @@ class JournalSink(QueuedSink):
             if before is not None:
                 before.close()
 
-    def write(self, event: Event) -> None:
+    def write(self, item: Event) -> None:
         """Append one line."""
         with self._using:
             if self._journal is not None:
-                self._journal.append(encode(event))
+                self._journal.append(encode(item))
 
     def stop(self, timeout_s: float) -> None:
         """Write what is queued and close the file."""

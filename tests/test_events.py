@@ -60,7 +60,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
         },
     ),
     (
-        TouchEnded(touch=7, gesture="stroke", frames=201, reason="released", time=TIME),
+        TouchEnded(touch=7, gesture="stroke", frames=201, reason="released", time=TIME, sensor_ms=84937),
         {
             "type": "touch_ended",
             "touch": 7,
@@ -68,6 +68,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "frames": 201,
             "reason": "released",
             "time": TIME,
+            "sensor_ms": 84937,
         },
     ),
     (

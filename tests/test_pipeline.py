@@ -86,7 +86,12 @@ def test_a_touch_is_answered_early_revised_and_at_last_and_then_ends() -> None:
     assert told(events) == [("early", "stroke")]
     assert events[0] == TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=2000)
     assert events[-1] == TouchEnded(
-        touch=1, gesture="stroke", frames=189, reason="released", time="2026-11-20T10:00:00.000Z"
+        touch=1,
+        gesture="stroke",
+        frames=189,
+        reason="released",
+        time="2026-11-20T10:00:00.000Z",
+        sensor_ms=5481,
     )
 
 
