@@ -1,0 +1,63 @@
+"""A pad as the network of resistors that it is, on a board's pins: what its columns read, row by row."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import MAX_COUNT
+
+SUPPLY_V = 5.0
+PULL_UP_OHM = 3300.0
+# The resistor in each row's wire, and the pin of an ATmega2560 behind it.
+ROW_OHM = 100.0 + 25.0
+
+
+def column_volts(taxels_ohm: NDArray[np.float64], *, others_high: bool = True) -> NDArray[np.float64]:
+    """Return what each column's pin is at while each row is low, (rows, columns) volts, all settled.
+
+    taxels_ohm: (rows, columns), the fabric at each crossing. others_high: the rows that are not read are
+    driven high; otherwise they are left open. Solved by Kirchhoff's current law at every strip.
+    """
+    rows, columns = taxels_ohm.shape
+    volts = np.empty((rows, columns))
+    for low in range(rows):
+        conductance, current = _strips(1 / taxels_ohm)
+        for row in range(rows):
+            if row == low or others_high:
+                conductance[row, row] += 1 / ROW_OHM
+                current[row] = 0.0 if row == low else SUPPLY_V / ROW_OHM
+        volts[low] = np.linalg.solve(conductance, current)[rows:]
+    return volts
+
+
+def row_milliamperes(taxels_ohm: NDArray[np.float64]) -> float:
+    """Return the largest current into a row's pin while it is low and all others are high."""
+    rows, _ = taxels_ohm.shape
+    largest = 0.0
+    for low in range(rows):
+        conductance, current = _strips(1 / taxels_ohm)
+        conductance[range(rows), range(rows)] += 1 / ROW_OHM
+        current[:rows] = SUPPLY_V / ROW_OHM
+        current[low] = 0.0
+        largest = max(largest, np.linalg.solve(conductance, current)[low] / ROW_OHM * 1000)
+    return largest
+
+
+def pressure(volts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Turn column volts into pressure in counts, as touchd sees it."""
+    return MAX_COUNT - volts / SUPPLY_V * MAX_COUNT
+
+
+def _strips(taxels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The pad and its pull-ups: conductances between the strips, rows then columns, and currents into them."""
+    rows, columns = taxels.shape
+    conductance = np.zeros((rows + columns, rows + columns))
+    conductance[:rows, rows:] = -taxels
+    conductance[rows:, :rows] = -taxels.T
+    conductance[range(rows), range(rows)] = taxels.sum(axis=1)
+    across = range(rows, rows + columns)
+    conductance[across, across] = taxels.sum(axis=0) + 1 / PULL_UP_OHM
+    current = np.zeros(rows + columns)
+    current[rows:] = SUPPLY_V / PULL_UP_OHM
+    return conductance, current
