@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import gzip
+import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,9 +29,12 @@ KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
 NO_TOUCH = "notouch"
 """The label of a recording in which nothing touches the pad."""
+UNLABELLED = "unlabelled"
+"""Stands in for the label, and for who touched what, where nobody has said it yet."""
 # Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.
 MOST_LINES = 1_000_000
 LONGEST_LINE = 4096
+DAMAGED = (OSError, EOFError, UnicodeDecodeError, zlib.error)
 Framing = Literal["published", "live"]
 Keys = tuple[str, str, str, str]
 
@@ -106,8 +110,26 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
     try:
         with _open_text(path, "r") as file:
             return list(_parse(path, file, select))
-    except (OSError, EOFError, UnicodeDecodeError, csv.Error) as error:
+    except (*DAMAGED, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read as a recording ({error})") from error
+
+
+def read_provenance(path: Path) -> dict[str, str]:
+    """Read the `# key: value` lines on top of a file in our own layout; raises RecordingError.
+
+    A file of another layout has none.
+    """
+    provenance: dict[str, str] = {}
+    try:
+        with _open_text(path, "r") as file:
+            for line in _lines(path, file):
+                if not line.startswith("# "):
+                    break
+                key, _, value = line[2:].partition(": ")
+                provenance[key] = value.rstrip("\n")
+    except DAMAGED as error:
+        raise RecordingError(f"{path}: cannot be read as a recording ({error})") from error
+    return provenance
 
 
 def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:

@@ -17,6 +17,7 @@ from drivers.recording import (
     RecordingError,
     Selection,
     ideal_clock_ms,
+    read_provenance,
     read_recordings,
     realign,
     splice,
@@ -61,6 +62,7 @@ def test_what_is_written_is_read_back_with_where_it_came_from_on_top(tmp_path: P
     written = path.read_bytes()
     text = (gzip.decompress(written) if name.endswith(".gz") else written).decode()
     assert text.splitlines()[:2] == ["# source: made up for a test", "# licence: none"]
+    assert read_provenance(path) == {"source": "made up for a test", "licence": "none"}
 
 
 def test_only_what_is_selected_is_read(tmp_path: Path) -> None:
@@ -69,6 +71,23 @@ def test_only_what_is_selected_is_read(tmp_path: Path) -> None:
     write_recordings(path, recordings, {})
     wanted = Selection(participants=("P1",), gestures=("pat", "stroke"))
     assert_same(read_recordings(path, wanted), [recordings[1]])
+
+
+def test_a_damaged_archive_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "pad.csv.gz"
+    write_recordings(path, [made("P1", "rub")], {})
+    # A block of the kind that deflate (RFC 1951) reserves, right after the archive's header and name.
+    written = path.read_bytes()
+    path.write_bytes(written[: written.index(b"\0", 10) + 1] + b"\x07" + written[30:])
+    for read in (read_recordings, read_provenance):
+        with pytest.raises(RecordingError, match="cannot be read as a recording"):
+            read(path)
+
+
+def test_a_file_of_another_layout_says_nothing_of_where_it_comes_from(tmp_path: Path) -> None:
+    path = tmp_path / "haart.csv"
+    path.write_text(f"{TRAINING_HEADER}\nP3,foam,fur,rub,{cells(0)}\n")
+    assert read_provenance(path) == {}
 
 
 def test_a_file_is_never_written_over(tmp_path: Path) -> None:
