@@ -95,7 +95,7 @@ class Dialogue:
                 continue
             choice = self._choose(capture, take)
             if choice == "keep":
-                keep(take.path, self._recording(take, capture), self._provenance(take, capture))
+                keep(take.path, [self._recording(take, capture)], self._provenance(take, capture))
                 self._say(f"  kept {take.path.name}", "green")
 
     def _capture(self, take: Take) -> Capture:

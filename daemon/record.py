@@ -10,13 +10,14 @@ from __future__ import annotations
 import os
 import random
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.recording import Recording, RecordingError, write_recordings
 
 SUFFIX = ".csv.gz"
+PARTIAL = ".partial-"
 # Names are parts of file names, divided by "_", and cells of a CSV file.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
 NAME_RULE = "a name has letters, digits and - only, 32 at most"
@@ -87,13 +88,13 @@ def prepare(folder: Path) -> None:
         ) from error
 
 
-def keep(path: Path, recording: Recording, provenance: Mapping[str, str]) -> None:
-    """Write a recording to its file, whole or not at all; raises RecordingError, also when it is there."""
-    partial = path.with_name(f".partial-{path.name}")
+def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
+    """Write recordings to their file, whole or not at all; raises RecordingError, also when it is there."""
+    partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
         # Left by a session that was cut off while it wrote.
         partial.unlink(missing_ok=True)
-        write_recordings(partial, [recording], provenance)
+        write_recordings(partial, recordings, provenance)
         with partial.open("rb") as file:
             os.fsync(file.fileno())
         # Unlike a renaming, a link fails where a file is there already.

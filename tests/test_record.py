@@ -40,7 +40,7 @@ def test_each_round_asks_every_gesture_in_an_order_that_only_seed_and_person_cha
 
 def test_what_is_kept_reads_back_as_it_was_with_where_it_comes_from(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
-    keep(path, recording(), {"sensor": "a pad"})
+    keep(path, [recording()], {"sensor": "a pad"})
     (read,) = read_recordings(path)
     np.testing.assert_array_equal(read.counts, recording().counts)
     np.testing.assert_array_equal(read.sensor_ms, recording().sensor_ms)
@@ -52,14 +52,14 @@ def test_nothing_is_ever_written_over(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
     path.write_text("precious")
     with pytest.raises(RecordingError, match="never written over"):
-        keep(path, recording(), {})
+        keep(path, [recording()], {})
     assert path.read_text() == "precious"
     assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
 
 
 def test_half_a_file_left_by_a_crash_is_in_nobodys_way(tmp_path: Path) -> None:
     (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
-    keep(tmp_path / "x.csv.gz", recording(), {})
+    keep(tmp_path / "x.csv.gz", [recording()], {})
     assert len(read_recordings(tmp_path / "x.csv.gz")) == 1
     assert len(list(tmp_path.iterdir())) == 1
 

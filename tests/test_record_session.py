@@ -122,7 +122,7 @@ def test_only_what_is_not_there_is_asked_for_and_a_crash_leaves_nothing_half(
 ) -> None:
     kept = tmp_path / "anna_foam_fur_notouch_1.csv.gz"
     (recording,) = simulate((("notouch", 0.5),), seed=1)
-    keep(kept, recording, {})
+    keep(kept, [recording], {})
     options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch", "--rounds", "2")
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
         assert "1 of 2" not in terminal.until("2 of 2: notouch")
