@@ -13,6 +13,7 @@ import yaml
 from model.settings import SettingsError
 from model.study.results import Results
 
+PREFIX = "paper/"
 GRID = Path(__file__).parent / "grid.yaml"
 PREDICTIONS_FOLDER = "report"
 """In the folder of the pages."""
@@ -83,11 +84,17 @@ def trained_cells(results: Results, variant: Variant, blocks: int, frames: int) 
     return [cell for cell in found if cell.epochs == longest]
 
 
+def trained_networks(results: Results) -> list[tuple[Variant, int, int]]:
+    """Return variant, blocks and frames of every network that is trained, public first, by frames, by blocks."""
+    found = {(cell.variant, cell.blocks, cell.frames) for cell in map(parse, results.keys(PREFIX))}
+    return sorted(found, key=lambda network: (network[0] != "public", network[2], network[1]))
+
+
 def parse(key: str) -> PaperCell:
     """Return the cell that a key names."""
     _, variant, blocks, frames, epochs, seed = key.split("/")
     return PaperCell(
-        variant=msgspec.convert(variant, Variant),
+        variant="printed" if variant == "printed" else "public",
         blocks=int(blocks.removeprefix("blocks")),
         frames=int(frames.removeprefix("frames")),
         epochs=int(epochs.removeprefix("epochs")),
@@ -96,4 +103,4 @@ def parse(key: str) -> PaperCell:
 
 
 def _prefix(variant: Variant, blocks: int, frames: int) -> str:
-    return f"paper/{variant}/blocks{blocks}/frames{frames}/"
+    return f"{PREFIX}{variant}/blocks{blocks}/frames{frames}/"

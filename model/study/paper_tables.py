@@ -1,0 +1,56 @@
+"""What tables 2 and 3 share: training their cells, and how a trained network of the paper's is written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import torch
+
+from model.study import paper_training
+from model.study.markdown import percent, provenance, table
+from model.study.paper_cells import PaperCell, Variant, read_grid, trained_cells, trained_networks
+from model.study.results import Results
+from model.study.study import Study
+
+PAPER_EPOCHS = 100
+HEADINGS = ("network", "blocks", "seeds", "epochs", "best epoch on test", "last epoch")
+
+
+def train(study: Study, wanted: Callable[[PaperCell], bool]) -> None:
+    """Train the wanted cells that the grid names and the results lack."""
+    grid = read_grid()
+    for entry in grid.whole if torch.cuda.is_available() else grid.feasible:
+        for cell in filter(wanted, entry.cells()):
+            if not study.results.has(cell.key):
+                paper_training.train(study, grid, cell)
+
+
+def rows(results: Results, networks: Sequence[tuple[Variant, int]], frames: int) -> list[list[str]]:
+    """Return what stands under HEADINGS, a row a network of this many frames; one that says so for none."""
+    found = []
+    for variant, blocks in networks:
+        cells = trained_cells(results, variant, blocks, frames)
+        seeds, epochs = str(len(cells)), f"{cells[0].epochs} of {PAPER_EPOCHS}"
+        best = percent([max(accuracies(results, cell)) for cell in cells])
+        last = percent([accuracies(results, cell)[-1] for cell in cells])
+        found.append([variant, str(blocks), seeds, epochs, best, f"**{last}**"])
+    return found or [["not trained", "", "", "", "", ""]]
+
+
+def accuracies(results: Results, cell: PaperCell) -> list[float]:
+    """Return the macro accuracy on the test windows after each epoch."""
+    measured: list[float] = results.get(cell.key)["accuracies"]
+    return measured
+
+
+def makings(results: Results) -> Iterator[str]:
+    """Yield the table of every trained network: how large, how long it took, and what made it."""
+    headings = ("network", "blocks", "frames", "epochs", "seed", "weights", "hours", "made by")
+    lines = []
+    for variant, blocks, frames in trained_networks(results):
+        for cell in trained_cells(results, variant, blocks, frames):
+            weights = f"{results.get(cell.key)['parameters']:,}"
+            hours = f"{results.cell(cell.key).seconds / 3600:.1f}"
+            what = (variant, str(blocks), str(frames), str(cell.epochs), str(cell.seed))
+            lines.append((*what, weights, hours, provenance(results, cell.key)))
+    yield from table(headings, lines)
