@@ -92,6 +92,16 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     keep: Annotated[int, msgspec.Meta(ge=0, le=100)] = 5
 
 
+class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the live page is served.
+
+    host: 127.0.0.1 is this computer alone; 0.0.0.0 is everyone who can reach it. port: 0 is any that is free.
+    """
+
+    host: Annotated[str, msgspec.Meta(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8054
+
+
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd."""
 
@@ -102,6 +112,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     scene: SceneSettings = SceneSettings()
     robot: RobotConfig | None = None
     journal: JournalSettings | None = None
+    live: LiveSettings | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     @property

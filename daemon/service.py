@@ -15,10 +15,12 @@ from daemon.decide import NO_TOUCH
 from daemon.destinations import link_to_robot, open_journal
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
+from daemon.live.sink import LiveSink
 from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
 from daemon.sinks import JournalSink, RobotSink, Sink
 from daemon.wire import parser_for
+from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, ROWS, Counts, Frame
 from drivers.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port
 from model.classifier import SHIPPED_MODEL, Classifier
@@ -32,13 +34,14 @@ SINKS_STOP_S = 1.2
 class Outlet:
     """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
 
-    Journal and robot are always among the sinks, and do nothing where none is configured.
+    Journal, robot and live page are always among the sinks, and do nothing where none is configured.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.journal = JournalSink(open_journal(settings.journal))
         self.robot = RobotSink(None)
-        self.sinks: list[Sink] = [self.journal, self.robot]
+        self.live = LiveSink()
+        self.sinks: list[Sink] = [self.journal, self.robot, self.live]
         self.touches = 0
 
     def emit(self, event: Event) -> None:
@@ -172,8 +175,13 @@ class Service:
             check_pad(settings)
         tells_anew = "robot" in names or settings.scene.actions != before.scene.actions
         link = link_to_robot(settings.robot, settings.scene, self._outlet.emit) if tells_anew else None
+        self._outlet.live.use(settings, classifier)
         # Last, since it is the one that leaves something behind; nothing after it fails.
-        journal = open_journal(settings.journal) if "journal" in names else None
+        try:
+            journal = open_journal(settings.journal) if "journal" in names else None
+        except TouchdError:
+            self._outlet.live.use(before, self._classifier)
+            raise
         self._settings, self._classifier = settings, classifier
         logging.getLogger().setLevel(settings.log_level.upper())
         if {"touch", "ring", "scene", "model"} & set(names):
@@ -194,6 +202,7 @@ class Service:
                 self._pad_watch.update(frame)
                 if self._show_frame is not None:
                     self._show_frame(frame.pressure)
+                self._outlet.live.put_frame(frame, self._pad.queue.dropped)
             case SensorState() as state:
                 self._pipeline.on_sensor_state(state)
                 self._health.pad_state(state.state == "up")

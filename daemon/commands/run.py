@@ -18,6 +18,7 @@ import msgspec
 from daemon.config import Settings, load
 from daemon.destinations import link_to_robot
 from daemon.health import Health
+from daemon.live.address import parse_address
 from daemon.notify import Notifier
 from daemon.reread import rereading
 from daemon.service import Outlet, Service, check_pad, load_model
@@ -38,6 +39,13 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--view", action="store_true", help="show the pad in the terminal instead of JSON lines"
     )
+    parser.add_argument(
+        "--live",
+        nargs="?",
+        const="",
+        metavar="[HOST:]PORT",
+        help="show the pad on a page for browsers too, at 127.0.0.1:8054 unless configured or said",
+    )
     options = parser.parse_args(arguments)
 
     def read() -> Settings:
@@ -45,6 +53,9 @@ def main(arguments: Sequence[str]) -> int:
         if options.port:
             sensor = msgspec.structs.replace(settings.sensor, port=options.port)
             settings = msgspec.structs.replace(settings, sensor=sensor)
+        if options.live is not None:
+            live = parse_address(options.live, settings.live)
+            settings = msgspec.structs.replace(settings, live=live)
         return settings
 
     # A terminal that goes away sends SIGHUP too, and then nobody is left to have meant it.
@@ -84,6 +95,7 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         else:
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
             outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
+        outlet.live.use(settings, classifier)
         outlet.robot.use(link_to_robot(settings.robot, settings.scene, outlet.emit))
         service = Service(settings, classifier, outlet, Health(notifier), show_frame)
         closing.enter_context(rereading(hung_up, read, service.change))

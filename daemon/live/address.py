@@ -1,0 +1,86 @@
+"""Where the live page is served, and by which names a browser may have asked for it."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import re
+import socket
+
+import msgspec
+
+from daemon.config import ConfigError, LiveSettings
+from drivers.errors import TouchdError
+
+# What the kernel keeps for a viewer who does not take it: a second or two of frames.
+SEND_BUFFER_BYTES = 16 * 1024
+EVERY_ADDRESS = ("0.0.0.0", "::")
+HIGHEST_PORT = 65535
+
+
+class LiveError(TouchdError):
+    """The live page cannot be served; the message is one line that says why and what to do."""
+
+
+def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
+    """Return where [HOST:]PORT says; what it leaves out is as configured. Raises ConfigError."""
+    settings = configured or LiveSettings()
+    if not text:
+        return settings
+    host, _, port = text.rpartition(":")
+    if not (port.isascii() and port.isdigit()) or int(port) > HIGHEST_PORT:
+        raise ConfigError(f"--live {text}: not [HOST:]PORT, such as 8054 or 0.0.0.0:8054")
+    host = host.removeprefix("[").removesuffix("]") or settings.host
+    return msgspec.structs.replace(settings, host=host, port=int(port))
+
+
+def listen(settings: LiveSettings) -> socket.socket:
+    """Return a socket that listens where these settings say; raises LiveError."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    try:
+        listening = socket.create_server((settings.host, settings.port), family=family)
+    except OSError as error:
+        where = f"the live page cannot listen on {settings.host} port {settings.port}"
+        raise LiveError(f"{where}: {_why(error, settings.port)}") from error
+    # Handed down to every connection.
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    return listening
+
+
+def _why(error: OSError, port: int) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return f"another program does, perhaps another touchd; end it, or choose another port than {port}"
+    if error.errno == errno.EACCES:
+        return "ports below 1024 are the system's; choose a higher one"
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+        return "this computer has no such address; 127.0.0.1 is this computer alone, 0.0.0.0 the network too"
+    return f"{error.strerror}; choose another address"
+
+
+def url_of(settings: LiveSettings, port: int) -> str:
+    """Return the page's address for a person; where every address is meant, by this computer's name."""
+    host = socket.gethostname() if settings.host in EVERY_ADDRESS else settings.host
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+
+
+def own_names(settings: LiveSettings) -> frozenset[str]:
+    """Return the names, in lower case, by which this computer may be asked for the page."""
+    name = socket.gethostname().lower()
+    return frozenset({"localhost", name, f"{name}.local", settings.host.lower()})
+
+
+def is_own_host(host: str, names: frozenset[str]) -> bool:
+    """Whether a Host header, NAME[:PORT], names this computer by one of `names` or by a number.
+
+    A page from elsewhere can have its own name lead here (DNS rebinding), and then comes under that name; it
+    cannot come under a number. The port is free, for it differs at the other end of a tunnel.
+    """
+    match = re.fullmatch(r"(\[[^\]]*\]|[^:]*)(:\d{1,5})?", host)
+    if match is None:
+        return False
+    name = match[1].strip("[]").lower()
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return name in names
+    return True

@@ -1,0 +1,73 @@
+"""What the live page has been told so far, to be told again to whoever comes later."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import msgspec
+
+from daemon.decide import ProbabilityModel
+from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.live.messages import Felt, State
+from daemon.pipeline import PipelineSettings
+from drivers.frame import FRAME_RATE_HZ
+
+TOUCHES = 12
+PREDICTIONS = 24
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What answers are made with: the pipeline's settings, the model; and whether a robot is configured."""
+
+    settings: PipelineSettings
+    model: ProbabilityModel
+    robot_configured: bool
+
+
+class Memory:
+    """The last touches with their answers, and what was last heard of pad and robot; all of it bounded."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self._sensor: SensorEvent | None = None
+        self._robot: RobotEvent | None = None
+        self._touches: deque[Felt] = deque(maxlen=TOUCHES)
+
+    def put(self, event: Event) -> None:
+        """Remember an event; a touch whose beginning is not known is left out."""
+        match event:
+            case SensorEvent():
+                self._sensor = event
+            case RobotEvent():
+                self._robot = event
+            case TouchBegan():
+                self._touches.append(Felt(began=event, predictions=(), ended=None))
+            case Prediction() | TouchEnded():
+                self._add(event)
+
+    def state(self, page: str) -> State:
+        """Return it all; page: stamp of the page's files."""
+        scene = self.scene
+        return State(
+            page=page,
+            labels=scene.model.labels,
+            answer_at_frames=scene.settings.decision.answer_at_frames,
+            frame_rate_hz=FRAME_RATE_HZ,
+            model=scene.model.name,
+            robot_configured=scene.robot_configured,
+            sensor=self._sensor,
+            robot=self._robot if scene.robot_configured else None,
+            touches=tuple(self._touches),
+        )
+
+    def _add(self, event: Prediction | TouchEnded) -> None:
+        if not self._touches or self._touches[-1].began.touch != event.touch:
+            return
+        felt = self._touches[-1]
+        if isinstance(event, TouchEnded):
+            self._touches[-1] = msgspec.structs.replace(felt, ended=event)
+        else:
+            predictions = (*felt.predictions, event)[-PREDICTIONS:]
+            self._touches[-1] = msgspec.structs.replace(felt, predictions=predictions)

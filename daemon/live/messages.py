@@ -1,0 +1,72 @@
+"""What the page is sent: the daemon's events as they are, and besides them frames, state and status.
+
+Everything is JSON, but a frame: 132 bytes, little-endian, its sensor_ms (uint32) and 64 counts (uint16).
+"""
+
+from __future__ import annotations
+
+import struct
+
+import msgspec
+
+from daemon.events import Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from drivers.frame import Frame
+
+CLOCK = struct.Struct("<I")
+CLOCK_MASK = 0xFFFFFFFF
+
+
+class Felt(msgspec.Struct, frozen=True, kw_only=True):
+    """A touch so far: how it began, what was said of it, and how it ended if it has."""
+
+    began: TouchBegan
+    predictions: tuple[Prediction, ...]
+    ended: TouchEnded | None
+
+
+class State(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
+    """All that a page must know when it comes, or was too slow for a while.
+
+    page: stamp of the page's files; a page with another one loads itself anew. labels: in the order of the
+    probabilities. answer_at_frames: of the scene. model: its name. touches: the last ones, oldest first; one
+    that goes on is the last.
+    """
+
+    page: str
+    labels: tuple[str, ...]
+    answer_at_frames: tuple[int, ...]
+    frame_rate_hz: float
+    model: str
+    robot_configured: bool
+    sensor: SensorEvent | None
+    robot: RobotEvent | None
+    touches: tuple[Felt, ...]
+
+
+class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):
+    """How it goes, twice a second. rate_hz: of the frames. dropped: frames the daemon was too slow for."""
+
+    rate_hz: float
+    dropped: int
+    viewers: int
+
+
+class Leaning(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="leaning"):
+    """What the model makes of the touch between two answers; nobody but the page is told.
+
+    frames: length of the touch so far. probabilities: as in `daemon.events.Prediction`.
+    """
+
+    touch: int
+    frames: int
+    probabilities: dict[str, float]
+
+
+def encode_frame(frame: Frame) -> bytes:
+    """Return a frame as the page takes it."""
+    return CLOCK.pack(frame.sensor_ms & CLOCK_MASK) + frame.pressure.astype("<u2").tobytes()
+
+
+def encode_message(message: msgspec.Struct) -> str:
+    """Return an event, a state or a status as JSON."""
+    return msgspec.json.encode(message).decode()

@@ -1,0 +1,78 @@
+"""The page's own files, and the answer to whoever asks for one of them or for something else."""
+
+from __future__ import annotations
+
+import hashlib
+from http import HTTPStatus
+from pathlib import Path
+
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from daemon.live.address import is_own_host
+
+FOLDER = Path(__file__).parent / "page"
+STREAM = "/stream"
+TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+# Everything comes from here, nothing is inline, nobody frames it.
+POLICY = "; ".join(
+    [
+        "default-src 'none'",
+        "script-src 'self'",
+        "style-src 'self'",
+        "img-src 'self'",
+        "connect-src 'self'",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "frame-ancestors 'none'",
+    ]
+)
+HEADERS = {
+    "Content-Security-Policy": POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
+    "Connection": "close",
+}
+
+
+class Page:
+    """The files, read once. names: those by which a browser may ask for this computer.
+
+    stamp: changes with the files, so that a page can tell that it is an old one.
+    """
+
+    def __init__(self, names: frozenset[str]) -> None:
+        self._names = names
+        self._files = {f"/{path.name}": path.read_bytes() for path in sorted(FOLDER.iterdir())}
+        self._files["/"] = self._files["/page.html"]
+        self.stamp = hashlib.sha256(b"".join(self._files.values())).hexdigest()[:12]
+
+    def respond(self, request: Request) -> Response | None:
+        """Return the answer to a request, None where the stream is asked for as it should be."""
+        hosts = request.headers.get_all("Host")
+        if len(hosts) != 1 or not is_own_host(hosts[0], self._names):
+            return _answer(HTTPStatus.FORBIDDEN, "The page is not known by this name.\n")
+        path = request.path.partition("?")[0]
+        if path == STREAM:
+            # Only browsers send an origin, and always: that of the page which asks.
+            origins = {origin.partition("://")[2] for origin in request.headers.get_all("Origin")}
+            if origins - {hosts[0]}:
+                return _answer(HTTPStatus.FORBIDDEN, "Only the page itself gets the stream.\n")
+            return None
+        content = self._files.get(path)
+        if content is None:
+            return _answer(HTTPStatus.NOT_FOUND, "There is nothing here; the page is at /.\n")
+        return _answer(HTTPStatus.OK, content, TYPES[Path(path).suffix or ".html"])
+
+
+def _answer(status: HTTPStatus, body: str | bytes, kind: str = "text/plain; charset=utf-8") -> Response:
+    content = body.encode() if isinstance(body, str) else body
+    headers = {**HEADERS, "Content-Type": kind, "Content-Length": str(len(content))}
+    return Response(status.value, status.phrase, Headers(headers), content)

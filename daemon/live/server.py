@@ -1,0 +1,199 @@
+"""Serves the live page: a thread with an event loop of its own, handed what there is to show."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import socket
+import threading
+import time
+from collections import deque
+from contextlib import suppress
+from typing import TypeAlias
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
+
+from daemon.config import LiveSettings
+from daemon.events import Event
+from daemon.live.address import own_names
+from daemon.live.door import Door
+from daemon.live.leaning import Leanings
+from daemon.live.memory import Memory, Scene
+from daemon.live.messages import Status, encode_frame, encode_message
+from daemon.live.page import Page
+from daemon.live.viewers import Viewers
+from drivers.frame import Frame
+
+log = logging.getLogger(__name__)
+
+# Ten seconds of frames, which wait only when the machine is far too busy.
+CAPACITY = 540
+STATUS_EVERY_S = 0.5
+RATE_SAMPLES = 5
+# Connections of any kind, those that ask for a file and those that ask for nothing among them.
+MOST_CONNECTIONS = 64
+MOST_HEARD_BYTES = 64
+HANDSHAKE_S = 5.0
+PING_EVERY_S = 5.0
+GOODBYE_S = 0.2
+
+Item: TypeAlias = Event | Frame | Scene
+
+
+class LiveServer:
+    """Serves the page on a socket that listens already; takes events and frames from any thread, at once.
+
+    dropped: events and frames that the page's thread was too slow for.
+    """
+
+    def __init__(self, listening: socket.socket, settings: LiveSettings, scene: Scene) -> None:
+        self.dropped = 0
+        self._listening = listening
+        self._memory = Memory(scene)
+        self._page = Page(own_names(settings))
+        self._viewers = Viewers(self._state)
+        self._leanings = Leanings(scene)
+        self._items: deque[Item] = deque()
+        self._lock = threading.Lock()
+        self._is_woken = False
+        self._frames = 0
+        self._frames_dropped = 0
+        self._loop = asyncio.new_event_loop()
+        self._stopping = asyncio.Event()
+        self._thread = threading.Thread(target=self._run, name="touchd-live", daemon=True)
+        self._thread.start()
+
+    def put(self, item: Event | Scene) -> None:
+        """Take an event, or the scene that counts from now on, to be shown with the next frame.
+
+        Without a frame it is shown with the next status. Waking the page's thread here would have it compete
+        with passing an answer on.
+        """
+        with self._lock:
+            self._queue(item)
+
+    def put_frame(self, frame: Frame, dropped: int) -> None:
+        """Take a frame, and how many the daemon was too slow for so far; all that was put is now shown."""
+        self._frames_dropped = dropped
+        with self._lock:
+            self._queue(frame)
+            was_woken, self._is_woken = self._is_woken, True
+        if not was_woken:
+            # Raised when the loop has ended.
+            with suppress(RuntimeError):
+                self._loop.call_soon_threadsafe(self._take)
+
+    def stop(self, timeout_s: float) -> None:
+        """Say goodbye to all viewers and stop listening; may be repeated."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(self._stopping.set)
+        self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_until_complete(self._serve())
+        except Exception:
+            log.exception("the live page has failed; the daemon goes on without it")
+        finally:
+            self._listening.close()
+            self._loop.close()
+
+    async def _serve(self) -> None:
+        door = Door(MOST_CONNECTIONS)
+        server = await serve(
+            self._watch,
+            sock=self._listening,
+            process_request=lambda _, request: self._page.respond(request),
+            create_connection=door.kind,
+            compression=None,
+            server_header=None,
+            open_timeout=HANDSHAKE_S,
+            ping_interval=PING_EVERY_S,
+            ping_timeout=PING_EVERY_S,
+            close_timeout=GOODBYE_S,
+            max_size=MOST_HEARD_BYTES,
+            max_queue=1,
+            logger=_quiet_logger(),
+        )
+        status = asyncio.create_task(self._tell_status())
+        await self._stopping.wait()
+        status.cancel()
+        server.close()
+        closed = asyncio.create_task(server.wait_closed())
+        await asyncio.wait([closed, status], timeout=GOODBYE_S)
+        door.shut()
+        await asyncio.wait([closed, status], timeout=GOODBYE_S)
+
+    async def _watch(self, connection: ServerConnection) -> None:
+        """Keep a viewer until it leaves or says something, for nothing is read here."""
+        if not self._viewers.add(connection):
+            await connection.close(CloseCode.TRY_AGAIN_LATER, "too many are looking already")
+            return
+        try:
+            with suppress(ConnectionClosed):
+                await connection.recv()
+                await connection.close(CloseCode.POLICY_VIOLATION, "nothing is read here")
+        finally:
+            self._viewers.discard(connection)
+
+    async def _tell_status(self) -> None:
+        samples = deque([(time.monotonic(), self._frames)], maxlen=RATE_SAMPLES)
+        while True:
+            await asyncio.sleep(STATUS_EVERY_S)
+            self._take()
+            samples.append((time.monotonic(), self._frames))
+            (first_s, first), (last_s, last) = samples[0], samples[-1]
+            rate_hz = round((last - first) / (last_s - first_s), 1)
+            status = Status(rate_hz=rate_hz, dropped=self._frames_dropped, viewers=len(self._viewers))
+            self._viewers.show(encode_message(status))
+
+    def _queue(self, item: Item) -> None:
+        if len(self._items) == CAPACITY:
+            self._items.popleft()
+            self.dropped += 1
+        self._items.append(item)
+
+    def _take(self) -> None:
+        """Show all that was put since the last time."""
+        with self._lock:
+            items, self._items = self._items, deque()
+            self._is_woken = False
+        for item in items:
+            try:
+                self._show(item)
+            except Exception:
+                log.exception("live: something could not be shown")
+
+    def _show(self, item: Item) -> None:
+        match item:
+            case Frame():
+                self._frames += 1
+                self._show_frame(item)
+            case Scene():
+                self._memory.scene = item
+                self._leanings.change(item)
+                self._viewers.tell(self._state())
+            case _:
+                self._memory.put(item)
+                self._leanings.put(item)
+                self._viewers.tell(encode_message(item))
+
+    def _state(self) -> str:
+        return encode_message(self._memory.state(self._page.stamp))
+
+    def _show_frame(self, frame: Frame) -> None:
+        if not self._viewers:
+            return
+        self._viewers.show(encode_frame(frame))
+        leaning = self._leanings.push(frame)
+        if leaning is not None:
+            self._viewers.show(encode_message(leaning))
+
+
+def _quiet_logger() -> logging.Logger:
+    """Return a logger that keeps the comings, goings and mistakes of clients out of the daemon's log."""
+    quiet = logging.getLogger(f"{__name__}.connections")
+    quiet.setLevel(logging.CRITICAL)
+    return quiet
