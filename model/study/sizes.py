@@ -1,4 +1,4 @@
-"""Our network in other sizes than the shipped one, by the shipped recipe, to weigh its speed against its error.
+"""Our network in other sizes than the shipped one, by the shipped recipe: speed weighed against error.
 
 The sizes were fixed before any of them was trained, and nothing is chosen from their scores: that is why each
 may be shown on the test participants.
@@ -45,7 +45,7 @@ def widened(network: NetworkSettings, shape: Mapping[str, int]) -> NetworkSettin
 
 
 def ready(haart_folder: Path, runs: Path, threads: int, folder: Path = SIZES_FOLDER) -> dict[str, Path]:
-    """Return each size's ONNX file; what is not there is trained, from its last checkpoint on, and exported."""
+    """Return each size's ONNX file; a missing one is trained, from its last checkpoint on, and exported."""
     files = {}
     for job in jobs(read_recipe(), runs):
         path = folder / f"{job.name}.onnx"
