@@ -85,11 +85,14 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
 
     max_mb: size at which a new file is begun. keep: how many older files stay, path.1 being the newest.
+    keep_touches: of how many of the last touches the pad's frames are kept too, in path.touches/, a minute of
+    each at most; None keeps no frame.
     """
 
     path: str
     max_mb: Annotated[float, msgspec.Meta(gt=0, le=10_000)] = 10.0
     keep: Annotated[int, msgspec.Meta(ge=0, le=100)] = 5
+    keep_touches: Annotated[int, msgspec.Meta(ge=1, le=10_000)] | None = None
 
 
 class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -6,9 +6,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from daemon.config import JournalSettings, RobotConfig, SceneSettings
+from daemon.config import ConfigError, JournalSettings, RobotConfig, SceneSettings, Settings
 from daemon.events import Event, RobotEvent, timestamp
 from daemon.journal import Journal
+from daemon.touch_store import TouchStore, folder_of
+from daemon.wire import description_of
+from drivers.recording import RecordingError
 from drivers.robot import RobotLink, RobotSettings, State
 
 BYTES_PER_MB = 1_000_000
@@ -20,6 +23,18 @@ def open_journal(settings: JournalSettings | None) -> Journal | None:
         return None
     path = Path(settings.path).expanduser()
     return Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
+
+
+def open_touch_store(settings: Settings) -> TouchStore | None:
+    """Return where the frames of touches are kept, if they are; raises ConfigError when they cannot be."""
+    journal = settings.journal
+    if journal is None or journal.keep_touches is None:
+        return None
+    folder = folder_of(Path(journal.path).expanduser())
+    try:
+        return TouchStore(folder, journal.keep_touches, description_of(settings.sensor))
+    except RecordingError as error:
+        raise ConfigError(f"journal.keep_touches: {error}, by another journal.path, or keep none") from error
 
 
 def link_to_robot(

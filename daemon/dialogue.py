@@ -19,7 +19,7 @@ from daemon.config import Settings
 from daemon.events import timestamp
 from daemon.pace import pace_of
 from daemon.record import Session, Take, keep
-from daemon.wire import parser_for
+from daemon.wire import description_of
 from drivers.frame import MAX_COUNT, Counts
 from drivers.recording import Recording
 
@@ -160,13 +160,11 @@ class Dialogue:
         return capture.recording(session.participant, session.substrate, session.cover, take.gesture)
 
     def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
-        sensor = self._settings.sensor
         pace = pace_of(capture.frames)
         return {
             "source": f"touchd record, touchd {metadata.version('touchd')}",
             "recorded": timestamp(time.time()),
-            "sensor": f"{parser_for(sensor).description}, crop {sensor.crop}, invert {sensor.invert}, "
-            f"at {sensor.baud} baud on {sensor.port}",
+            "sensor": description_of(self._settings.sensor),
             "rate": f"{pace.rate_hz:.2f} Hz, {pace.lost} frames lost",
             "part": f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s",
             "round": f"{take.number} of {self._session.rounds}, seed {self._session.seed}",

@@ -12,13 +12,14 @@ import numpy as np
 
 from daemon.config import ConfigError, SceneSettings, SensorSettings, Settings
 from daemon.decide import NO_TOUCH
-from daemon.destinations import link_to_robot, open_journal
+from daemon.destinations import link_to_robot, open_journal, open_touch_store
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
 from daemon.live.sink import LiveSink
 from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
 from daemon.sinks import JournalSink, RobotSink, Sink
+from daemon.touch_sink import TouchSink
 from daemon.wire import parser_for
 from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, ROWS, Counts, Frame
@@ -34,14 +35,15 @@ SINKS_STOP_S = 1.2
 class Outlet:
     """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
 
-    Journal, robot and live page are always among the sinks, and do nothing where none is configured.
+    Journal, robot, live page and kept touches are always among them, and do nothing where not configured.
     """
 
     def __init__(self, settings: Settings) -> None:
         self.journal = JournalSink(open_journal(settings.journal))
         self.robot = RobotSink(None)
         self.live = LiveSink()
-        self.sinks: list[Sink] = [self.journal, self.robot, self.live]
+        self.kept = TouchSink(open_touch_store(settings))
+        self.sinks: list[Sink] = [self.journal, self.robot, self.live, self.kept]
         self.touches = 0
 
     def emit(self, event: Event) -> None:
@@ -175,6 +177,8 @@ class Service:
             check_pad(settings)
         tells_anew = "robot" in names or settings.scene.actions != before.scene.actions
         link = link_to_robot(settings.robot, settings.scene, self._outlet.emit) if tells_anew else None
+        keeps_anew = bool({"journal", "sensor"} & set(names))
+        store = open_touch_store(settings) if keeps_anew else None
         self._outlet.live.use(settings, classifier)
         # Last, since it is the one that leaves something behind; nothing after it fails.
         try:
@@ -188,6 +192,8 @@ class Service:
             self._pipeline.change(settings.pipeline, classifier)
         if "journal" in names:
             self._outlet.journal.use(journal)
+        if keeps_anew:
+            self._outlet.kept.use(store)
         if tells_anew:
             self._outlet.robot.use(link)
         if "sensor" in names:
@@ -197,6 +203,8 @@ class Service:
     def _take(self, item: Frame | SensorState | None) -> None:
         match item:
             case Frame() as frame:
+                # Before the events that it causes.
+                self._outlet.kept.take(frame)
                 self._pipeline.on_frame(frame)
                 self._health.frame_processed()
                 self._pad_watch.update(frame)

@@ -10,6 +10,14 @@ from drivers.frame import Counts
 from drivers.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
 
 
+def description_of(sensor: SensorSettings) -> str:
+    """Return in a line which pad it is and how it is read, for those who use its recordings later."""
+    return (
+        f"{parser_for(sensor).description}, crop {sensor.crop}, invert {sensor.invert}, "
+        f"at {sensor.baud} baud on {sensor.port}"
+    )
+
+
 def parser_for(sensor: SensorSettings) -> Protocol:
     """Return a parser for what the pad sends."""
     kind = FabricGrid if sensor.protocol == "fabric-grid" else CsvLines
