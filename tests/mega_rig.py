@@ -1,4 +1,4 @@
-"""The sketch, compiled for an Arduino Mega and run on a simulated one that is wired to a pad of our making."""
+"""The sketch, compiled for an Arduino Mega and run on a simulated one that is wired to a made-up pad."""
 
 from __future__ import annotations
 

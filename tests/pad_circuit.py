@@ -10,7 +10,17 @@ from drivers.frame import MAX_COUNT
 SUPPLY_V = 5.0
 PULL_UP_OHM = 3300.0
 # The resistor in each row's wire, and the pin of an ATmega2560 behind it.
-ROW_OHM = 100.0 + 25.0
+ROW_RESISTOR_OHM = 100.0
+ROW_OHM = ROW_RESISTOR_OHM + 25.0
+REST_OHM = 330_000.0
+
+
+def pad(*pressed: tuple[int, int], ohm: float = 3_000.0) -> NDArray[np.float64]:
+    """Return the crossings (10, 10), in ohms, of a pad pressed at some of them."""
+    taxels_ohm = np.full((10, 10), REST_OHM)
+    for place in pressed:
+        taxels_ohm[place] = ohm
+    return taxels_ohm
 
 
 def column_volts(taxels_ohm: NDArray[np.float64], *, others_high: bool = True) -> NDArray[np.float64]:
@@ -50,7 +60,7 @@ def pressure(volts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _strips(taxels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The pad and its pull-ups: conductances between the strips, rows then columns, and currents into them."""
+    """The pad and its pull-ups: conductances between strips, rows then columns, and currents into them."""
     rows, columns = taxels.shape
     conductance = np.zeros((rows + columns, rows + columns))
     conductance[:rows, rows:] = -taxels
