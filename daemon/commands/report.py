@@ -9,7 +9,7 @@ from pathlib import Path
 
 from daemon.commands.haart_folder import add_haart_argument
 
-PARTS = ("table3", "table2", "challenge", "representation", "front", "cost")
+PART_NAMES = ("table3", "table2", "challenge", "representation", "front", "cost")
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -22,8 +22,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--only",
         nargs="*",
-        choices=PARTS,
-        default=PARTS,
+        choices=PART_NAMES,
+        default=PART_NAMES,
         help="parts to measure; all without it; none: page alone",
     )
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
@@ -31,18 +31,19 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--threads", type=int, default=2, help="processor threads, where there is no GPU (2)")
     options = parser.parse_args(arguments)
 
-    from model.study import table2
+    from model.study.page import PARTS, RESULTS_NAME, write_page
     from model.study.results import Results
     from model.study.study import Study
 
     study = Study(
         haart=options.haart,
         runs=options.runs,
-        results=Results(options.docs / "report.json"),
+        results=Results(options.docs / RESULTS_NAME),
         threads=options.threads,
         docs=options.docs,
     )
-    if "table2" in options.only:
-        table2.run(study)
-    sys.stdout.write(f"{options.docs / 'report.md'}\n")
+    for part in PARTS:
+        if part.name in options.only:
+            part.run(study)
+    sys.stdout.write(f"{write_page(study.results, options.docs)}\n")
     return 0

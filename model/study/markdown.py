@@ -1,4 +1,4 @@
-"""How the study's figures are written down: tables, means with their spread, and where a figure comes from."""
+"""How the study's figures are written down: tables, means with their spread, and where they come from."""
 
 from __future__ import annotations
 

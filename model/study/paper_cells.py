@@ -15,7 +15,7 @@ from model.study.results import Results
 
 PREFIX = "paper/"
 GRID = Path(__file__).parent / "grid.yaml"
-PREDICTIONS_FOLDER = "report"
+STORED_FOLDER = "report"
 """In the folder of the pages."""
 
 Variant = Literal["public", "printed"]
@@ -85,7 +85,7 @@ def trained_cells(results: Results, variant: Variant, blocks: int, frames: int) 
 
 
 def trained_networks(results: Results) -> list[tuple[Variant, int, int]]:
-    """Return variant, blocks and frames of every network that is trained, public first, by frames, by blocks."""
+    """Return variant, blocks and frames of every trained network: public first, by frames, by blocks."""
     found = {(cell.variant, cell.blocks, cell.frames) for cell in map(parse, results.keys(PREFIX))}
     return sorted(found, key=lambda network: (network[0] != "public", network[2], network[1]))
 
@@ -100,6 +100,16 @@ def parse(key: str) -> PaperCell:
         epochs=int(epochs.removeprefix("epochs")),
         seed=int(seed.removeprefix("seed")),
     )
+
+
+def predictions_path(docs: Path, cell: PaperCell) -> Path:
+    """Return where the last epoch's probabilities of the test windows lie: (N, 7) float16, labels (N,)."""
+    return docs / STORED_FOLDER / f"{cell.training}-epochs{cell.epochs}.npz"
+
+
+def layout_path(docs: Path, key: str) -> Path:
+    """Return where a representation's layout lies: points (N, 2) float16, labels (N,)."""
+    return docs / STORED_FOLDER / f"tsne-{key.removeprefix('representation/').replace('/', '-')}.npz"
 
 
 def _prefix(variant: Variant, blocks: int, frames: int) -> str:

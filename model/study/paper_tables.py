@@ -1,4 +1,4 @@
-"""What tables 2 and 3 share: training their cells, and how a trained network of the paper's is written down."""
+"""What tables 2 and 3 share: training their cells, and how the paper's trained networks are written down."""
 
 from __future__ import annotations
 
@@ -8,7 +8,15 @@ import torch
 
 from model.study import paper_training
 from model.study.markdown import percent, provenance, table
-from model.study.paper_cells import PaperCell, Variant, read_grid, trained_cells, trained_networks
+from model.study.paper_cells import (
+    PREFIX,
+    PaperCell,
+    Variant,
+    parse,
+    read_grid,
+    trained_cells,
+    trained_networks,
+)
 from model.study.results import Results
 from model.study.study import Study
 
@@ -41,6 +49,21 @@ def accuracies(results: Results, cell: PaperCell) -> list[float]:
     """Return the macro accuracy on the test windows after each epoch."""
     measured: list[float] = results.get(cell.key)["accuracies"]
     return measured
+
+
+def what_was_cut(results: Results) -> Iterator[str]:
+    """Yield how much of the whole grid is trained; nothing when all of it is."""
+    whole = {cell for entry in read_grid().whole for cell in entry.cells()}
+    done = {cell for cell in whole if results.has(cell.key)}
+    if done == whole:
+        return
+    started = [parse(key) for key in results.keys(PREFIX)]
+    epochs = sum({cell.training: cell.epochs for cell in started}.values())
+    yield f"**What was cut.** The whole grid is {len(whole)} trainings of {PAPER_EPOCHS} epochs. Without"
+    yield f"a GPU, {len(done)} of them could be finished here; {len(started)} were run in all, {epochs}"
+    yield "epochs together. The tables say how far each came, and what is not trained. On a machine with a GPU the"
+    yield "same command trains all of it, and goes on where these stopped."
+    yield ""
 
 
 def makings(results: Results) -> Iterator[str]:

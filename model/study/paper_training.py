@@ -27,7 +27,7 @@ from model import haart, metrics
 from model.checkpoint import CheckpointError
 from model.haart import GESTURES, Windows
 from model.paper_tgc import PaperSettings, PaperTGC
-from model.study.paper_cells import PREDICTIONS_FOLDER, Grid, PaperCell
+from model.study.paper_cells import Grid, PaperCell, predictions_path
 from model.study.study import Study
 
 log = logging.getLogger(__name__)
@@ -154,6 +154,11 @@ def _finish(study: Study, grid: Grid, cell: PaperCell, paper: PaperTraining, pat
     study.results.put(cell.key, values, paper.seconds)
 
 
+def has_checkpoint(study: Study, cell: PaperCell) -> bool:
+    """Return whether the cell's checkpoint lies where trainings keep theirs."""
+    return (study.checkpoints / cell.training / CHECKPOINT_NAME).exists()
+
+
 def trained(study: Study, cell: PaperCell) -> PaperTGC:
     """Return the cell's network, ready to answer, from its checkpoint; raises CheckpointError."""
     state = _load(study.checkpoints / cell.training / CHECKPOINT_NAME)
@@ -162,11 +167,6 @@ def trained(study: Study, cell: PaperCell) -> PaperTGC:
     network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
     network.load_state_dict(state["network"])
     return network.eval()
-
-
-def predictions_path(docs: Path, cell: PaperCell) -> Path:
-    """Return where the last epoch's probabilities of the test windows lie: (N, 7) float16, labels (N,)."""
-    return docs / PREDICTIONS_FOLDER / f"{cell.training}-epochs{cell.epochs}.npz"
 
 
 def answer(network: PaperTGC, counts: NDArray[np.uint16], device: str = "cpu") -> NDArray[np.float64]:

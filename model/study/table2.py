@@ -39,8 +39,8 @@ def section(results: Results) -> str:
 
 
 def _lines(results: Results) -> Iterator[str]:
-    yield f"The paper does not say how long its windows were here. Ours have {FRAMES} frames, the length for which"
-    yield "its public code is set up. It prints 69.8 for six blocks here and 72.8 at that length in table 3."
+    yield f"The paper does not say how long its windows were here. Ours have {FRAMES} frames, as in its code."
+    yield "For six blocks it prints 69.8 here, and 72.8 at that length in table 3."
     yield ""
     yield from table(("blocks", "the paper prints", *HEADINGS), _rows(results))
 

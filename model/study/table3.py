@@ -69,15 +69,15 @@ def _lines(results: Results) -> Iterator[str]:
         ("frames", "seconds", "the paper prints", *HEADINGS, "touchd", "touchd, live framing"),
         _rows(results),
     )
-    yield "touchd is one network for all lengths, mean ± sd over three seeds, the first of which ships; nothing in"
-    yield "it was chosen on these participants. Its first column is over the same windows as the paper's network."
-    yield "The second is over the frames as a pad sends them, with the published files' seam taken out."
-    yield f"It was scored by {provenance(results, 'ours/')}."
+    yield "touchd is one network for all lengths, mean ± sd over three seeds, the first of which ships;"
+    yield "nothing about it was chosen on these participants. Its first column is over the very windows that"
+    yield "the paper's network gets, the second over frames as a pad sends them, without the files' seam."
+    yield f"Scored by {provenance(results, 'ours/')}."
     yield ""
     yield f"![What the paper's networks had learnt after each epoch](figures/{PICTURE})"
     yield ""
-    yield "Test accuracy of the paper's networks after each epoch; a dot marks the last one. Where a curve still"
-    yield "rises at its dot, the training was cut, and the figure in the table is not what the network can do."
+    yield "Test accuracy of the paper's networks after each epoch, with a dot at the last. Where a curve"
+    yield "still rises at its dot, the table shows less than the network can do in the paper's 100 epochs."
     yield f"Made by {provenance(results, 'paper/')}."
     yield ""
 
