@@ -51,7 +51,8 @@ def build_board(folder: Path) -> Path:
 class Board:
     """A simulated Mega with the sketch on it.
 
-    rows, columns: as compiled. pictures: raw values (pictures, rows, columns), one a scan and round again.
+    rows, columns: as compiled. What is put on its pins are pictures: raw values (pictures, rows, columns), one a
+    scan and round again.
     """
 
     program: Path
@@ -67,7 +68,14 @@ class Board:
         path = self.folder / "pictures"
         path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
         grid = [str(self.rows), str(self.columns)]
-        command = [self.program, self.sketch, path, *grid, str(seconds), *(["paced"] if paced else [])]
+        command = [
+            str(self.program),
+            str(self.sketch),
+            str(path),
+            *grid,
+            str(seconds),
+            *(["paced"] if paced else []),
+        ]
         return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
 
     def run(self, pictures: NDArray[np.uint16], seconds: float) -> Run:
@@ -102,7 +110,7 @@ class Run:
         """The raw values (frames, rows, columns) of a run that was not cut off within a frame."""
         size = 9 + 2 * rows * columns
         frames = np.frombuffer(self.sent, np.uint8).reshape(-1, size)
-        return frames[:, 8:-1].copy().view("<u2").reshape(-1, rows, columns)
+        return np.ascontiguousarray(frames[:, 8:-1]).view(np.uint16).reshape(-1, rows, columns)
 
 
 def _millivolts(raw: NDArray[np.uint16]) -> NDArray[np.int64]:

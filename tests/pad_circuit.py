@@ -23,7 +23,9 @@ def pad(*pressed: tuple[int, int], ohm: float = 3_000.0) -> NDArray[np.float64]:
     return taxels_ohm
 
 
-def column_volts(taxels_ohm: NDArray[np.float64], *, others_high: bool = True) -> NDArray[np.float64]:
+def column_volts(
+    taxels_ohm: NDArray[np.float64], *, others_high: bool = True, pull_up_ohm: float = PULL_UP_OHM
+) -> NDArray[np.float64]:
     """Return what each column's pin is at while each row is low, (rows, columns) volts, all settled.
 
     taxels_ohm: (rows, columns), the fabric at each crossing. others_high: the rows that are not read are
@@ -32,7 +34,7 @@ def column_volts(taxels_ohm: NDArray[np.float64], *, others_high: bool = True) -
     rows, columns = taxels_ohm.shape
     volts = np.empty((rows, columns))
     for low in range(rows):
-        conductance, current = _strips(1 / taxels_ohm)
+        conductance, current = _strips(1 / taxels_ohm, pull_up_ohm)
         for row in range(rows):
             if row == low or others_high:
                 conductance[row, row] += 1 / ROW_OHM
@@ -46,7 +48,7 @@ def row_milliamperes(taxels_ohm: NDArray[np.float64]) -> float:
     rows, _ = taxels_ohm.shape
     largest = 0.0
     for low in range(rows):
-        conductance, current = _strips(1 / taxels_ohm)
+        conductance, current = _strips(1 / taxels_ohm, PULL_UP_OHM)
         conductance[range(rows), range(rows)] += 1 / ROW_OHM
         current[:rows] = SUPPLY_V / ROW_OHM
         current[low] = 0.0
@@ -59,7 +61,9 @@ def pressure(volts: NDArray[np.float64]) -> NDArray[np.float64]:
     return MAX_COUNT - volts / SUPPLY_V * MAX_COUNT
 
 
-def _strips(taxels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _strips(
+    taxels: NDArray[np.float64], pull_up_ohm: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The pad and its pull-ups: conductances between strips, rows then columns, and currents into them."""
     rows, columns = taxels.shape
     conductance = np.zeros((rows + columns, rows + columns))
@@ -67,7 +71,7 @@ def _strips(taxels: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[n
     conductance[rows:, :rows] = -taxels.T
     conductance[range(rows), range(rows)] = taxels.sum(axis=1)
     across = range(rows, rows + columns)
-    conductance[across, across] = taxels.sum(axis=0) + 1 / PULL_UP_OHM
+    conductance[across, across] = taxels.sum(axis=0) + 1 / pull_up_ohm
     current = np.zeros(rows + columns)
-    current[rows:] = SUPPLY_V / PULL_UP_OHM
+    current[rows:] = SUPPLY_V / pull_up_ohm
     return conductance, current

@@ -58,6 +58,12 @@ def test_a_pull_up_of_a_hundredth_of_the_resting_fabric_makes_a_rest_of_about_te
     assert counts(pad()).mean() == pytest.approx(10, abs=2)
 
 
+def test_a_column_without_its_pull_up_is_known_by_its_rest() -> None:
+    (rest,) = said(r"a column that rests at some (\d+) counts")
+    unpulled = pressure(column_volts(pad(), pull_up_ohm=1e12))
+    np.testing.assert_allclose(unpulled, rest, atol=5)
+
+
 def test_no_pin_bears_more_than_it_can_however_hard_the_pad_is_pressed() -> None:
     (milliamperes,) = said(r"draws (\d+) mA through a row's pin")
     assert round(row_milliamperes(np.full((10, 10), 1_000.0))) == milliamperes
