@@ -51,8 +51,8 @@ def build_board(folder: Path) -> Path:
 class Board:
     """A simulated Mega with the sketch on it.
 
-    rows, columns: as compiled. What is put on its pins are pictures: raw values (pictures, rows, columns), one a
-    scan and round again.
+    rows, columns: as compiled. What is put on its pins are pictures of raw values (pictures, rows, columns),
+    one a scan and round again.
     """
 
     program: Path
