@@ -34,7 +34,7 @@ def open_touch_store(settings: Settings) -> TouchStore | None:
     try:
         return TouchStore(folder, journal.keep_touches, description_of(settings.sensor))
     except RecordingError as error:
-        raise ConfigError(f"journal.keep_touches: {error}, by another journal.path, or keep none") from error
+        raise ConfigError(f"journal.keep_touches: {error}") from error
 
 
 def link_to_robot(

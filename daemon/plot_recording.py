@@ -19,7 +19,7 @@ from daemon.pipeline import Pipeline
 from daemon.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
 from daemon.touches import Touch, gather
 from drivers.frame import FRAME_RATE_HZ, Frame
-from drivers.recording import Span, Stream
+from drivers.recording import UNLABELLED, Span, Stream
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -197,7 +197,7 @@ def _draw_answers(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: floa
             if begin_s <= at_s < end_s:
                 lane = next(lane for lane, stages in enumerate(LANES) if answer.stage in stages)
                 colour = colour_of(answer.gesture, gestures)
-                is_wrong = answer.gesture not in (truth, UNCERTAIN)
+                is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
                 draw_answer(axes, at_s, -lane, answer, colour, wrong=is_wrong)
     axes.set_ylim(-len(LANES) + 0.4, 0.6)
     axes.set_yticks([-lane for lane in range(len(LANES))], LANE_NAMES)

@@ -96,7 +96,7 @@ def cut(felt: FeltTouch) -> TouchPieces:
         before=frames[start:first],
         touch=frames[first:stop],
         after=frames[stop:] if felt.ended.reason == "released" else (),
-        is_whole=stop < len(frames) or frames[-1].sensor_ms == felt.end_ms,
+        is_whole=stop < len(frames) or _is_from(frames[-1].sensor_ms, felt.end_ms),
     )
 
 

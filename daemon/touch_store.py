@@ -8,6 +8,7 @@ the touch from its true first frame to its last contact, and the quiet in which 
 from __future__ import annotations
 
 import logging
+import os
 import re
 from dataclasses import dataclass
 from importlib import metadata
@@ -18,6 +19,8 @@ from daemon.touch_frames import FeltTouch, TouchPieces, cut
 from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
 
 log = logging.getLogger(__name__)
+
+FOLDER_MODE = 0o750
 
 NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)" + re.escape(SUFFIX))
 
@@ -53,6 +56,12 @@ class TouchStore:
         self._sensor = sensor
         self._failing = False
         self.lost = 0
+        try:
+            self._make_folder()
+        except OSError as error:
+            raise RecordingError(
+                f"{folder}: cannot be made ({error.strerror}); give another journal.path"
+            ) from error
         prepare(folder)
         for partial in folder.glob(f"{PARTIAL}*"):
             partial.unlink(missing_ok=True)
@@ -62,7 +71,7 @@ class TouchStore:
         path = self._folder / file_name(touch.began.time, touch.began.touch)
         try:
             # Who wants no touch kept any longer may have deleted them with their folder.
-            self._folder.mkdir(exist_ok=True)
+            self._make_folder()
             pieces = cut(touch)
             keep(path, pieces.recordings(), self._provenance(touch, pieces))
             for older in kept_touches(self._folder)[: -self._most]:
@@ -76,6 +85,10 @@ class TouchStore:
             if self._failing:
                 log.info("the frames of touches are kept again; those of %d were lost", self.lost)
             self._failing = False
+
+    def _make_folder(self) -> None:
+        """Make the folder where it is not there; like the journal, it is not for everybody's eyes."""
+        self._folder.mkdir(FOLDER_MODE, exist_ok=True)
 
     def _provenance(self, touch: FeltTouch, pieces: TouchPieces) -> dict[str, str]:
         return {
@@ -100,11 +113,22 @@ def file_name(time: str, number: int) -> str:
 
 
 def kept_touches(folder: Path) -> list[KeptTouch]:
-    """Return the touches in a store's folder, oldest first; none where there is no folder."""
+    """Return the touches in a store's folder, oldest first; none where there is no folder.
+
+    Raises RecordingError when it cannot be read.
+    """
+    try:
+        names = os.listdir(folder)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RecordingError(
+            f"{folder}: cannot be read ({error.strerror}); what the service keeps takes sudo"
+        ) from error
     kept: list[KeptTouch] = []
-    for path in folder.glob(f"*{SUFFIX}"):
-        if name := NAME.fullmatch(path.name):
-            kept.append(KeptTouch(":".join(name.group(1, 2, 3)), int(name[4]), path))
+    for name in names:
+        if parts := NAME.fullmatch(name):
+            kept.append(KeptTouch(":".join(parts.group(1, 2, 3)), int(parts[4]), folder / name))
     return sorted(kept)
 
 

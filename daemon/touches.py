@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, count
 from pathlib import Path
 
 from daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
-from daemon.journal import JournalError
+from daemon.journal import MAX_LINE_BYTES, JournalError
 
 # The end of a journal that is looked at, thousands of touches; one may grow to gigabytes.
 TAIL_BYTES = 4_000_000
@@ -54,3 +56,42 @@ def read_journal(path: Path) -> list[Touch]:
         raise JournalError(
             f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({error})"
         ) from error
+
+
+def read_since(path: Path, time: str) -> list[Touch]:
+    """Return the touches of a journal that began at a time (as in events) or later, oldest first.
+
+    Looks through older files (path.1 and so on) too, as far back as needed; passes over half lines and what
+    is no event. Raises JournalError when a file is there and cannot be read.
+    """
+    parts: list[list[Event]] = []
+    file = path
+    for number in count(1):
+        try:
+            events, reaches_back = _events_since(file, time)
+        except FileNotFoundError:
+            break
+        except OSError as error:
+            raise JournalError(
+                f"journal {file}: cannot be read ({error.strerror}); check the path"
+            ) from error
+        parts.insert(0, events)
+        if reaches_back:
+            break
+        file = path.with_name(f"{path.name}.{number}")
+    return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
+
+
+def _events_since(path: Path, time: str) -> tuple[list[Event], bool]:
+    """Return a file's events of a time or later, and whether it has earlier ones too."""
+    events: list[Event] = []
+    reaches_back = False
+    with path.open("rb") as file:
+        while line := file.readline(MAX_LINE_BYTES):
+            with suppress(EventError):
+                event = decode(line)
+                if event.time >= time:
+                    events.append(event)
+                else:
+                    reaches_back = True
+    return events, reaches_back

@@ -8,26 +8,21 @@ from collections import deque
 from types import TracebackType
 
 import numpy as np
-from rich.color import Color
 from rich.console import Console, Group
 from rich.live import Live
 from rich.panel import Panel
-from rich.style import Style
 from rich.table import Table
 from rich.text import Text
 
 from daemon.describe import describe
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
+from daemon.pad_picture import PAD_WIDTH, pad_picture
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Counts
 
 REFRESH_HZ = 12
 WIDTH = 80
 HISTORY = 11
-TAXEL_WIDTH = 4
-PAD_WIDTH = COLUMNS * TAXEL_WIDTH + 2
 BAR_WIDTH = 22
-# Seen where a terminal has no colours.
-SHADES = " .:-=+*#%@"
 
 
 class View:
@@ -100,10 +95,8 @@ class View:
             )
 
     def _draw_pad(self) -> Panel:
-        # The root lifts light touches, which would else be lost beside a press.
-        levels = np.sqrt(np.minimum(self._pressure, MAX_COUNT) / MAX_COUNT)
-        lines = [Text().join(_taxel(float(level)) for level in row) for row in levels]
-        return Panel(Text("\n").join(lines), title=self._pad, width=PAD_WIDTH, padding=0)
+        picture = pad_picture(self._pressure, MAX_COUNT)
+        return Panel(picture, title=self._pad, width=PAD_WIDTH, padding=0)
 
     def _draw_answer(self) -> Panel:
         answer = self._answer
@@ -128,11 +121,3 @@ class ViewHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Show one line."""
         self._view.note(record.getMessage(), "red" if record.levelno >= logging.WARNING else "dim")
-
-
-def _taxel(level: float) -> Text:
-    """Return a taxel pressed at `level` (0 to 1): from dark through red and yellow to white."""
-    shade = SHADES[min(int(level * len(SHADES)), len(SHADES) - 1)]
-    red, green, blue = (round(255 * min(max(3 * level - step, 0.0), 1.0)) for step in range(3))
-    color = Color.from_rgb(max(red, 40), max(green, 40), max(blue, 60))
-    return Text(shade * TAXEL_WIDTH, Style(color=color, bgcolor=color))

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from daemon.ask import Stopped, ask_name
 from daemon.capture import Pad
+from daemon.commands.label import label, label_of
 from daemon.config import Settings, load
 from daemon.dialogue import Dialogue, Terms
 from daemon.record import NAME_RULE, Session, is_name, prepare
@@ -46,9 +47,37 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("--seed", type=int, default=0, help="another order of gestures (%(default)s)")
     parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
+    parser.add_argument(
+        "--from-journal",
+        type=Path,
+        metavar="JOURNAL",
+        help="instead of the pad, label the touches that the daemon kept beside this journal",
+    )
+    parser.add_argument(
+        "--label",
+        type=label_of,
+        action="append",
+        metavar="TOUCH=GESTURE",
+        help="with --from-journal: label this touch, by its number or its time's beginning, and ask nothing",
+    )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument("--port", help="read this port instead of the configured one")
     options = parser.parse_args(arguments)
+    console = Console(width=WIDTH, highlight=False)
+    try:
+        if options.from_journal:
+            label(console, options)
+        elif options.label:
+            parser.error("--label goes with --from-journal")
+        else:
+            _record(console, options)
+    except (Stopped, KeyboardInterrupt):
+        console.print("\nStopped. What was kept is safe; the same command goes on from here.")
+    return 0
+
+
+def _record(console: Console, options: argparse.Namespace) -> None:
+    """Make recordings of the pad; raises Stopped."""
     settings = load(options.config) if options.config else Settings()
     if options.port:
         settings = msgspec.structs.replace(
@@ -58,14 +87,9 @@ def main(arguments: Sequence[str]) -> int:
     logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)
     prepare(options.folder)
-    console = Console(width=WIDTH, highlight=False)
-    try:
-        with Pad(settings) as pad:
-            terms = Terms(options.seconds, options.countdown, options.licence)
-            Dialogue(console, pad, settings, _session(console, options), terms).run()
-    except (Stopped, KeyboardInterrupt):
-        console.print("\nStopped. What was kept is safe; the same command goes on from here.")
-    return 0
+    with Pad(settings) as pad:
+        terms = Terms(options.seconds, options.countdown, options.licence)
+        Dialogue(console, pad, settings, _session(console, options), terms).run()
 
 
 def _session(console: Console, options: argparse.Namespace) -> Session:

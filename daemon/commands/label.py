@@ -1,0 +1,103 @@
+"""`touchd record --from-journal`: saves what was misclassified, with the right label."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from daemon.ask import ask_name
+from daemon.label_dialogue import KEYS, OVER, UNDER, WHO, LabelDialogue
+from daemon.labelling import LabelFolder, Setting, find
+from daemon.touch_picture import Offered, list_touches
+from daemon.touch_store import KeptTouch, folder_of, kept_touches
+from daemon.touches import read_since
+from drivers.recording import RecordingError
+
+NOT_KEPT = (
+    "no frames of touches are kept there; set journal.keep_touches in the daemon's configuration, "
+    "and reload it; touches from then on are kept"
+)
+
+
+@dataclass(frozen=True)
+class Label:
+    """What a kept touch, given by its number or its time's beginning, truly was."""
+
+    touch: str
+    gesture: str
+
+
+def label_of(text: str) -> Label:
+    """Return what TOUCH=GESTURE says; for argparse."""
+    touch, equals, gesture = text.rpartition("=")
+    if not (touch and equals and gesture):
+        raise argparse.ArgumentTypeError(f"{text!r} is not TOUCH=GESTURE, as in 17=stroke")
+    return Label(touch, gesture)
+
+
+def label(console: Console, options: argparse.Namespace) -> None:
+    """Label the touches kept beside a journal: those that --label names, else all, asking of each.
+
+    Raises RecordingError and JournalError, and `daemon.ask.Stopped` when the person wants no more.
+    """
+    journal: Path = options.from_journal
+    if len(options.gestures) > len(KEYS):
+        raise RecordingError(f"--gestures: {len(KEYS)} at most can be told apart by a key; name fewer")
+    kept = kept_touches(folder_of(journal))
+    if not kept:
+        raise RecordingError(f"{folder_of(journal)}: {NOT_KEPT}")
+    folder = LabelFolder(options.folder, options.licence)
+    if options.label:
+        _label_named(console, folder, kept, options)
+        return
+    looked_at = folder.labelled().keys() | folder.found_right()
+    said = {(touch.began.time, touch.began.touch): touch for touch in read_since(journal, kept[0].time)}
+    offered = [
+        Offered(touch, said.get((touch.time, touch.number)))
+        for touch in kept
+        if touch.path.name not in looked_at
+    ]
+    frameless = said.keys() - {(touch.time, touch.number) for touch in kept}
+    _tell(console, offered, len(kept), sum(said[key].ended is not None for key in frameless))
+    if offered:
+        setting = Setting(
+            options.participant or ask_name(console, WHO),
+            options.substrate or ask_name(console, UNDER, "none"),
+            options.cover or ask_name(console, OVER, "none"),
+        )
+        # The latest first: that is what a person still remembers.
+        LabelDialogue(console, folder, options.gestures, setting).run(offered[::-1])
+
+
+def _label_named(
+    console: Console, folder: LabelFolder, kept: Sequence[KeptTouch], options: argparse.Namespace
+) -> None:
+    """Label what --label names; where a name or a gesture is wrong, nothing."""
+    if options.participant is None:
+        raise RecordingError("--label: say with --participant who touched")
+    for label in options.label:
+        if label.gesture not in options.gestures:
+            known = ", ".join(options.gestures)
+            raise RecordingError(f"--label {label.touch}: {label.gesture} is none of --gestures, {known}")
+    setting = Setting(options.participant, options.substrate or "none", options.cover or "none")
+    there = folder.labelled()
+    for touch, gesture in [(find(kept, label.touch), label.gesture) for label in options.label]:
+        already = there.get(touch.path.name)
+        if already is not None and already.name.split("_")[3] == gesture:
+            console.print(f"{already.name} is there already", markup=False, soft_wrap=True)
+        else:
+            path = folder.label(touch, setting, gesture)
+            console.print(f"kept {path.name}", markup=False, soft_wrap=True)
+
+
+def _tell(console: Console, offered: Sequence[Offered], kept: int, frameless: int) -> None:
+    """Say which touches there are. frameless: how many more the journal tells of, without frames."""
+    console.print(f"{kept} touches are kept; {kept - len(offered)} of them have been looked at before")
+    if frameless:
+        console.print(f"of {frameless} more in the journal no frames are kept, so they cannot be labelled")
+    if offered:
+        console.print(list_touches(offered))
