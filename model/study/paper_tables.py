@@ -61,8 +61,8 @@ def what_was_cut(results: Results) -> Iterator[str]:
     epochs = sum({cell.training: cell.epochs for cell in started}.values())
     yield f"**What was cut.** The whole grid is {len(whole)} trainings of {PAPER_EPOCHS} epochs. Without"
     yield f"a GPU, {len(done)} of them could be finished here; {len(started)} were run in all, {epochs}"
-    yield "epochs together. The tables say how far each came, and what is not trained. On a machine with a GPU the"
-    yield "same command trains all of it, and goes on where these stopped."
+    yield "epochs together. The tables say how far each came, and what is not trained. On a machine with a"
+    yield "GPU the same command trains all of it, and goes on where these stopped."
     yield ""
 
 

@@ -111,7 +111,7 @@ def train(study: Study, grid: Grid, cell: PaperCell) -> None:
     """
     folder = study.checkpoints / cell.training
     folder.mkdir(parents=True, exist_ok=True)
-    with _claim(folder) as claimed:
+    with claim(folder) as claimed:
         if not claimed:
             log.warning("%s: another process is training it; left to that one", cell.training)
             return
@@ -199,7 +199,8 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 @contextmanager
-def _claim(folder: Path) -> Iterator[bool]:
+def claim(folder: Path) -> Iterator[bool]:
+    """Give whether this process alone may train in the folder, as long as this lasts."""
     with open(folder / "lock", "w", encoding="utf-8") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -42,6 +42,8 @@ class Results:
     def __init__(self, path: Path) -> None:
         """Take the file's path; the file need not be there yet."""
         self.path = path
+        # Of when the process began: that code runs, whatever is committed meanwhile.
+        self.commit = commit()
 
     def has(self, key: str) -> bool:
         """Return whether the cell is there."""
@@ -65,7 +67,7 @@ class Results:
             values=values,
             seconds=round(seconds, 3),
             command=command(),
-            commit=commit(),
+            commit=self.commit,
             machine=machine(),
             date=datetime.now(timezone.utc).strftime("%Y-%m-%d"),
         )
@@ -74,7 +76,7 @@ class Results:
             cells = {**self._read(), key: cell}
             ordered = {name: cells[name] for name in sorted(cells)}
             partial = self.path.with_suffix(".partial")
-            partial.write_bytes(msgspec.json.format(msgspec.json.encode(ordered), indent=1) + b"\n")
+            partial.write_bytes(_one_line_a_cell(ordered))
             os.replace(partial, self.path)
 
     def _read(self) -> dict[str, Cell]:
@@ -87,15 +89,26 @@ class Results:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        # The lock is a file of its own: the results file is replaced, and a lock on it with it.
-        with open(self.path.with_suffix(".lock"), "w", encoding="utf-8") as lock:
-            fcntl.flock(lock, fcntl.LOCK_EX)
+        # The folder itself is locked: the file is replaced, and a lock on it would be lost with it.
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
             yield
+        finally:
+            os.close(folder)
+
+
+def _one_line_a_cell(cells: dict[str, Cell]) -> bytes:
+    # So that a change to one cell is a change to one line.
+    lines = [msgspec.json.encode(name) + b": " + msgspec.json.encode(cell) for name, cell in cells.items()]
+    return b"{\n" + b",\n".join(lines) + b"\n}\n"
 
 
 def command() -> str:
     """Return the command line that this process was started with, its program without its folder."""
-    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
+    program = Path(sys.argv[0])
+    name = program.parent.name if program.name == "__main__.py" else program.name
+    return " ".join([name, *sys.argv[1:]])
 
 
 def commit() -> str:
