@@ -96,7 +96,7 @@ def measure(
         }
         if network.paper is None:
             for frames, accuracy in accuracies(network.path, test).items():
-                measured[network.key]["at"][frames]["accuracy"] = accuracy
+                measured[network.key]["at"][frames]["accuracy"] = round(accuracy, 5)
     for each, timing in zip(asked, timings, strict=True):
         measured[each.network.key]["at"][str(each.frames)][each.runtime] = _times(timing)
     return measured
