@@ -8,22 +8,24 @@ import sys
 import tempfile
 import threading
 import typing
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import msgspec
 
-from daemon.config import RobotConfig, SceneSettings, SensorSettings, Settings
+from daemon.config import LiveSettings, RobotConfig, SceneSettings, SensorSettings, Settings
 from daemon.describe import describe
 from daemon.events import Event, Prediction, TouchEnded
+from daemon.live.address import listen, parse_address, require_library, url_of
 from daemon.rig import SpawnedDaemon
 from daemon.sinks import RobotSink
 from daemon.wire import encoder_for
 from drivers.fake_port import FakePort
 from drivers.fake_robot import LoopbackRobot, StubRobot
 from drivers.fake_services import Call
-from drivers.frame import Counts
+from drivers.frame import FRAME_RATE_HZ, Counts
 from drivers.recording import Stream, read_recordings, splice
 from drivers.robot import RobotLink, RobotSettings
 from drivers.robot_actions import Action, ActionRule, Leds
@@ -34,6 +36,8 @@ RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 LONGEST_S = 50.0
 SPEECH_S = 0.8
 PACE = 1.0
+# Answers that are counted at the end.
+KEPT = 1000
 
 ACTIONS = (
     ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {gesture}."))),
@@ -45,6 +49,7 @@ NEXT = """
 What to try next:
   touchd replay FILE.csv.gz        a recording as a pad; prints a fake serial port
   touchd run --view --port PORT    the daemon on that port, or on a real pad
+  touchd demo --live               the same on a page for browsers, again and again
   touchd classify FILE.csv.gz      all answers to a recording at once
 docs/install.md tells how to wire a real pad and a real Nao.
 """
@@ -87,14 +92,18 @@ class PlainLines:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Show the daemon at work for less than a minute; returns 0."""
+    """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
     parser.add_argument("--plain", action="store_true", help="lines instead of a picture")
+    parser.add_argument(
+        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also on a page for browsers, until Ctrl-C"
+    )
     options = parser.parse_args(arguments)
+    live = None if options.live is None else _available(parse_address(options.live, None))
     stream = splice(read_recordings(RECORDING))
     with ExitStack() as closing:
         show = PlainLines() if options.plain else _show(closing)
-        predictions, told = _play(stream, show, closing)
+        predictions, told = _play(stream, show, closing, live)
     hand = [span.gesture for span in stream.spans if span.gesture != "notouch"]
     latencies = [prediction.latency_ms for prediction in predictions]
     lines = [
@@ -106,6 +115,13 @@ def main(arguments: Sequence[str]) -> int:
     ]
     sys.stdout.write("\n".join(lines))
     return 0
+
+
+def _available(live: LiveSettings) -> LiveSettings:
+    """Return the settings with the port that 0 stands for; raises LiveError when no page can be served so."""
+    require_library()
+    with listen(live) as listening:
+        return msgspec.structs.replace(live, port=listening.getsockname()[1])
 
 
 def _show(closing: ExitStack) -> Show:
@@ -120,15 +136,22 @@ def _show(closing: ExitStack) -> Show:
     return closing.enter_context(View("a simulated hand, the real daemon, a stand-in robot", console))
 
 
-def _play(stream: Stream, show: Show, closing: ExitStack) -> tuple[list[Prediction], list[str]]:
-    """Play the stream to the daemon and show what comes of it; returns all answers, and each touch's last."""
+def _play(
+    stream: Stream, show: Show, closing: ExitStack, live: LiveSettings | None
+) -> tuple[Sequence[Prediction], Sequence[str]]:
+    """Play the stream to the daemon and show what comes of it; returns all answers, and each touch's last.
+
+    live: where to serve the live page; with one, the stream begins anew whenever it ends.
+    """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
     sensor = SensorSettings()
-    port = closing.enter_context(FakePort(stream, _showing(stream, encoder_for(sensor), show), speed=PACE))
+    encode = _showing(stream, encoder_for(sensor), show)
+    port = closing.enter_context(FakePort(stream, encode, speed=PACE, loop=live is not None))
     settings = Settings(
         sensor=msgspec.structs.replace(sensor, port=port.path),
         scene=SceneSettings(actions=ACTIONS),
+        live=live,
         log_level="warning",
     )
 
@@ -148,9 +171,12 @@ def _play(stream: Stream, show: Show, closing: ExitStack) -> tuple[list[Predicti
         closing.callback(link.stop)
     daemon = SpawnedDaemon(settings, folder, log)
     closing.callback(daemon.stop)
-    threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
-    predictions: list[Prediction] = []
-    told: list[str] = []
+    if live is None:
+        threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
+    else:
+        show.note(f"live page: {url_of(live, live.port)}   Ctrl-C ends", "bold")
+    predictions: deque[Prediction] = deque(maxlen=KEPT)
+    told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
         show.put(event)
         if forward is not None:
@@ -174,11 +200,14 @@ def _showing(
     stream: Stream, encode: Callable[[Counts, int], bytes], show: Show
 ) -> Callable[[Counts, int], bytes]:
     """Return `encode` such that what is sent is also shown, and what the hand does is said as it begins."""
-    begins = {int(stream.sensor_ms[span.start]): span.gesture for span in stream.spans}
+    first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
+    # A stream that is played again goes on by the clock.
+    length_ms = last_ms - first_ms + round(1000 / FRAME_RATE_HZ)
+    begins = {int(stream.sensor_ms[span.start]) - first_ms: span.gesture for span in stream.spans}
 
     def shown(counts: Counts, sensor_ms: int) -> bytes:
         show.show_frame(counts)
-        gesture = begins.get(sensor_ms, "notouch")
+        gesture = begins.get((sensor_ms - first_ms) % length_ms, "notouch")
         if gesture != "notouch":
             show.note(f"the simulated hand: {gesture}", "yellow")
         return encode(counts, sensor_ms)

@@ -34,6 +34,16 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
     return msgspec.structs.replace(settings, host=host, port=int(port))
 
 
+def require_library() -> None:
+    """Raise LiveError where what serves the page is not installed."""
+    try:
+        import websockets  # noqa: F401 - only whether it is there
+    except ImportError as error:
+        raise LiveError(
+            "the live page needs a library that is not installed: pip install 'touchd[live]'"
+        ) from error
+
+
 def listen(settings: LiveSettings) -> socket.socket:
     """Return a socket that listens where these settings say; raises LiveError."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET

@@ -8,7 +8,7 @@ import typing
 from daemon.config import LiveSettings, Settings
 from daemon.decide import ProbabilityModel
 from daemon.events import Event, RobotEvent, SensorEvent
-from daemon.live.address import LiveError, listen, url_of
+from daemon.live.address import LiveError, listen, require_library, url_of
 from daemon.live.memory import Scene
 from drivers.frame import Frame
 
@@ -79,12 +79,9 @@ class LiveSink:
     def _serve(self, settings: LiveSettings | None, scene: Scene) -> None:
         if settings is None:
             return
-        try:
-            from daemon.live.server import LiveServer
-        except ImportError as error:
-            raise LiveError(
-                "the live page needs a library that is not installed: pip install 'touchd[live]'"
-            ) from error
+        require_library()
+        from daemon.live.server import LiveServer
+
         listening = listen(settings)
         log.info("live page: %s", url_of(settings, listening.getsockname()[1]))
         server = LiveServer(listening, settings, scene)

@@ -1,0 +1,113 @@
+// The pad as a heat map: pressure between the taxels is interpolated, then coloured.
+
+const SIDE = 8;
+const PIXELS = 128;
+const SHADES = 256;
+const STOPS = 6;
+// Colours rise with the logarithm of pressure, so that a stroke shows beside a slap: counts that weigh as
+// "light", and from which a touch is as firm as the scale goes.
+const LIGHT_COUNTS = 4;
+const FIRM_COUNTS = 400;
+// Who wants little motion sees the last third of a second.
+const CALM_SHARE = 1 / 18;
+
+/** The share of each of 8 taxels in each of 128 pixels, by Catmull and Rom's cubic. */
+const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
+  const at = ((pixel + 0.5) * SIDE) / PIXELS - 0.5;
+  const first = Math.floor(at) - 1;
+  const t = at - Math.floor(at);
+  const cubic = [
+    ((2 - t) * t - 1) * t,
+    (3 * t - 5) * t * t + 2,
+    ((4 - 3 * t) * t + 1) * t,
+    (t - 1) * t * t,
+  ];
+  const shares = new Float32Array(SIDE);
+  cubic.forEach((weight, i) => {
+    shares[Math.min(Math.max(first + i, 0), SIDE - 1)] += weight / 2;
+  });
+  return shares;
+});
+
+/** Return the theme's colours of pressure, one packed pixel a shade. */
+export function shades(style = getComputedStyle(document.documentElement)) {
+  const stops = Array.from({ length: STOPS }, (_, i) => {
+    const hex = Number.parseInt(style.getPropertyValue(`--heat-${i}`).trim().slice(1), 16);
+    return [hex >> 16, (hex >> 8) & 255, hex & 255];
+  });
+  return Uint32Array.from({ length: SHADES }, (_, shade) => {
+    const at = (shade / (SHADES - 1)) * (STOPS - 1);
+    const stop = Math.min(Math.floor(at), STOPS - 2);
+    const [red, green, blue] = stops[stop].map((from, i) =>
+      Math.round(from + (stops[stop + 1][i] - from) * (at - stop)),
+    );
+    return (255 << 24) | (blue << 16) | (green << 8) | red;
+  });
+}
+
+export class HeatMap {
+  #context;
+  #image = new ImageData(PIXELS, PIXELS);
+  #pixels = new Uint32Array(this.#image.data.buffer);
+  #scale;
+  #shades;
+  #levels = new Float32Array(SIDE * SIDE);
+  #rows = new Float32Array(SIDE * PIXELS);
+  #calm = matchMedia("(prefers-reduced-motion: reduce)");
+
+  constructor(canvas, scale) {
+    this.#context = canvas.getContext("2d");
+    this.#scale = scale.getContext("2d");
+    this.useTheme();
+  }
+
+  /** Take the colours anew: the page has turned dark or light. */
+  useTheme() {
+    this.#shades = shades();
+    const image = new ImageData(SHADES, 1);
+    new Uint32Array(image.data.buffer).set(this.#shades);
+    this.#scale.putImageData(image, 0, 0);
+  }
+
+  /** Draw pressure above rest, 64 counts. */
+  draw(pressure) {
+    const share = this.#calm.matches ? CALM_SHARE : 1;
+    for (let taxel = 0; taxel < SIDE * SIDE; taxel++) {
+      const level = Math.log1p(pressure[taxel] / LIGHT_COUNTS) / Math.log1p(FIRM_COUNTS / LIGHT_COUNTS);
+      this.#levels[taxel] += (level - this.#levels[taxel]) * share;
+    }
+    this.#stretchRows();
+    this.#stretchColumns();
+    this.#context.putImageData(this.#image, 0, 0);
+  }
+
+  #stretchRows() {
+    for (let row = 0; row < SIDE; row++) {
+      for (let x = 0; x < PIXELS; x++) {
+        let level = 0;
+        for (let i = 0; i < SIDE; i++) level += WEIGHTS[x][i] * this.#levels[row * SIDE + i];
+        this.#rows[row * PIXELS + x] = level;
+      }
+    }
+  }
+
+  #stretchColumns() {
+    for (let y = 0; y < PIXELS; y++) {
+      for (let x = 0; x < PIXELS; x++) {
+        let level = 0;
+        for (let i = 0; i < SIDE; i++) level += WEIGHTS[y][i] * this.#rows[i * PIXELS + x];
+        // The cubic overshoots a little beside a steep edge.
+        const shade = Math.min(Math.max(level, 0), 1) * (SHADES - 1);
+        this.#pixels[y * PIXELS + x] = this.#shades[Math.round(shade)];
+      }
+    }
+  }
+}
+
+/** Say in words where the pad is pressed most. */
+export function describePressure(pressure) {
+  const most = pressure.reduce((best, counts, taxel) => (counts > pressure[best] ? taxel : best), 0);
+  if (pressure[most] === 0) return "Nothing presses on the pad.";
+  const row = Math.floor(most / SIDE) + 1;
+  return `Firmest in row ${row}, column ${(most % SIDE) + 1}: ${Math.round(pressure[most])} counts.`;
+}

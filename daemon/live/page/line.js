@@ -1,0 +1,131 @@
+// The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
+
+import { nameOf, percent, seconds } from "./words.js";
+
+const SHORTEST_S = 4;
+const AFTER_FINAL = 1.5;
+// Counts in all that fill half of the height, unless a touch is firmer.
+const LIGHT_LOAD = 300;
+const ROWS = 3;
+
+export class TimeLine {
+  #canvas;
+  #context;
+  #marks;
+  #flags;
+  #drawnMarks = "";
+  #drawnFlags = "";
+  #color = "";
+
+  constructor(canvas, marks, flags) {
+    this.#canvas = canvas;
+    this.#context = canvas.getContext("2d");
+    this.#marks = marks;
+    this.#flags = flags;
+    this.useTheme();
+  }
+
+  useTheme() {
+    this.#color = getComputedStyle(document.documentElement).getPropertyValue("--accent").trim();
+  }
+
+  /** Draw the touch's pressure so far. */
+  draw(store) {
+    const ratio = devicePixelRatio || 1;
+    const width = Math.round(this.#canvas.clientWidth * ratio);
+    const height = Math.round(this.#canvas.clientHeight * ratio);
+    // Setting the size clears the canvas, even to what it was.
+    this.#canvas.width = width;
+    this.#canvas.height = height;
+    const end = endOf(store.scene);
+    const points = store.trace.filter(([at]) => at >= 0 && at <= end);
+    if (points.length === 0) return;
+    const peak = points.reduce((most, [, load]) => Math.max(most, load), LIGHT_LOAD);
+    const context = this.#context;
+    const x = (at) => (at / end) * width;
+    context.beginPath();
+    context.moveTo(x(points[0][0]), height);
+    for (const [at, load] of points) context.lineTo(x(at), height * (1 - 0.92 * Math.sqrt(load / peak)));
+    context.lineTo(x(points.at(-1)[0]), height);
+    context.fillStyle = this.#color;
+    context.globalAlpha = 0.28;
+    context.fill();
+    context.globalAlpha = 1;
+  }
+
+  /** Show which marks were passed, and what was said at each. */
+  show(store) {
+    this.#showMarks(store);
+    const said = onLine(store);
+    const key = `${store.touch?.began.touch} ${said.at(-1)?.elapsed_s} ${endOf(store.scene)} ${innerWidth}`;
+    if (key === this.#drawnFlags) return;
+    this.#drawnFlags = key;
+    this.#flags.replaceChildren(...said.map((prediction, i) => flag(prediction, said[i - 1], store.scene)));
+    arrange([...this.#flags.children], this.#flags.parentElement.clientWidth);
+  }
+
+  #showMarks({ scene, elapsed }) {
+    const end = endOf(scene);
+    const times = scene.answer_at_frames.map((frames) => frames / scene.frame_rate_hz);
+    const key = times.map((at) => `${at} ${elapsed >= at}`).join() + end;
+    if (key === this.#drawnMarks) return;
+    this.#drawnMarks = key;
+    this.#marks.replaceChildren(
+      ...times.map((at) => {
+        const mark = document.createElement("li");
+        mark.style.setProperty("--at", at / end);
+        mark.classList.toggle("reached", elapsed >= at);
+        mark.append(Object.assign(document.createElement("span"), { textContent: seconds(at) }));
+        return mark;
+      }),
+    );
+  }
+}
+
+function endOf(scene) {
+  const final = (scene.answer_at_frames.at(-1) ?? 0) / scene.frame_rate_hz;
+  return Math.max(SHORTEST_S, final * AFTER_FINAL);
+}
+
+/** The answers that fall on the line, and the last of those that came later. */
+function onLine({ scene, touch }) {
+  const said = touch?.predictions ?? [];
+  return said.filter((one) => one.elapsed_s < endOf(scene) || one === said.at(-1));
+}
+
+function flag(prediction, before, scene) {
+  const item = document.createElement("li");
+  const isChanged = prediction.changed && before !== undefined;
+  item.dataset.stage = prediction.stage;
+  item.dataset.frames = prediction.frames;
+  item.dataset.gesture = prediction.gesture;
+  item.classList.toggle("changed", isChanged);
+  const at = prediction.elapsed_s / endOf(scene);
+  item.style.setProperty("--at", Math.min(at, 1));
+  const what = `${nameOf(prediction.gesture)} ${percent(prediction.confidence)}`;
+  // What was said after the line's end says when.
+  const told = (at > 1 ? ` at ${seconds(prediction.elapsed_s)}` : "") + (prediction.told ? " ✓" : "");
+  const small = Object.assign(document.createElement("small"), { textContent: told });
+  const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";
+  const heard = prediction.told ? ", told" : "";
+  const unseen = Object.assign(document.createElement("span"), {
+    className: "unseen",
+    textContent: ` after ${seconds(prediction.elapsed_s)}${words}${heard}`,
+  });
+  small.setAttribute("aria-hidden", "true");
+  item.append(what, small, unseen);
+  return item;
+}
+
+/** Turn flags that do not fit to the left, and put each into the highest row in which it covers no other. */
+function arrange(flags, width) {
+  const taken = [];
+  for (const item of flags) {
+    item.classList.toggle("left", item.offsetLeft + item.offsetWidth > width);
+    const { left, right } = item.getBoundingClientRect();
+    const covers = (row) => taken.some((other) => other.row === row && left < other.right && right > other.left);
+    const row = [...Array(ROWS).keys()].find((one) => !covers(one)) ?? ROWS - 1;
+    item.style.setProperty("--row", row);
+    taken.push({ row, left, right });
+  }
+}

@@ -1,0 +1,57 @@
+// The line to touchd: opened, watched, and opened anew for as long as it takes.
+
+const FIRST_RETRY_MS = 250;
+const LONGEST_RETRY_MS = 4000;
+// touchd says how it goes twice a second; silence for this long is a line that is gone.
+const SILENCE_MS = 2500;
+
+/**
+ * Hand over each message as it comes: events and the like as objects, frames as ArrayBuffer.
+ * onState gets "live", or why there is no line.
+ */
+export function connect(onMessage, onState) {
+  let socket = null;
+  let retryMs = FIRST_RETRY_MS;
+  let retry = 0;
+  let silence = 0;
+
+  function open() {
+    clearTimeout(retry);
+    const scheme = location.protocol === "https:" ? "wss:" : "ws:";
+    const opened = new WebSocket(`${scheme}//${location.host}/stream`);
+    socket = opened;
+    opened.binaryType = "arraybuffer";
+    opened.onmessage = ({ data }) => {
+      if (socket !== opened) return;
+      retryMs = FIRST_RETRY_MS;
+      expectMore();
+      onMessage(typeof data === "string" ? JSON.parse(data) : data);
+    };
+    opened.onclose = (event) => {
+      if (socket === opened) lose(event.reason);
+    };
+    expectMore();
+  }
+
+  function expectMore() {
+    clearTimeout(silence);
+    silence = setTimeout(() => lose(""), SILENCE_MS);
+  }
+
+  function lose(reason) {
+    const lost = socket;
+    socket = null;
+    clearTimeout(silence);
+    lost?.close();
+    onState(reason);
+    // Pages that lost the same daemon should not all come back in the same instant.
+    retry = setTimeout(open, retryMs * (0.8 + 0.4 * Math.random()));
+    retryMs = Math.min(retryMs * 1.7, LONGEST_RETRY_MS);
+  }
+
+  // Timers sleep in a page that nobody sees; who looks again shall not wait for them.
+  document.addEventListener("visibilitychange", () => {
+    if (!document.hidden && socket === null) open();
+  });
+  open();
+}

@@ -1,0 +1,104 @@
+// Joins what comes with what shows it, and draws only when something has come.
+
+import { Announcer } from "./announce.js";
+import { describePressure, HeatMap } from "./heat.js";
+import { TimeLine } from "./line.js";
+import { connect } from "./link.js";
+import * as show from "./show.js";
+import { Store } from "./store.js";
+import { nameOf, percent } from "./words.js";
+
+// Frames come every 18 ms; without one for this long, what is seen is old.
+const STALE_AFTER_S = 0.5;
+const WATCH_MS = 250;
+const WORDS_MS = 1000;
+
+const $ = (id) => document.getElementById(id);
+const store = new Store();
+const heat = new HeatMap($("heat"), $("scale"));
+const line = new TimeLine($("trace"), $("marks"), $("flags"));
+const announcer = new Announcer($("announcement"));
+
+let link = "";
+let stamp = null;
+let announced = null;
+let trouble = "";
+let isDue = false;
+let hasEvent = true;
+let hasLeaning = false;
+
+function draw() {
+  isDue = false;
+  heat.draw(store.pressure);
+  line.draw(store);
+  line.show(store);
+  show.showClock(store);
+  if (hasEvent || hasLeaning) show.showChances(store);
+  if (hasEvent) {
+    show.showAnswer(store);
+    show.showTouches(store);
+  }
+  hasEvent = hasLeaning = false;
+}
+
+function drawSoon() {
+  if (isDue) return;
+  isDue = true;
+  requestAnimationFrame(draw);
+}
+
+function watch() {
+  const age = store.frameAt === null ? null : (performance.now() - store.frameAt) / 1000;
+  const isStale = link !== "live" || age === null || age > STALE_AFTER_S;
+  show.showVitals(store, link, age);
+  show.showAge(age, isStale);
+  const now = show.troubleOf(store, link, age, STALE_AFTER_S);
+  if (now !== trouble) {
+    trouble = now;
+    show.showTrouble(trouble);
+    announcer.say(trouble || "All is well again.");
+  }
+}
+
+/** Announce a touch's answer when it is the first, or another. */
+function announce(prediction) {
+  const said = `${prediction.touch} ${prediction.gesture}`;
+  if (said === announced) return;
+  announced = said;
+  announcer.say(`Touch ${prediction.touch}: ${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`);
+}
+
+function onMessage(message) {
+  if (message instanceof ArrayBuffer) {
+    store.takeFrame(message, performance.now());
+    drawSoon();
+    return;
+  }
+  if (message.type === "state") {
+    // Served by another version of touchd than this page: its messages may not be for us.
+    if (stamp !== null && stamp !== message.page) location.reload();
+    stamp = message.page;
+    link = "live";
+  }
+  store.apply(message);
+  if (message.type === "prediction") announce(message);
+  if (message.type === "leaning") hasLeaning = true;
+  else if (message.type !== "status") hasEvent = true;
+  if (message.type === "status") watch();
+  else drawSoon();
+}
+
+connect(onMessage, (why) => {
+  link = why;
+  watch();
+});
+setInterval(watch, WATCH_MS);
+setInterval(() => {
+  $("pad-words").textContent = describePressure(store.pressure);
+}, WORDS_MS);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  heat.useTheme();
+  line.useTheme();
+  drawSoon();
+});
+addEventListener("resize", drawSoon);

@@ -1,0 +1,128 @@
+// What is known: the scene, the last touches, and the pad as it was last felt.
+
+export const TAXELS = 64;
+const TOUCHES = 12;
+const FRAME_BYTES = 4 + 2 * TAXELS;
+// A touch is noticed a little after it began: its first frames are fetched from here.
+const RECENT_FRAMES = 54;
+const REST_FRAMES = 54;
+// Four times the noise of the pad.
+const NOISE_COUNTS = 3;
+
+export class Store {
+  scene = { labels: [], answer_at_frames: [], frame_rate_hz: 54, model: "", robot_configured: false };
+  sensor = null;
+  robot = null;
+  status = null;
+  touches = [];
+  leaning = null;
+  /** Pressure above rest of each taxel, in counts. */
+  pressure = new Float32Array(TAXELS);
+  /** The sensor's clock at the last frame, and when it came by ours; null before the first. */
+  frameMs = null;
+  frameAt = null;
+  /** The touch's pressure over time: [seconds since it began, counts in all]. */
+  trace = [];
+  #rest = null;
+  #recent = [];
+
+  /** The touch that goes on, or else the last one; undefined before the first. */
+  get touch() {
+    return this.touches.at(-1);
+  }
+
+  get isTouched() {
+    return this.touch !== undefined && this.touch.ended === null;
+  }
+
+  /** Seconds that the last touch has lasted. */
+  get elapsed() {
+    const touch = this.touch;
+    if (touch === undefined) return 0;
+    if (touch.ended !== null) return touch.ended.frames / this.scene.frame_rate_hz;
+    return this.frameMs === null ? 0 : this.#sinceBegan(this.frameMs);
+  }
+
+  apply(message) {
+    switch (message.type) {
+      case "state": {
+        const before = this.touch?.began;
+        ({ sensor: this.sensor, robot: this.robot, touches: this.touches } = message);
+        this.scene = message;
+        this.leaning = null;
+        const began = this.touch?.began;
+        if (began?.touch !== before?.touch || began?.time !== before?.time) this.trace = this.#lateTrace();
+        break;
+      }
+      case "sensor":
+        this.sensor = message;
+        break;
+      case "robot":
+        this.robot = message;
+        break;
+      case "status":
+        this.status = message;
+        break;
+      case "leaning":
+        this.leaning = message;
+        break;
+      case "touch_began":
+        this.touches = [...this.touches, { began: message, predictions: [], ended: null }].slice(-TOUCHES);
+        this.leaning = null;
+        this.trace = this.#lateTrace();
+        break;
+      case "prediction":
+        if (this.touch?.began.touch === message.touch) this.touch.predictions.push(message);
+        this.leaning = null;
+        break;
+      case "touch_ended":
+        if (this.touch?.began.touch === message.touch) this.touch.ended = message;
+        this.leaning = null;
+        break;
+    }
+  }
+
+  /** Take a frame: the sensor's clock (uint32), then the counts (uint16), little-endian. */
+  takeFrame(buffer, now) {
+    if (buffer.byteLength !== FRAME_BYTES) return;
+    const view = new DataView(buffer);
+    const counts = Float32Array.from({ length: TAXELS }, (_, taxel) => view.getUint16(4 + 2 * taxel, true));
+    this.frameMs = view.getUint32(0, true);
+    this.frameAt = now;
+    this.#followRest(counts);
+    let load = 0;
+    for (let taxel = 0; taxel < TAXELS; taxel++) {
+      this.pressure[taxel] = Math.max(0, counts[taxel] - this.#rest[taxel] - NOISE_COUNTS);
+      load += this.pressure[taxel];
+    }
+    this.#recent.push([this.frameMs, load]);
+    if (this.#recent.length > RECENT_FRAMES) this.#recent.shift();
+    if (this.isTouched) this.trace.push([this.#sinceBegan(this.frameMs), load]);
+    if (this.trace.length > 60 * this.scene.frame_rate_hz) this.trace.shift();
+  }
+
+  /** What each taxel reads untouched is followed while nothing touches, and taken for little until then. */
+  #followRest(counts) {
+    if (this.isTouched) {
+      this.#rest ??= new Float32Array(TAXELS).fill(NOISE_COUNTS);
+    } else if (this.#rest === null) {
+      this.#rest = counts;
+    } else {
+      this.#rest.forEach((rest, taxel) => {
+        this.#rest[taxel] += (counts[taxel] - rest) / REST_FRAMES;
+      });
+    }
+  }
+
+  #lateTrace() {
+    if (!this.isTouched) return [];
+    return this.#recent
+      .map(([frameMs, load]) => [this.#sinceBegan(frameMs), load])
+      .filter(([seconds]) => seconds >= 0);
+  }
+
+  /** The sensor's clock wraps at 32 bits; the difference may be negative. */
+  #sinceBegan(frameMs) {
+    return ((frameMs - this.touch.began.sensor_ms) | 0) / 1000;
+  }
+}
