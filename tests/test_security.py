@@ -115,6 +115,16 @@ def test_a_socket_that_listens_would_be_found() -> None:
         assert ("tcp", LISTENS) in [(protocol, state) for protocol, _, state in sockets(os.getpid())]
 
 
+def test_the_models_runtime_keeps_no_record_of_what_it_runs_and_tells_nobody(tmp_path: Path) -> None:
+    # It sends from a database in the home folder, and is silent by itself where it takes this for a test.
+    silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
+    environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
+    load = "from daemon.service import load_model, Settings; load_model(Settings())"
+    environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", load], env=environment, check=True, timeout=25)
+    assert list(tmp_path.rglob("*")) == []
+
+
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_the_daemon_listens_nowhere_and_the_stand_in_robot_on_this_computer_only(tmp_path: Path) -> None:
     fake_robot = [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"]
