@@ -3,7 +3,7 @@
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo setup test test-slow check lint format expectations bench soak install \
+.PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak install \
 	install-program install-files uninstall clean
 
 # The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
@@ -32,6 +32,7 @@ help:
 	@echo "make demo          set up what the daemon needs and show it at work, without any hardware"
 	@echo "make test          set up everything and run all tests"
 	@echo "make test-slow     run the tests that take minutes"
+	@echo "make test-systemd  install the service on a Debian machine of its own and try it there (root; see the file)"
 	@echo "make check         ruff and mypy"
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some ten minutes)"
@@ -50,6 +51,10 @@ test: $(DEVELOPMENT)
 
 test-slow: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -m slow
+
+# TOUCHD_LAB=emulated: on a machine with USB and power of its own.
+test-systemd: $(DEVELOPMENT)
+	$(BIN)/python -m pytest -n 0 -s tests/real_systemd.py
 
 check: $(DEVELOPMENT)
 	$(BIN)/ruff check .
@@ -72,20 +77,27 @@ expectations: $(RUNTIME)
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
 PREFIX ?= /opt
 PROGRAM := $(PREFIX)/touchd
+NEW := $(DESTDIR)$(PROGRAM).new
 ETC := $(DESTDIR)/etc
 
 install: install-program install-files
 
+# The new program is built beside the old one, which runs on until the two change places: an upgrade that fails,
+# for want of a network perhaps, leaves the old one as it was.
 install-program:
 	@$(check-python)
 	@case "$$(readlink -f "$$(command -v $(PYTHON))")" in /home/*|/root/*) \
 	  echo "$(PYTHON) is in a home folder, which the service cannot see; make install PYTHON=/usr/bin/python3"; exit 1;; esac
+	@if test -e $(DESTDIR)$(PROGRAM) && ! test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then \
+	  echo "$(DESTDIR)$(PROGRAM) is there and is not an installed touchd; make install PREFIX=/another/folder"; exit 1; fi
 	@echo "Installing $(PROGRAM) (some 100 MB)"
+	@rm -rf build $(NEW)
+	@umask 022; $(PYTHON) -m venv $(NEW)
+	@umask 022; $(NEW)/bin/python -m pip install --quiet --disable-pip-version-check '.[nao,live]' || { rm -rf $(NEW); exit 1; }
 	@rm -rf build
-	@$(PYTHON) -m venv --clear $(DESTDIR)$(PROGRAM)
-	@$(DESTDIR)$(PROGRAM)/bin/python -m pip install --quiet --disable-pip-version-check '.[nao]'
-	@rm -rf build
-	@grep -rlIF "$(DESTDIR)$(PROGRAM)" $(DESTDIR)$(PROGRAM)/bin | xargs -r sed -i 's#$(DESTDIR)$(PROGRAM)#$(PROGRAM)#g'
+	@grep -rlIF "$(NEW)" $(NEW)/bin $(NEW)/pyvenv.cfg | xargs -r sed -i 's#$(NEW)#$(PROGRAM)#g'
+	@rm -rf $(DESTDIR)$(PROGRAM)
+	@mv $(NEW) $(DESTDIR)$(PROGRAM)
 
 # What is in /etc/touchd already is the user's: an upgrade only renews the example beside it.
 install-files:
@@ -100,20 +112,22 @@ install-files:
 ifeq ($(DESTDIR),)
 	@systemd-sysusers touchd.conf
 	@systemd-tmpfiles --create touchd.conf
-	@if test -d /run/systemd/system; then systemctl daemon-reload; systemctl try-restart touchd; \
-	  udevadm control --reload; udevadm trigger --subsystem-match=tty; fi
+	@if test -S /run/udev/control; then udevadm control --reload; udevadm trigger --subsystem-match=tty; fi
+	@if test -d /run/systemd/system; then systemctl daemon-reload; systemctl try-restart touchd; fi
 endif
 	@echo "Installed. The configuration is /etc/touchd/touchd.yaml; to start: sudo systemctl enable --now touchd"
 
 uninstall:
 ifeq ($(DESTDIR),)
-	@if test -d /run/systemd/system; then systemctl disable --now touchd; fi
+	@if test -d /run/systemd/system && test -e $(ETC)/systemd/system/touchd.service; then \
+	  systemctl --quiet disable --now touchd; fi
 endif
 	@rm -f $(ETC)/systemd/system/touchd.service $(ETC)/udev/rules.d/99-touchd.rules \
 	  $(ETC)/sysusers.d/touchd.conf $(ETC)/tmpfiles.d/touchd.conf $(ETC)/touchd/touchd.example.yaml
 	@if test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then rm -rf $(DESTDIR)$(PROGRAM); fi
 ifeq ($(DESTDIR),)
-	@if test -d /run/systemd/system; then systemctl daemon-reload; udevadm control --reload; fi
+	@if test -d /run/systemd/system; then systemctl daemon-reload; fi
+	@if test -S /run/udev/control; then udevadm control --reload; fi
 endif
 	@echo "Removed. Kept: /etc/touchd/touchd.yaml, the journal in /var/lib/touchd, the user touchd"
 

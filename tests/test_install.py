@@ -15,6 +15,7 @@ import pytest
 from daemon.config import Settings, load
 
 ROOT = Path(__file__).parent.parent
+PACKAGES = [path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("__init__.py")]
 CONFIGURATION = "etc/touchd/touchd.yaml"
 INSTALLED = {
     "etc/systemd/system/touchd.service",
@@ -90,6 +91,28 @@ def test_uninstalling_deletes_no_folder_that_is_not_its_own(make: Make, tmp_path
     (tmp_path / "opt/touchd/thesis.tex").write_text("")
     make("uninstall")
     assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
+
+
+def test_installing_deletes_no_folder_that_is_not_its_own(tmp_path: Path) -> None:
+    thesis = tmp_path / "opt/touchd/thesis.tex"
+    thesis.parent.mkdir(parents=True)
+    thesis.write_text("")
+    done = subprocess.run(
+        ["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "is there and is not an installed touchd" in done.stdout
+    assert thesis.exists()
+
+
+def test_every_package_there_is_is_installed() -> None:
+    tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    packages = {str(path.parent.relative_to(ROOT)).replace("/", ".") for path in PACKAGES}
+    assert set(project["tool"]["setuptools"]["packages"]) == packages
 
 
 @pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="systemd-tmpfiles is not installed")
