@@ -108,7 +108,7 @@ def _answers_in_columns(answers: Sequence[Prediction]) -> list[str]:
 def _answers(offered: Offered) -> Text:
     """Return what was said of a touch, a line each, the last ones where there are many."""
     if offered.said is None:
-        return Text("what was said of it is no longer in the journal", "dim")
+        return Text("the journal no longer tells of it", "dim")
     lines = [
         Text(
             f"{answer.stage:<9} {answer.elapsed_s:5.1f} s  {_in_words(answer):<15}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from daemon.plot import OTHER_COLOURS, PlotError, colour_of
 from daemon.plot_recording import Felt, feel
 from daemon.service import load_model
 from daemon.touches import gather, read_journal
-from drivers.recording import Recording, splice
+from drivers.recording import UNLABELLED, Recording, splice
 from drivers.simulator import record, simulate
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
@@ -65,6 +66,18 @@ def test_time_runs_on_where_the_pads_clock_starts_anew() -> None:
     assert (np.diff(played.time_s) > 0).all()
     assert played.time_s[-1] == pytest.approx(2 * 12.4, abs=0.1)
     assert [played.truth(number) for number in range(4)] == ["rub", "scratch"] * 2
+
+
+@pytest.mark.parametrize(("gesture", "is_red"), [("purr", True), (UNLABELLED, False)])
+def test_an_answer_is_called_wrong_only_where_somebody_has_said_what_was_done(
+    gesture: str, is_red: bool
+) -> None:
+    from matplotlib.text import Text
+
+    parts = [part if part.gesture == "notouch" else replace(part, gesture=gesture) for part in recordings()]
+    figure = plot_recording.draw(feel(splice(parts), Settings(), load_model(Settings())), "a title")
+    colours = {text.get_color() for text in figure.findobj(Text)}  # type: ignore[attr-defined]
+    assert ("#c00000" in colours) == is_red
 
 
 def test_every_answer_stands_at_its_mark(felt: Felt) -> None:
