@@ -29,7 +29,7 @@ from model.study.paper_cells import (  # noqa: E402
     trained_cells,
     trained_networks,
 )
-from model.study.paper_training import CHECKPOINT_NAME, PaperTraining, train, trained  # noqa: E402
+from model.study.paper_training import CHECKPOINT_NAME, PaperTraining, is_at, train, trained  # noqa: E402
 from model.study.results import Results  # noqa: E402
 from model.study.study import Study  # noqa: E402
 
@@ -109,7 +109,9 @@ def test_more_epochs_go_on_from_the_checkpoint_and_stand_as_another_cell(study: 
     before, after = (study.results.get(cell.key)["accuracies"] for cell in (CELL, longer))
     assert after[:2] == before
     assert trained_cells(study.results, "public", 1, 9) == [longer]
-    assert trained(study, longer).settings.frames == 9
+    assert is_at(study, longer)
+    assert not is_at(study, CELL)
+    assert len(trained(study, longer).encoder) == 1
 
 
 def test_a_training_that_went_on_for_longer_is_left_as_it_is(

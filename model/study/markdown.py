@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from model.study.results import Cell, Results
+from model.study.results import Results
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
@@ -27,11 +27,15 @@ def percent(shares: Sequence[float]) -> str:
 
 
 def provenance(results: Results, prefix: str) -> str:
-    """Return which command, commit and machine made the cells whose keys begin with `prefix`; "" for none."""
+    """Return which commands, commits and machines made the cells whose keys begin with `prefix`, and when."""
     cells = [results.cell(key) for key in results.keys(prefix)]
-    makings = sorted({_making(cell) for cell in cells})
-    return "; ".join(makings)
+    if not cells:
+        return "nothing yet"
+    commands = _listed(f"`{cell.command}`" for cell in cells)
+    commits = _listed(cell.commit or "unknown" for cell in cells)
+    days, machines = _listed(cell.date for cell in cells), _listed(cell.machine for cell in cells)
+    return f"{commands}; commit {commits}; {days}; {machines}"
 
 
-def _making(cell: Cell) -> str:
-    return f"`{cell.command}`, commit {cell.commit or 'unknown'}, {cell.date}, on {cell.machine}"
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(sorted(set(words)))

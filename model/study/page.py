@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from model.study import paper_tables, representation, table2, table3
+from model.study import cost, front, paper_tables, representation, table2, table3
 from model.study.results import Results
 from model.study.study import Study
 
@@ -53,6 +53,8 @@ PARTS = (
         representation.section,
         representation.draw,
     ),
+    Part("front", "Speed against error", front.run, front.section, front.draw),
+    Part("cost", "Cost as the window grows and as pads are added", cost.run, cost.section, cost.draw),
 )
 
 

@@ -21,7 +21,7 @@ from model.study.results import Results
 from model.study.study import Study
 
 PAPER_EPOCHS = 100
-HEADINGS = ("network", "blocks", "seeds", "epochs", "best epoch on test", "last epoch")
+HEADINGS = ("network", "seeds", "epochs", "best epoch on test", "last epoch")
 
 
 def train(study: Study, wanted: Callable[[PaperCell], bool]) -> None:
@@ -41,8 +41,13 @@ def rows(results: Results, networks: Sequence[tuple[Variant, int]], frames: int)
         seeds, epochs = str(len(cells)), f"{cells[0].epochs} of {PAPER_EPOCHS}"
         best = percent([max(accuracies(results, cell)) for cell in cells])
         last = percent([accuracies(results, cell)[-1] for cell in cells])
-        found.append([variant, str(blocks), seeds, epochs, best, f"**{last}**"])
-    return found or [["not trained", "", "", "", "", ""]]
+        found.append([describe(variant, blocks), seeds, epochs, best, f"**{last}**"])
+    return found or [["not trained", "", "", "", ""]]
+
+
+def describe(variant: Variant, blocks: int) -> str:
+    """Return which of the paper's networks it is, in words."""
+    return f"{variant}, {blocks} block{'s' if blocks > 1 else ''}"
 
 
 def accuracies(results: Results, cell: PaperCell) -> list[float]:
@@ -57,23 +62,24 @@ def what_was_cut(results: Results) -> Iterator[str]:
     done = {cell for cell in whole if results.has(cell.key)}
     if done == whole:
         return
-    started = [parse(key) for key in results.keys(PREFIX)]
-    epochs = sum({cell.training: cell.epochs for cell in started}.values())
-    yield f"**What was cut.** The whole grid is {len(whole)} trainings of {PAPER_EPOCHS} epochs. Without"
-    yield f"a GPU, {len(done)} of them could be finished here; {len(started)} were run in all, {epochs}"
-    yield "epochs together. The tables say how far each came, and what is not trained. On a machine with a"
-    yield "GPU the same command trains all of it, and goes on where these stopped."
+    cells = sorted((parse(key) for key in results.keys(PREFIX)), key=lambda cell: cell.epochs)
+    started = {cell.training: cell.epochs for cell in cells}
+    epochs = sum(started.values())
+    yield f"**What was cut.** The whole grid is {len(whole)} trainings of {PAPER_EPOCHS} epochs. Without a"
+    yield f"GPU, {len(done)} of them could be finished; {len(started)} were begun, {epochs} epochs in all."
+    yield "The tables say how far each came, and what is not trained. Where there is a GPU, the same command"
+    yield "trains the rest."
     yield ""
 
 
 def makings(results: Results) -> Iterator[str]:
     """Yield the table of every trained network: how large, how long it took, and what made it."""
-    headings = ("network", "blocks", "frames", "epochs", "seed", "weights", "hours", "made by")
+    headings = ("network", "frames", "epochs", "seed", "weights", "hours", "made by")
     lines = []
     for variant, blocks, frames in trained_networks(results):
         for cell in trained_cells(results, variant, blocks, frames):
             weights = f"{results.get(cell.key)['parameters']:,}"
             hours = f"{results.cell(cell.key).seconds / 3600:.1f}"
-            what = (variant, str(blocks), str(frames), str(cell.epochs), str(cell.seed))
+            what = (describe(variant, blocks), str(frames), str(cell.epochs), str(cell.seed))
             lines.append((*what, weights, hours, provenance(results, cell.key)))
     yield from table(headings, lines)

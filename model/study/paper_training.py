@@ -154,16 +154,15 @@ def _finish(study: Study, grid: Grid, cell: PaperCell, paper: PaperTraining, pat
     study.results.put(cell.key, values, paper.seconds)
 
 
-def has_checkpoint(study: Study, cell: PaperCell) -> bool:
-    """Return whether the cell's checkpoint lies where trainings keep theirs."""
-    return (study.checkpoints / cell.training / CHECKPOINT_NAME).exists()
+def is_at(study: Study, cell: PaperCell) -> bool:
+    """Return whether the training's checkpoint is at hand and of the cell's last epoch."""
+    path = study.checkpoints / cell.training / CHECKPOINT_NAME
+    return path.exists() and len(_load(path)["accuracies"]) == cell.epochs
 
 
 def trained(study: Study, cell: PaperCell) -> PaperTGC:
-    """Return the cell's network, ready to answer, from its checkpoint; raises CheckpointError."""
+    """Return the network of a training that is at this cell, ready to answer; raises CheckpointError."""
     state = _load(study.checkpoints / cell.training / CHECKPOINT_NAME)
-    if len(state["accuracies"]) != cell.epochs:
-        raise CheckpointError(f"{cell.training}: its checkpoint is of epoch {len(state['accuracies'])}")
     network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
     network.load_state_dict(state["network"])
     return network.eval()

@@ -21,8 +21,9 @@ from model import checkpoint, haart
 from model.classifier import SHIPPED_MODEL
 from model.haart import Windows
 from model.study import ours, paper_training, representation_pictures
-from model.study.markdown import provenance
+from model.study.markdown import percent, provenance, table
 from model.study.paper_cells import PaperCell, layout_path, predictions_path, trained_cells, trained_networks
+from model.study.paper_tables import describe
 from model.study.representation_pictures import CONFUSION_PICTURE, TSNE_PICTURE
 from model.study.results import Results
 from model.study.study import Study
@@ -43,10 +44,10 @@ def run(study: Study) -> None:
     paper = shown_cell(study.results)
     if paper is None or study.results.has(paper_key(paper)):
         return
-    if paper_training.has_checkpoint(study, paper):
+    if paper_training.is_at(study, paper):
         _lay_out(study, paper_key(paper), paper_training.trained(study, paper).features)
     else:
-        log.warning("%s: no checkpoint in %s, so no t-SNE of it", paper.training, study.checkpoints)
+        log.warning("%s: its last epoch is not in %s; no t-SNE of it", paper.training, study.checkpoints)
 
 
 def section(results: Results) -> str:
@@ -59,11 +60,11 @@ def draw(results: Results, figures: Path) -> None:
     paper = shown_cell(results)
     confusions, layouts = {}, {}
     if paper is not None:
-        confusions[describe(paper)] = representation_pictures.stored_confusion(
+        confusions[name(paper)] = representation_pictures.stored_confusion(
             predictions_path(figures.parent, paper)
         )
         if results.has(paper_key(paper)):
-            layouts[describe(paper)] = layout_path(figures.parent, paper_key(paper))
+            layouts[name(paper)] = layout_path(figures.parent, paper_key(paper))
     own = ours.key("published", FRAMES)
     if results.has(own):
         confusions["touchd"] = np.array(results.get(own)["confusions"][0])
@@ -86,9 +87,9 @@ def shown_cell(results: Results) -> PaperCell | None:
     return max(cells, key=lambda cell: (cell.epochs, cell.blocks, cell.variant == "public"), default=None)
 
 
-def describe(cell: PaperCell) -> str:
-    """Return which of the paper's networks it is, in words."""
-    return f"the paper's, {cell.variant}, {cell.blocks} block{'s' * (cell.blocks > 1)}, {cell.epochs} epochs"
+def name(cell: PaperCell) -> str:
+    """Return which of the paper's networks it is, and how long it was trained, in words."""
+    return f"the paper's, {describe(cell.variant, cell.blocks)}, {cell.epochs} epochs"
 
 
 def our_representation() -> nn.Module:
@@ -141,19 +142,26 @@ def _lines(results: Results) -> Iterator[str]:
     yield "published. touchd is the shipped file."
     if paper is not None:
         yield f"The paper's network: {provenance(results, paper.key)}."
-    yield f"touchd: {provenance(results, ours.key('published', FRAMES)) or 'missing'}."
+    yield f"touchd: {provenance(results, ours.key('published', FRAMES))}."
     yield ""
     yield f"![The learnt representations](figures/{TSNE_PICTURE})"
     yield ""
     yield f"Figure 3: t-SNE (perplexity {PERPLEXITY:.0f}) of what each network's last layer gets, a dot a"
-    yield "window. In figures, the share of windows whose nearest one *of another participant*, before t-SNE,"
-    yield "is of the same gesture:"
-    keys = {"touchd": OURS} if paper is None else {describe(paper): paper_key(paper), "touchd": OURS}
-    for name, key in keys.items():
+    yield f"window; by {provenance(results, 'representation/')}."
+    yield ""
+    yield "In figures rather than by eye, before t-SNE:"
+    yield ""
+    yield from table(
+        ("network", "width", "windows whose nearest one of another participant is of the same gesture, %"),
+        _agreement_rows(results, paper),
+    )
+
+
+def _agreement_rows(results: Results, paper: PaperCell | None) -> Iterator[list[str]]:
+    keys = {"touchd": OURS} if paper is None else {name(paper): paper_key(paper), "touchd": OURS}
+    for network, key in keys.items():
         if results.has(key):
             values = results.get(key)
-            yield f"{name}, {100 * values['nearest_agree']:.1f} % ({values['features']} wide);"
+            yield [network, str(values["features"]), percent([values["nearest_agree"]])]
         else:
-            yield f"{name}, missing;"
-    yield f"made by {provenance(results, 'representation/')}."
-    yield ""
+            yield [network, "", "missing"]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from model.study import paper_tables
+from model.study import paper_kept, paper_tables
 from model.study.markdown import table
 from model.study.paper_cells import trained_networks
 from model.study.paper_tables import HEADINGS
@@ -29,8 +29,9 @@ PAPER = {
 
 
 def run(study: Study) -> None:
-    """Train the cells of 144 frames that are missing."""
+    """Train the cells of 144 frames that are missing, and keep the smallest network."""
     paper_tables.train(study, lambda cell: cell.frames == FRAMES)
+    paper_kept.keep(study)
 
 
 def section(results: Results) -> str:

@@ -15,7 +15,7 @@ from model.evaluate import REPORTED_LENGTHS
 from model.study import ours, paper_tables
 from model.study.markdown import percent, provenance, table
 from model.study.paper_cells import trained_cells, trained_networks
-from model.study.paper_tables import HEADINGS, accuracies
+from model.study.paper_tables import HEADINGS, accuracies, describe
 from model.study.results import Results
 from model.study.study import Study
 
@@ -51,7 +51,7 @@ def draw(results: Results, figures: Path) -> None:
         cells = trained_cells(results, variant, blocks, frames)
         for number, cell in enumerate(cells):
             learnt = [100 * accuracy for accuracy in accuracies(results, cell)]
-            name = f"{variant}, {blocks} block{'s' * (blocks > 1)}, {frames} frames"
+            name = f"{describe(variant, blocks)}, {frames} frames"
             (line,) = axes.plot(range(1, len(learnt) + 1), learnt, label=name if number == 0 else None)
             axes.plot(len(learnt), learnt[-1], "o", color=line.get_color())
     axes.set_xscale("log")
