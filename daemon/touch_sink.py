@@ -1,6 +1,7 @@
 """Gathers the pad's frames of each touch as it goes by, and has them written to disk where that is wanted.
 
-In the loop a frame costs two appends; cutting, packing and writing are done in a thread of their own.
+In the loop a frame costs two appends; cutting, packing and writing are done in a thread of their own. It has
+work only after a touch, when the next answer is a second away or more.
 """
 
 from __future__ import annotations
