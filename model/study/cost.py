@@ -46,7 +46,7 @@ class Asked:
 
     key: str
     values: dict[str, Any]
-    answer: Callable[[], object]
+    answer: Callable[[], Sequence[np.ndarray]]
 
 
 def run(study: Study) -> None:
@@ -154,8 +154,8 @@ def _paper_name(variant: str) -> str:
     return f"tgc-{variant}"
 
 
-def _asking(classifier: Classifier, windows: np.ndarray, times: int = 1) -> Callable[[], object]:
-    def answer() -> object:
+def _asking(classifier: Classifier, windows: np.ndarray, times: int = 1) -> Callable[[], list[np.ndarray]]:
+    def answer() -> list[np.ndarray]:
         return [classifier.batch_probabilities(windows) for _ in range(times)]
 
     return answer

@@ -173,8 +173,8 @@ How many pads fit on one core, each touched every {DAEMON_TOUCH_S} s and answere
 
 A batch of {most} takes {gain} time than as many single answers and {_batch_memory(results, most):.0f} MB
 more memory, and its first answer comes no sooner than its last. The shipped file takes any number of windows
-of one length at once as it is. A daemon that batched would need a ring and a tracker a pad in one process, and
-would answer together what is due in the same frame at the same length: of {most} pads, each touched every
+of one length at once as it is. A daemon that batched would need a ring and a tracker a pad in one process,
+and would answer together what is due in the same frame at the same length: of {most} pads, each touched every
 {DAEMON_TOUCH_S} s and unaware of the others, {company:.0%} of the windows have such company; the rest would
 have to wait for it.
 """
