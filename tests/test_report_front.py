@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 onnx = pytest.importorskip("onnx", reason="needs the extra `train`")
 pytestmark = pytest.mark.timeout(180)
 
-from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
+from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model import haart  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
 from model.hard_cases import hand  # noqa: E402
@@ -43,22 +44,24 @@ def shipped_by_hand(frames: int) -> int:
     return frames * (stem + motion + encoder + attention) + 288 * 96 + 96 * 7
 
 
-def timed(name: str, p50_ms: float, error: float | None) -> Row:
+def timed(name: str, ms: float, error: float | None) -> Row:
     return Row(
-        name,
-        "touchd",
-        "float32",
-        96,
-        1,
-        144,
-        1,
-        p50_ms,
-        p50_ms,
-        None,
-        None,
-        1,
-        1,
-        error and Error(error, "measured"),
+        name=name,
+        family="touchd",
+        arithmetic="float32",
+        width=96,
+        blocks=1,
+        frames=144,
+        multiply_adds=1,
+        p50_ms=ms,
+        p99_ms=ms,
+        processor_ms=ms,
+        eager_p50_ms=None,
+        eager_p99_ms=None,
+        eager_processor_ms=None,
+        file_bytes=1,
+        peak_bytes=1,
+        error=error and Error(error, "measured"),
     )
 
 
@@ -172,6 +175,29 @@ def test_every_size_is_trained_as_the_shipped_network_but_for_its_widths(tmp_pat
         assert job.settings.augmentation == shipped.augmentation
 
 
+def test_a_size_that_is_stored_is_not_trained_again(tmp_path: Path) -> None:
+    for name in sizes.SHAPES:
+        (tmp_path / f"{name}.onnx").touch()
+    files = sizes.ready(tmp_path / "no recordings here", tmp_path / "runs", threads=1, stored=tmp_path)
+    assert files == {name: tmp_path / f"{name}.onnx" for name in sizes.SHAPES}
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_size_is_trained_by_the_recipe_and_exported_where_it_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shape = {"stem_width": 2, "width": 8, "feed_forward": 8, "dense": 8}
+    monkeypatch.setattr(sizes, "SHAPES", {"touchd-8-wide": shape})
+    quick = msgspec.structs.replace(read_recipe().settings, epochs=1, crops_per_recording=1, batch=7)
+    recipe = msgspec.structs.replace(read_recipe(), settings=quick)
+    monkeypatch.setattr(sizes, "read_recipe", lambda: recipe)
+    write_recordings(tmp_path / "training.csv", recordings(), {})
+    files = sizes.ready(tmp_path, tmp_path / "runs", threads=1, stored=tmp_path / "stored")
+    classifier = Classifier.load(files["touchd-8-wide"])
+    assert classifier.metadata.training["network"]["width"] == 8
+    assert classifier.probabilities(hand(54)).shape == (7,)
+
+
 @pytest.mark.parametrize("path", sorted(sizes.SIZES_FOLDER.glob("*.onnx")), ids=lambda path: path.stem)
 def test_each_stored_size_is_the_one_that_was_declared_and_answers(path: Path) -> None:
     classifier = Classifier.load(path)
@@ -208,9 +234,9 @@ def test_the_page_and_the_picture_show_every_network_with_its_time_and_error(tmp
             key = f"front/{networks.paper_name(settings)}/{arithmetic}"
             results.put(key, cell(settings.variant, 512, settings.blocks, at), 1.0)
     page = front.section(results)
-    assert "| **touchd, 96 wide (shipped)** | float32 | 144 | 0.1 | 1.44 | 2.88 |" in page
-    assert "10.0 times as fast as the paper's as printed" in page
-    assert "with 7.2 points less error" in page
+    assert "| **touchd, 96 wide (shipped)** | float32 | 144 | 0.1 | 1.44 | 2.88 | 1.44 |" in page
+    assert "the paper's network as printed takes 10.0 times as long as the shipped one" in page
+    assert "with +7.2 points of error (printed in the paper)" in page
     assert "| 27.2 | printed in the paper |" in page
     assert "| the paper's, as its code has it, 1 block |" in page
     front.draw(results, tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -13,7 +14,7 @@ from matplotlib.axes import Axes
 
 from model.quantize import FLOAT32
 from model.study.front_rows import PRINTED, Row, front, printed_error, rows
-from model.study.networks import INT8, PAPER_BLOCKS, SHIPPED
+from model.study.networks import INT8, PAPER_BLOCKS
 from model.study.results import Results
 
 PANELS = {"after 1 s": (54,), "after 1.5 s": (72, 81), "after 2.67 s": (144,)}
@@ -33,16 +34,17 @@ def draw(results: Results, path: Path) -> None:
     )
     for axes, (title, lengths) in zip(panels, PANELS.items(), strict=True):
         _panel(axes, [row for row in found if row.frames in lengths])
-        axes.set(title=title, xlabel="p50 of one answer, ms (one thread, ONNX Runtime)", xscale="log")
+        axes.set(title=title, xlabel="processor time of one answer, ms", xscale="log")
         axes.grid(True, which="both", linewidth=0.3, color="0.85")
         axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panels[0].set_xlim(left=0.5 * min(row.processor_ms for row in found))
     panels[0].set_ylabel("macro error on the test participants, %")
     handles = {
         label: handle
         for axes in panels
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
     }
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
@@ -50,13 +52,13 @@ def draw(results: Results, path: Path) -> None:
 def _panel(axes: Axes, together: Sequence[Row]) -> None:
     best = front(together)
     axes.step(
-        [row.p50_ms for row in best],
+        [row.processor_ms for row in best],
         [_percent(row) for row in best],
         where="post",
         color="0.6",
         linewidth=5,
         alpha=0.45,
-        label="the front: no network is both faster and better",
+        label="the front: none is both faster and better",
     )
     _draw_ours(axes, together)
     for family in PAPER:
@@ -64,71 +66,38 @@ def _panel(axes: Axes, together: Sequence[Row]) -> None:
 
 
 def _draw_ours(axes: Axes, together: Sequence[Row]) -> None:
-    for arithmetic, fill in ((FLOAT32, OURS), (INT8, "white")):
+    for arithmetic, fill, line in ((FLOAT32, OURS, "-"), (INT8, "white", ":")):
         sizes = [row for row in together if (row.family, row.arithmetic) == ("touchd", arithmetic)]
-        times, errors = [row.p50_ms for row in sizes], [_percent(row) for row in sizes]
-        style = "-" if arithmetic == FLOAT32 else ":"
-        axes.plot(
-            times,
-            errors,
-            style,
-            color=OURS,
-            marker="o",
-            markersize=7,
-            mfc=fill,
-            label=f"touchd, {arithmetic}",
-        )
-        if arithmetic == FLOAT32:
-            for row in sizes:
-                axes.annotate(
-                    f"{row.width}",
-                    (row.p50_ms, _percent(row)),
-                    (0, 8),
-                    textcoords="offset points",
-                    ha="center",
-                    color=OURS,
-                    fontsize=9,
-                )
-    (shipped,) = (row for row in together if (row.name, row.arithmetic) == (SHIPPED, FLOAT32))
-    axes.plot(
-        [shipped.p50_ms],
-        [_percent(shipped)],
-        "*",
-        color="gold",
-        mec=OURS,
-        markersize=18,
-        zorder=5,
-        linestyle="",
-        label="the shipped model",
-    )
+        _points(axes, sizes, f"touchd {arithmetic}, by width", OURS, marker="o", mfc=fill, linestyle=line)
+    for row in together:
+        if row.family == "touchd" and row.arithmetic == FLOAT32:
+            place = (row.processor_ms, _percent(row))
+            axes.annotate(
+                f"{row.width}", place, (-20, -4), textcoords="offset points", ha="right", color=OURS
+            )
+    shipped = [row for row in together if row.shipped]
+    _points(axes, shipped, "the shipped model", "gold", marker="*", mec=OURS, markersize=18, zorder=5)
 
 
 def _draw_papers(axes: Axes, family: str, theirs: Sequence[Row]) -> None:
-    colour = PAPER[family]
-    blocks = [row for row in theirs if row.error and row.blocks != PAPER_BLOCKS]
-    trained = [row for row in theirs if row.error and row.error.source != PRINTED]
-    _points(axes, blocks, ".", colour, f"the paper's, {CODE[family]}, 1 to 8 blocks")
-    _points(axes, trained, "s", colour, f"the paper's, {CODE[family]}, trained here")
+    colour, code = PAPER[family], CODE[family]
+    named = [row for row in theirs if row.error]
+    trained = [row for row in named if row.error and row.error.source != PRINTED]
+    others = [row for row in named if row not in trained and row.blocks != PAPER_BLOCKS]
+    _points(axes, others, f"its figures for other numbers of blocks, {code}", colour, marker=".")
+    _points(axes, trained, f"the paper's network {code}, trained here", colour, marker="s")
     for row in theirs:
         printed = printed_error(row.frames, row.blocks)
         if printed and row.blocks == PAPER_BLOCKS and row.arithmetic == FLOAT32:
-            label = f"the paper's figure, {CODE[family]} (epoch chosen on test)"
-            axes.plot(
-                [row.p50_ms],
-                [100 * printed.share],
-                "X",
-                color=colour,
-                markersize=11,
-                label=label,
-                linestyle="",
-            )
+            label = f"the paper's figure, network {code}"
+            place = ([row.processor_ms], [100 * printed.share])
+            axes.plot(*place, marker="X", markersize=11, linestyle="", color=colour, label=label)
 
 
-def _points(axes: Axes, shown: Sequence[Row], marker: str, colour: str, label: str) -> None:
+def _points(axes: Axes, shown: Sequence[Row], label: str, colour: str, **style: Any) -> None:
     if shown:
-        axes.plot(
-            [row.p50_ms for row in shown], [_percent(row) for row in shown], marker, color=colour, label=label
-        )
+        times, errors = [row.processor_ms for row in shown], [_percent(row) for row in shown]
+        axes.plot(times, errors, **{"linestyle": "", "markersize": 7, **style}, color=colour, label=label)
 
 
 def _percent(row: Row) -> float:

@@ -20,6 +20,7 @@ from model.settings import LENGTHS, NetworkSettings
 from model.ship import MAX_LENGTH
 from model.train import train_haart
 
+# The small ones, kept with the code; a large one is trained anew where it is wanted.
 SIZES_FOLDER = Path(__file__).parents[1] / "weights" / "sizes"
 # The shipped network is 96 wide, with a stem of 16.
 SHAPES: Mapping[str, Mapping[str, int]] = {
@@ -44,11 +45,17 @@ def widened(network: NetworkSettings, shape: Mapping[str, int]) -> NetworkSettin
     return msgspec.structs.replace(network, **shape)
 
 
-def ready(haart_folder: Path, runs: Path, threads: int, folder: Path = SIZES_FOLDER) -> dict[str, Path]:
-    """Return each size's ONNX file; a missing one is trained, from its last checkpoint on, and exported."""
+def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOLDER) -> dict[str, Path]:
+    """Return each size's ONNX file, the stored one or the one in `runs`; trains and exports what is missing.
+
+    A training goes on from its last checkpoint.
+    """
     files = {}
     for job in jobs(read_recipe(), runs):
-        path = folder / f"{job.name}.onnx"
+        name = f"{job.name}.onnx"
+        path = stored / name
+        if not path.exists():
+            path = runs / job.name / name
         if not path.exists():
             export_size(train_haart(haart_folder, job.settings, runs / job.name, threads), path)
         files[job.name] = path
