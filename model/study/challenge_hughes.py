@@ -1,0 +1,138 @@
+"""Hughes and others' networks: a CNN, a CNN with a recurrent end (CRNN), and an autoencoder with one.
+
+D. Hughes, A. Krauthammer, N. Correll, "Recognizing Social Touch Gestures using Recurrent and Convolutional
+Neural Networks", ICRA 2017, pages 2315 to 2321. From its abstract: the three kinds of network, on raw frames,
+which answer 6 to 9 times a second. From Albawi et al. 2018 (doi 10.1155/2018/6973103), table 4: the CNN looks
+at 45 frames of 8 x 8.
+
+Written without the paper's text at hand; ours are all widths, the scale of the counts, normalisation, dropout
+and the whole training. All three answer every 9 frames, 6 times a second; the recurrent ones are asked for
+their last answer in a window, the CNN for the mean over its 45-frame views: one network serves every length.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from drivers.frame import COLUMNS, ROWS
+
+STEP_FRAMES = 9
+VIEW_STEPS = 5
+FILTERS = (16, 32)
+RECURRENT = 64
+CODE = 8
+DROPOUT = 0.5
+LIGHT_COUNTS = 20.0
+CNN, CRNN, AUTOENCODER_RNN = "CNN", "CRNN", "Autoencoder-RNN"
+
+
+def scaled(counts: Tensor) -> Tensor:
+    """Return counts (0 to 1023) as 0 to 4.6: in proportion where light, on a logarithmic scale where hard."""
+    return torch.asinh(counts / LIGHT_COUNTS)
+
+
+class FrameFilters(nn.Module):
+    """Two layers of 3 x 3 x 3 filters: (B, L, 8, 8) to (B, S, 128), a step S every 9 frames."""
+
+    width = FILTERS[-1] * 4
+
+    def __init__(self) -> None:
+        super().__init__()
+        first, second = FILTERS
+        self.layers = nn.Sequential(
+            nn.Conv3d(1, first, 3, stride=(3, 1, 1), padding=(0, 1, 1)),
+            nn.BatchNorm3d(first),
+            nn.ReLU(),
+            nn.MaxPool3d((1, 2, 2)),
+            nn.Conv3d(first, second, 3, stride=(3, 1, 1), padding=(0, 1, 1)),
+            nn.BatchNorm3d(second),
+            nn.ReLU(),
+            nn.MaxPool3d((1, 2, 2)),
+        )
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Return what the filters see at each step (B, S, 128)."""
+        return torch.as_tensor(self.layers(frames[:, None])).transpose(1, 2).flatten(2)
+
+
+class Autoencoder(nn.Module):
+    """A frame of 64 taxels to 8 numbers and back."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        taxels = ROWS * COLUMNS
+        self.encoder = nn.Sequential(nn.Linear(taxels, 32), nn.ReLU(), nn.Linear(32, CODE))
+        self.decoder = nn.Sequential(nn.Linear(CODE, 32), nn.ReLU(), nn.Linear(32, taxels))
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Return frames (N, 64) as they come back from their codes."""
+        return torch.as_tensor(self.decoder(self.encoder(frames)))
+
+
+class FrameCodes(nn.Module):
+    """The codes of 9 frames side by side, (B, L, 8, 8) to (B, S, 72), by an autoencoder learnt before."""
+
+    width = STEP_FRAMES * CODE
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.autoencoder = Autoencoder().requires_grad_(False)
+
+    def forward(self, frames: Tensor) -> Tensor:
+        """Return the codes at each step (B, S, 72)."""
+        whole = frames[:, : frames.shape[1] // STEP_FRAMES * STEP_FRAMES]
+        codes = self.autoencoder.encoder(whole.flatten(2))
+        return torch.as_tensor(codes.unflatten(1, (-1, STEP_FRAMES)).flatten(2))
+
+
+class Views(nn.Module):
+    """Answers over 5 steps, 45 frames, at a time: (B, S, width) to logits (B, S - 4, classes)."""
+
+    def __init__(self, width: int, classes: int) -> None:
+        super().__init__()
+        self.look = nn.Conv1d(width, RECURRENT, VIEW_STEPS)
+        self.classify = nn.Sequential(nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(RECURRENT, classes))
+
+    def forward(self, steps: Tensor) -> Tensor:
+        """Return each view's logits."""
+        return torch.as_tensor(self.classify(self.look(steps.transpose(1, 2)).transpose(1, 2)))
+
+
+class Recurrence(nn.Module):
+    """Answers at each step from all before: (B, S, width) to logits (B, S, classes), by an LSTM."""
+
+    def __init__(self, width: int, classes: int) -> None:
+        super().__init__()
+        self.follow = nn.LSTM(width, RECURRENT, batch_first=True)
+        self.classify = nn.Sequential(nn.Dropout(DROPOUT), nn.Linear(RECURRENT, classes))
+
+    def forward(self, steps: Tensor) -> Tensor:
+        """Return each step's logits."""
+        return torch.as_tensor(self.classify(self.follow(steps)[0]))
+
+
+class HughesNetwork(nn.Module):
+    """One of the three: counts (B, L, 8, 8) of at least 45 frames to logits at each step (B, S, classes)."""
+
+    def __init__(self, kind: str, classes: int) -> None:
+        super().__init__()
+        self.kind = kind
+        self.see = FrameCodes() if kind == AUTOENCODER_RNN else FrameFilters()
+        end = Views if kind == CNN else Recurrence
+        self.end = end(self.see.width, classes)
+
+    def forward(self, counts: Tensor) -> Tensor:
+        """Return the logits at each step."""
+        return torch.as_tensor(self.end(self.see(scaled(counts))))
+
+    def answer(self, counts: Tensor) -> Tensor:
+        """Return each window's log probabilities (B, classes)."""
+        steps = torch.log_softmax(self(counts), dim=-1)
+        return steps.mean(dim=1) if self.kind == CNN else steps[:, -1]
+
+
+def step_loss(logits: Tensor, labels: Tensor) -> Tensor:
+    """Return the mean cross entropy over every step's answer; logits (B, S, classes), labels (B,)."""
+    return functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(logits.shape[1]))
