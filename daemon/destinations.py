@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daemon.config import ConfigError, JournalSettings, RobotConfig, SceneSettings, Settings
-from daemon.events import Event, RobotEvent, timestamp
+from daemon.events import Event, RobotEvent, one_line, timestamp
 from daemon.journal import Journal
 from daemon.touch_store import TouchStore, folder_of
 from daemon.wire import description_of
@@ -46,7 +46,7 @@ def link_to_robot(
     """
 
     def report(state: State, reason: str) -> None:
-        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=reason))
+        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=one_line(reason)))
 
     if robot is None:
         return None

@@ -11,6 +11,7 @@ Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "
 EndReason: TypeAlias = Literal["released", "settled", "gap", "sensor", "stopped"]
 
 UNCERTAIN = "uncertain"
+MAX_REASON_BYTES = 400
 
 
 class EventError(ValueError):
@@ -92,6 +93,12 @@ class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent
+
+
+def one_line(reason: str) -> str:
+    """Return a reason, which may be a library's, as an event holds it: one line of at most MAX_REASON_BYTES."""
+    printable = "".join(character if character.isprintable() else " " for character in reason)
+    return printable.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
 
 
 def encode(event: Event) -> bytes:

@@ -19,6 +19,7 @@ from daemon.events import (
     Stage,
     TouchBegan,
     TouchEnded,
+    one_line,
     timestamp,
 )
 from daemon.ring import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
@@ -101,7 +102,7 @@ class Pipeline:
         """Take note that the sensor came or went; its going ends the touch, and rest is learned anew."""
         if state.state == "down":
             self._stop("sensor")
-        self._emit(SensorEvent(state=state.state, time=self._now(), reason=state.reason))
+        self._emit(SensorEvent(state=state.state, time=self._now(), reason=one_line(state.reason)))
 
     def flush(self) -> None:
         """End the touch that goes on, if any: no frame will come any more."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import zipfile
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -17,6 +18,8 @@ from drivers.errors import TouchdError
 from model.settings import TrainSettings
 from model.tgc import TGC
 
+# Our widest network's, with all that resuming needs, is 17 MB.
+MAX_FILE_BYTES = 128 * 1024 * 1024
 SOURCES = ("haart.py", "augment.py", "tgc.py", "settings.py", "train.py")
 
 
@@ -69,6 +72,12 @@ def save(checkpoint: Checkpoint, path: Path) -> None:
 def load(path: Path) -> Checkpoint:
     """Read a checkpoint; no code in it is ever run. Raises CheckpointError."""
     try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if max(unpacked, path.stat().st_size) > MAX_FILE_BYTES:
+            raise CheckpointError(
+                f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no checkpoint of touchd"
+            )
         stored = torch.load(path, map_location="cpu", weights_only=True)
         return Checkpoint(
             settings=msgspec.json.decode(stored["settings"], type=TrainSettings),
@@ -79,6 +88,8 @@ def load(path: Path) -> Checkpoint:
             code_version=stored["code_version"],
             data_sha256=stored["data_sha256"],
         )
+    except CheckpointError:
+        raise
     except FileNotFoundError as error:
         raise CheckpointError(f"{path}: there is no checkpoint; make one with `touchd train`") from error
     except Exception as error:  # torch raises many types for a damaged file, some with pages of advice

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -19,6 +19,11 @@ SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
 MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
 
+# Every event of an answer carries them all, and is bounded by these.
+Label: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,24}$")]
+Labels: TypeAlias = Annotated[tuple[Label, ...], msgspec.Meta(min_length=1, max_length=12)]
+Name: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.+-]{1,64}$")]
+
 
 class ModelError(TouchdError):
     """A model file is missing, unreadable or not made for this pad; the message says which and what to do."""
@@ -31,8 +36,8 @@ class ModelInputError(ValueError):
 class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
     """What a model file says of itself, stored as JSON under the key "touchd" of its ONNX metadata."""
 
-    name: str
-    labels: tuple[str, ...]
+    name: Name
+    labels: Labels
     frame_rate_hz: float
     framing: str
     lengths: tuple[int, ...]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import msgspec
 import pytest
 
 from daemon.events import (
@@ -17,8 +18,11 @@ from daemon.events import (
     decode,
     encode,
     epoch_s,
+    one_line,
     timestamp,
 )
+from daemon.journal import MAX_EVENT_BYTES
+from model.classifier import ModelMetadata
 
 TIME = "2026-11-20T10:00:00.000Z"
 EVENTS: list[tuple[Event, dict[str, object]]] = [
@@ -106,3 +110,49 @@ def test_times_are_utc_to_the_millisecond_and_read_back() -> None:
     assert timestamp(1795168800.0) == "2026-11-20T10:00:00.000Z"
     assert timestamp(1795168799.9996) == "2026-11-20T10:00:00.000Z"
     assert epoch_s("2026-11-20T10:00:00.125Z") == 1795168800.125
+
+
+def metadata(name: str, labels: list[str]) -> ModelMetadata:
+    """Return metadata as a model file would give it; raises msgspec.ValidationError."""
+    others: dict[str, object] = {"frame_rate_hz": 54, "framing": "live", "lengths": [144], "max_length": 144}
+    others |= {"temperatures": {}, "training": {}, "code_version": "", "data_sha256": "", "scores": {}}
+    return msgspec.convert({"name": name, "labels": labels, **others}, ModelMetadata)
+
+
+@pytest.mark.parametrize(
+    "reason", ['"' * 5000, "\n\x00\x1b" * 5000, "\\" * 5000, "\U0001f44b" * 5000, "é" * 5000]
+)
+def test_a_reason_is_one_line_and_leaves_room_in_its_event(reason: str) -> None:
+    said = one_line(reason)
+    assert said.isprintable()
+    for kind in (SensorEvent, RobotEvent):
+        event = kind(state="down", time=TIME, reason=said)
+        assert len(encode(event)) < MAX_EVENT_BYTES
+        assert decode(encode(event)) == event
+
+
+def test_a_short_reason_is_left_as_it_is() -> None:
+    assert one_line("grün: no permission to open /dev/ttyACM0") == "grün: no permission to open /dev/ttyACM0"
+
+
+def test_the_longest_answer_there_can_be_is_shorter_than_what_is_kept_from_being_halved() -> None:
+    longest = metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
+    answer = Prediction(
+        touch=2**63,
+        stage="uncertain",
+        frames=2**31,
+        elapsed_s=1234567890.123,
+        gesture=longest.labels[0],
+        confidence=0.1234,
+        probabilities=dict.fromkeys(longest.labels, 0.1234),
+        changed=False,
+        told=False,
+        degraded=False,
+        latency_ms=1234567890.123,
+        model=longest.name,
+        time=TIME,
+    )
+    assert len(encode(answer)) < MAX_EVENT_BYTES
+    for name, labels in (("n" * 65, ["a"]), ("n", ["l" * 25]), ("n", ["a"] * 13), ("é", ["a"]), ("n", ['"'])):
+        with pytest.raises(msgspec.ValidationError):
+            metadata(name, labels)

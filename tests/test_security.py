@@ -8,6 +8,7 @@ import os
 import socket
 import subprocess
 import sys
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -95,6 +96,21 @@ def test_a_checkpoint_that_holds_a_program_is_refused_and_not_run(tmp_path: Path
     assert not ran.exists()
     torch.load(tmp_path / "trap.pt", weights_only=False)
     assert ran.exists(), "the trap would not have caught anything"
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_any_of_ours_is_refused_unread(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed")
+    from model import checkpoint
+
+    path = tmp_path / "huge.pt"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("archive/data/0", "w", force_zip64=True) as entry:
+            for _ in range(checkpoint.MAX_FILE_BYTES // 2**20):
+                entry.write(bytes(2**20))
+        archive.writestr("archive/data.pkl", b"x")
+    assert path.stat().st_size < 2**20
+    with pytest.raises(checkpoint.CheckpointError, match="larger than 128 MiB"):
+        checkpoint.load(path)
 
 
 def sockets(pid: int) -> list[tuple[str, str, str]]:
