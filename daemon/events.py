@@ -96,7 +96,7 @@ Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEve
 
 
 def one_line(reason: str) -> str:
-    """Return a reason, which may be a library's, as an event holds it: one line of at most MAX_REASON_BYTES."""
+    """Return a reason, perhaps a library's, as an event holds it: one line of at most MAX_REASON_BYTES."""
     printable = "".join(character if character.isprintable() else " " for character in reason)
     return printable.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
 
