@@ -1,27 +1,28 @@
-// What a screen reader says of its own accord: answers that are new and troubles, one at a time.
+// What a screen reader says of its own accord: new answers and troubles, one at a time.
 
 const PAUSE_MS = 2000;
 
 export class Announcer {
   #element;
-  #next = "";
+  #next = new Map();
   #timer = 0;
 
   constructor(element) {
     this.#element = element;
   }
 
-  /** Say a text when the last one has had its time; of several meanwhile only the newest. */
-  say(text) {
-    this.#next = text;
+  /** Say a text when the last one has had its time; of several of a kind meanwhile only the newest. */
+  say(kind, text) {
+    this.#next.set(kind, text);
     if (this.#timer === 0) this.#speak();
   }
 
   #speak() {
     this.#timer = 0;
-    if (this.#next === "") return;
-    this.#element.textContent = this.#next;
-    this.#next = "";
+    if (this.#next.size === 0) return;
+    const [kind, text] = this.#next.entries().next().value;
+    this.#next.delete(kind);
+    this.#element.textContent = text;
     this.#timer = setTimeout(() => this.#speak(), PAUSE_MS);
   }
 }

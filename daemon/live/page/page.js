@@ -56,7 +56,7 @@ function watch() {
   if (now !== trouble) {
     trouble = now;
     show.showTrouble(trouble);
-    announcer.say(trouble || "All is well again.");
+    announcer.say("trouble", trouble || "All is well again.");
   }
 }
 
@@ -65,7 +65,8 @@ function announce(prediction) {
   const said = `${prediction.touch} ${prediction.gesture}`;
   if (said === announced) return;
   announced = said;
-  announcer.say(`Touch ${prediction.touch}: ${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`);
+  const answer = `${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`;
+  announcer.say("answer", `Touch ${prediction.touch}: ${answer}`);
 }
 
 function onMessage(message) {

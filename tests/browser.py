@@ -1,0 +1,65 @@
+"""A real browser without a window: what the live page's tests and its picture are made with."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from selenium.webdriver import Chrome, ChromeOptions
+from selenium.webdriver.chrome.service import Service
+
+# Debian's packages chromium and chromium-driver.
+CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+LOADS_WITHIN_S = 20
+
+
+@contextmanager
+def browser() -> Iterator[Chrome]:
+    """A browser of its own, with nothing kept from before and nothing left behind."""
+    options = ChromeOptions()
+    options.binary_location = CHROMIUM or ""
+    with tempfile.TemporaryDirectory(prefix="touchd-browser-") as folder:
+        for flag in (*FLAGS, f"--user-data-dir={folder}"):
+            options.add_argument(flag)
+        options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+        chrome = Chrome(options=options, service=Service(DRIVER))
+        try:
+            chrome.set_page_load_timeout(LOADS_WITHIN_S)
+            chrome.set_script_timeout(LOADS_WITHIN_S)
+            yield chrome
+        finally:
+            chrome.quit()
+
+
+def show_in(chrome: Chrome, width: int, height: int, scale: float = 1.0) -> None:
+    """Make the window this large, in the page's own pixels; as a phone where it is narrow."""
+    metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+
+
+def prefer(chrome: Chrome, **features: str) -> None:
+    """Have the browser prefer this; prefer(chrome, color_scheme="dark")."""
+    wanted = [
+        {"name": f"prefers-{name.replace('_', '-')}", "value": value} for name, value in features.items()
+    ]
+    chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
+
+
+def picture(chrome: Chrome, path: Path) -> None:
+    """Save what the window shows, as PNG."""
+    shown = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})
+    path.write_bytes(base64.b64decode(shown["data"]))
