@@ -147,6 +147,16 @@ def test_a_network_of_the_papers_has_the_printed_error_until_it_is_trained_as_lo
     assert trained == Error(pytest.approx(0.4), "trained here, 1 seed")
 
 
+def test_a_network_of_the_challenges_has_the_error_of_table_1(tmp_path: Path) -> None:
+    results = Results(tmp_path / "report.json")
+    assert front_rows.hughes_error(results, "hughes-cnn", 144) is None
+    for seed, accuracy in enumerate((0.5, 0.6)):
+        results.put(f"table1/hughes-cnn/frames144/seed{seed}", {"macro_accuracy": accuracy}, 1.0)
+    assert front_rows.hughes_error(results, "hughes-cnn", 144) == Error(
+        pytest.approx(0.45), "trained here, 2 seeds"
+    )
+
+
 def test_the_paper_prints_no_error_for_81_frames_and_one_for_each_number_of_blocks() -> None:
     assert front_rows.printed_error(81, 6) is None
     one_block = front_rows.printed_error(144, 1)
@@ -209,7 +219,12 @@ def test_each_stored_size_is_the_one_that_was_declared_and_answers(path: Path) -
 def test_ours_and_the_papers_are_timed_weighed_and_ours_scored(tmp_path: Path) -> None:
     asked = networks.ours({}, recordings(), tmp_path)
     asked += networks.papers(PaperSettings("public", frames=9, blocks=1, width=8, heads=2), tmp_path)
+    asked += networks.hughes("hughes-crnn", 54, tmp_path)
     measured = front.measure(asked, recordings(), answers=2)
+    filters = 18 * 64 * 16 * 27 + 6 * 16 * 32 * 16 * 27
+    recurrence = 6 * 4 * 64 * (128 + 64)
+    crnn = measured["front/hughes-crnn-54-frames/float32"]["at"]["54"]
+    assert crnn["multiply_adds"] == filters + recurrence + 6 * 64 * 7
     shipped = measured["front/touchd/float32"]
     assert shipped["file_bytes"] == SHIPPED_MODEL.stat().st_size
     assert shipped["peak_bytes"] > shipped["idle_bytes"]

@@ -19,19 +19,16 @@ from model.classifier import SHIPPED_MODEL, Classifier
 from model.haart import GESTURES
 from model.hard_cases import hand
 from model.paper_tgc import PaperSettings, PaperTGC
-from model.speed import export_paper
 from model.study import cost_page, cost_picture
 from model.study.cost_page import DAEMON_KEY
 from model.study.macs import multiply_adds
-from model.study.networks import SHIPPED
-from model.study.paper_cells import Variant
+from model.study.networks import SHIPPED, VARIANTS, export
 from model.study.peak import open_session, peak_bytes
 from model.study.results import Results
 from model.study.study import Study
 from model.timing import Timing, time_in_turn
 
 WINDOWS = (9, 27, 54, 81, 108, 144, 216, 432)
-VARIANTS: tuple[Variant, ...] = ("public", "printed")
 PADS = (1, 2, 4, 8, 16, 32, 64)
 PAD_FRAMES = 144
 BATCHED, SINGLE = "batched", "single"
@@ -141,7 +138,7 @@ def _keep(results: Results, asked: Sequence[Asked], answers: int) -> None:
 def _paper(settings: PaperSettings, folder: Path) -> Asked:
     torch.manual_seed(0)
     path = folder / f"{settings.variant}-{settings.frames}.onnx"
-    export_paper(PaperTGC(settings, len(GESTURES)).eval(), path)
+    export(PaperTGC(settings, len(GESTURES)).eval(), settings.frames, path)
     session, counts = open_session(path), hand(settings.frames)[np.newaxis]
     return Asked(
         f"cost/window/{settings.frames}/{_paper_name(settings.variant)}",

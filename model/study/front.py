@@ -23,8 +23,9 @@ from model.quantize import FLOAT32
 from model.settings import LENGTHS
 from model.speed import one_torch_thread
 from model.study import front_page, front_picture, sizes
+from model.study import networks as every
 from model.study.macs import multiply_adds
-from model.study.networks import INT8, SHIPPED, Network, ours, paper_name, paper_settings, papers
+from model.study.networks import INT8, OURS, SHIPPED, Network
 from model.study.peak import idle_bytes, open_session, peak_bytes
 from model.study.results import Results
 from model.study.study import Study
@@ -54,9 +55,12 @@ def run(study: Study) -> None:
     training = haart.realigned(haart.read_training(study.haart))
     began_s = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
-        networks = ours(files, training, Path(folder))
-        for settings in paper_settings():
-            networks += papers(settings, Path(folder))
+        networks = every.ours(files, training, Path(folder))
+        for settings in every.paper_settings():
+            networks += every.papers(settings, Path(folder))
+        for system in every.CHALLENGE:
+            for frames in LENGTHS:
+                networks += every.hughes(system, frames, Path(folder))
         measured = measure(networks, haart.read_test(study.haart), ANSWERS)
     seconds = (time.perf_counter() - began_s) / len(measured)
     for key, values in measured.items():
@@ -65,7 +69,8 @@ def run(study: Study) -> None:
 
 def keys() -> list[str]:
     """Return where the results of all networks stand."""
-    names = [SHIPPED, *sizes.SHAPES, *map(paper_name, paper_settings())]
+    names = [SHIPPED, *sizes.SHAPES, *map(every.paper_name, every.paper_settings())]
+    names += [every.hughes_name(system, frames) for system in every.CHALLENGE for frames in LENGTHS]
     return [f"front/{name}/{arithmetic}" for name in names for arithmetic in (FLOAT32, INT8)]
 
 
@@ -89,14 +94,16 @@ def measure(
     measured: dict[str, dict[str, Any]] = {}
     for network in networks:
         measured[network.key] = {
-            **_described(network),
+            "family": network.family,
+            "width": network.width,
+            "blocks": network.blocks,
             "answers_timed": answers,
             "file_bytes": network.path.stat().st_size,
             "peak_bytes": _settled_peak_bytes(network),
             "idle_bytes": idle,
             "at": {str(frames): {"multiply_adds": counts[network.name, frames]} for frames in network.frames},
         }
-        if network.paper is None:
+        if network.family == OURS:
             for frames, accuracy in accuracies(network.path, test).items():
                 measured[network.key]["at"][frames]["accuracy"] = round(accuracy, 5)
     for each, timing in zip(asked, timings, strict=True):
@@ -120,7 +127,7 @@ def draw(results: Results, figures: Path) -> None:
 
 
 def _askings(network: Network) -> list[Asked]:
-    if network.paper is None:
+    if network.family == OURS:
         classifier = Classifier.load(network.path)
         return [
             Asked(network, frames, ONNX_RUNTIME, _bind(classifier.probabilities, hand(frames)))
@@ -145,13 +152,6 @@ def _eager(network: torch.nn.Module, window: torch.Tensor) -> Callable[[], objec
             return network(window)
 
     return answer
-
-
-def _described(network: Network) -> dict[str, Any]:
-    if network.paper is None:
-        shape = Classifier.load(network.path).metadata.training["network"]
-        return {"family": "touchd", "width": shape["width"], "blocks": shape["blocks"]}
-    return {"family": network.paper.variant, "width": network.paper.width, "blocks": network.paper.blocks}
 
 
 def _settled_peak_bytes(network: Network) -> int:

@@ -13,7 +13,7 @@ from model.ship import SCORES_NAME
 from model.study import table2
 from model.study.front_rows import PRINTED, Row, front, rows
 from model.study.markdown import provenance, table
-from model.study.networks import INT8, PAPER_BLOCKS, SHIPPED
+from model.study.networks import INT8, OURS, PAPER_BLOCKS, SHIPPED
 from model.study.paper_tables import PAPER_EPOCHS
 from model.study.results import Results
 
@@ -47,14 +47,14 @@ def _introduction(results: Results, found: Sequence[Row]) -> Iterator[str]:
     yield f"""\
 All networks answered in turn in one run on one thread, {shipped["answers_timed"]} times each. p50, p99 and
 the median processor time, by which networks are compared here, are in ONNX Runtime, with PyTorch eager beside
-for the paper's, whose weights are random here, which does not change the time. Multiply-adds are those of the
+for the others', whose weights are random here, which does not change the time. Multiply-adds are those of the
 products in the graph. Memory is the most that a fresh process took which does nothing but answer, the median
 of three; {shipped["idle_bytes"] / 1e6:.0f} MB of it are there before any network is opened.
-Our int8 is static, the paper's dynamic, and the error of the latter is not measured.
+Our int8 is static, the others' dynamic, and the error of the latter is not measured.
 
 Error is macro error on the test participants. For ours it is over the sensor's own scans and of one seed a
 size, all trained by the shipped recipe; the sizes were fixed before they were trained, and nothing was chosen
-from these scores. For the paper's it is over windows as published.
+from these scores. For the others it is over windows as published.
 """
     if any(row.error and row.error.source == PRINTED for row in found):
         yield f"""\
@@ -64,7 +64,7 @@ Where a network of the paper's has not been trained here for all {PAPER_EPOCHS} 
 
 
 def _findings(found: Sequence[Row]) -> Iterator[str]:
-    shipped = _one(found, "touchd", FINAL, SHIPPED)
+    shipped = _one(found, OURS, FINAL, SHIPPED)
     for family, title in TITLES.items():
         theirs = _one(found, family, FINAL)
         runtime = theirs.processor_ms / shipped.processor_ms
@@ -85,7 +85,7 @@ def _findings(found: Sequence[Row]) -> Iterator[str]:
 
 
 def _size_finding(found: Sequence[Row]) -> str:
-    sizes = [row for row in found if (row.family, row.frames, row.arithmetic) == ("touchd", FINAL, FLOAT32)]
+    sizes = [row for row in found if (row.family, row.frames, row.arithmetic) == (OURS, FINAL, FLOAT32)]
     errors = ", ".join(f"{row.width}: {_error(row)}" for row in sizes)
     seeds = evaluate.read_scores(SHIPPED_MODEL.with_name(SCORES_NAME)).seeds.values()
     spread = np.ptp([100 * seed[str(FINAL)] for seed in seeds])
@@ -98,8 +98,8 @@ def _size_finding(found: Sequence[Row]) -> str:
 def _int8_finding(found: Sequence[Row]) -> str:
     told = []
     for plain in found:
-        if plain.family == "touchd" and plain.arithmetic == FLOAT32 and plain.frames == FINAL:
-            small = _one(found, "touchd", FINAL, plain.name, INT8)
+        if plain.family == OURS and plain.arithmetic == FLOAT32 and plain.frames == FINAL:
+            small = _one(found, OURS, FINAL, plain.name, INT8)
             points = 100 * (_share(small) - _share(plain))
             told.append(f"{plain.width}: {_of_the_time(small, plain)}, {points:+.1f} points")
     for family, title in TITLES.items():
@@ -129,7 +129,7 @@ def _block_table(found: Sequence[Row]) -> Iterator[str]:
     headings = ("network", *COST, *WEIGHT, "int8 processor, ms")
     lines = []
     for row in found:
-        if row.family != "touchd" and row.frames == FINAL and row.arithmetic == FLOAT32:
+        if row.family in TITLES and row.frames == FINAL and row.arithmetic == FLOAT32:
             small = _one(found, row.family, FINAL, row.name, INT8)
             lines.append((row.title, *_cost(row), *_weight(row), f"{small.processor_ms:.2f}"))
     yield (
@@ -151,7 +151,7 @@ def _weight(row: Row) -> tuple[str, ...]:
 
 
 def _in_tables(row: Row) -> bool:
-    return row.family == "touchd" or row.blocks == PAPER_BLOCKS
+    return row.family not in TITLES or row.blocks == PAPER_BLOCKS
 
 
 def _one(

@@ -14,11 +14,11 @@ from matplotlib.axes import Axes
 
 from model.quantize import FLOAT32
 from model.study.front_rows import PRINTED, Row, front, printed_error, rows
-from model.study.networks import INT8, PAPER_BLOCKS
+from model.study.networks import HUGHES, INT8, OURS, PAPER_BLOCKS
 from model.study.results import Results
 
 PANELS = {"after 1 s": (54,), "after 1.5 s": (72, 81), "after 2.67 s": (144,)}
-OURS = "#1f5fa8"
+BLUE = "#1f5fa8"
 PAPER = {"public": "#c4611a", "printed": "#7a3f98"}
 CODE = {"public": "as its code has it", "printed": "as printed"}
 
@@ -61,22 +61,24 @@ def _panel(axes: Axes, together: Sequence[Row]) -> None:
         label="the front: none is both faster and better",
     )
     _draw_ours(axes, together)
+    challenge = [row for row in together if row.family == HUGHES and row.error]
+    _points(axes, challenge, "the challenge's networks, Hughes et al.", "0.35", marker="D")
     for family in PAPER:
         _draw_papers(axes, family, [row for row in together if row.family == family])
 
 
 def _draw_ours(axes: Axes, together: Sequence[Row]) -> None:
-    for arithmetic, fill, line in ((FLOAT32, OURS, "-"), (INT8, "white", ":")):
-        sizes = [row for row in together if (row.family, row.arithmetic) == ("touchd", arithmetic)]
-        _points(axes, sizes, f"touchd {arithmetic}, by width", OURS, marker="o", mfc=fill, linestyle=line)
+    for arithmetic, fill, line in ((FLOAT32, BLUE, "-"), (INT8, "white", ":")):
+        sizes = [row for row in together if (row.family, row.arithmetic) == (OURS, arithmetic)]
+        _points(axes, sizes, f"touchd {arithmetic}, by width", BLUE, marker="o", mfc=fill, linestyle=line)
     for row in together:
-        if row.family == "touchd" and row.arithmetic == FLOAT32:
+        if row.family == OURS and row.arithmetic == FLOAT32:
             place = (row.processor_ms, _percent(row))
             axes.annotate(
-                f"{row.width}", place, (-20, -4), textcoords="offset points", ha="right", color=OURS
+                f"{row.width}", place, (-20, -4), textcoords="offset points", ha="right", color=BLUE
             )
     shipped = [row for row in together if row.shipped]
-    _points(axes, shipped, "the shipped model", "gold", marker="*", mec=OURS, markersize=18, zorder=5)
+    _points(axes, shipped, "the shipped model", "gold", marker="*", mec=BLUE, markersize=18, zorder=5)
 
 
 def _draw_papers(axes: Axes, family: str, theirs: Sequence[Row]) -> None:

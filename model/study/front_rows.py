@@ -1,8 +1,9 @@
 """What the front is made of: each network at each length with its cost and its error, and who is on it.
 
-The paper's networks are timed with random weights, so their error comes from the trainings of Tables 2 and 3
-where these went on for as long as the paper's, and else from the paper, which chose its epoch on test: a
-training cut short would speak against a network that does better.
+Others than ours are timed with random weights. The error of the paper's networks comes from the trainings of
+tables 2 and 3 where these went on for as long as the paper's, and else from the paper, which chose its epoch
+on test: a training cut short would speak against a network that does better. The error of the challenge's
+networks comes from table 1, which has no 81 frames.
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import numpy as np
 
 from model.quantize import FLOAT32
 from model.report import PAPER_ACCURACY
-from model.study import table2
-from model.study.networks import PAPER_BLOCKS, SHIPPED
+from model.study import challenge_page, table2
+from model.study.challenge_systems import SYSTEMS
+from model.study.networks import CHALLENGE, HUGHES, OURS, PAPER_BLOCKS, SHIPPED
 from model.study.paper_cells import Variant, trained_cells
 from model.study.paper_tables import PAPER_EPOCHS
 from model.study.results import Results
@@ -68,8 +70,10 @@ class Row:
         """What tables call the network."""
         if self.shipped:
             return f"touchd, {self.width} wide (shipped)"
-        if self.family == "touchd":
+        if self.family == OURS:
             return f"touchd, {self.width} wide"
+        if self.family == HUGHES:
+            return f"Hughes et al., {CHALLENGE[_system(self.name)]}"
         blocks = "1 block" if self.blocks == 1 else f"{self.blocks} blocks"
         code = "as printed" if self.family == "printed" else "as its code has it"
         return f"the paper's, {code}, {blocks}"
@@ -83,7 +87,7 @@ def rows(results: Results) -> list[Row]:
         cell = results.get(key)
         for frames, figures in cell["at"].items():
             found.append(_row(results, name, arithmetic, cell, int(frames), figures))
-    order = {"touchd": 0, "public": 1, "printed": 2}
+    order = {OURS: 0, HUGHES: 1, "public": 2, "printed": 3}
     return sorted(found, key=lambda row: (order[row.family], row.width, row.blocks, row.frames))
 
 
@@ -107,13 +111,23 @@ def printed_error(frames: int, blocks: int) -> Error | None:
 
 
 def trained_error(results: Results, variant: Variant, frames: int, blocks: int) -> Error | None:
-    """Return the mean error after the last epoch over the seeds trained here for as long as the paper's."""
+    """Return the error after the last epoch of networks trained here for as long as the paper's."""
     cells = trained_cells(results, variant, blocks, frames)
     if not cells or cells[0].epochs < PAPER_EPOCHS:
         return None
-    accuracy = float(np.mean([results.get(cell.key)["accuracies"][-1] for cell in cells]))
-    seeds = "1 seed" if len(cells) == 1 else f"{len(cells)} seeds"
-    return Error(1.0 - accuracy, f"trained here, {seeds}")
+    return _mean_error([results.get(cell.key)["accuracies"][-1] for cell in cells])
+
+
+def hughes_error(results: Results, system: str, frames: int) -> Error | None:
+    """Return the error of a network of the challenge's over windows of this length, from table 1."""
+    (found,) = (each for each in SYSTEMS if each.key == system)
+    accuracies = challenge_page.measured(results, found, frames, "macro_accuracy")
+    return _mean_error(accuracies) if accuracies else None
+
+
+def _mean_error(accuracies: Sequence[float]) -> Error:
+    seeds = "1 seed" if len(accuracies) == 1 else f"{len(accuracies)} seeds"
+    return Error(1.0 - float(np.mean(accuracies)), f"trained here, {seeds}")
 
 
 def _row(
@@ -123,6 +137,8 @@ def _row(
     error = None
     if "accuracy" in figures:
         error = Error(1.0 - figures["accuracy"], MEASURED)
+    elif arithmetic == FLOAT32 and cell["family"] == HUGHES:
+        error = hughes_error(results, _system(name), frames)
     elif arithmetic == FLOAT32:
         trained = trained_error(results, cell["family"], frames, cell["blocks"])
         error = trained or printed_error(frames, cell["blocks"])
@@ -144,6 +160,10 @@ def _row(
         peak_bytes=cell["peak_bytes"],
         error=error,
     )
+
+
+def _system(name: str) -> str:
+    return name.rsplit("-", 2)[0]
 
 
 def _share(row: Row) -> float:

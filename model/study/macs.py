@@ -56,8 +56,15 @@ def _linear(node: onnx.NodeProto, shapes: Shapes) -> int:
     return math.prod(shapes[node.output[0]]) * shapes[node.input[0]][0 if turned else 1]
 
 
+def _recurrence(node: onnx.NodeProto, shapes: Shapes) -> int:
+    # Inputs are (steps, windows, width); each meets all weights, as does the state before.
+    steps, windows, _ = shapes[node.input[0]]
+    return steps * windows * sum(math.prod(shapes[weights]) for weights in node.input[1:3])
+
+
 PRODUCTS: Mapping[str, Callable[[onnx.NodeProto, Shapes], int]] = {
     "Conv": _convolution,
     "MatMul": _matrix_product,
     "Gemm": _linear,
+    "LSTM": _recurrence,
 }
