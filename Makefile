@@ -142,7 +142,7 @@ $(BIN)/python:
 # A stamp file each, newer than pyproject.toml, so that a second run starts at once.
 $(RUNTIME): pyproject.toml | $(BIN)/python
 	@echo "Installing what touchd needs (once, some 100 MB)"
-	@$(PIP) --editable '.[nao]'
+	@$(PIP) --editable '.[nao,live]'
 	@touch $@
 
 $(DEVELOPMENT): pyproject.toml | $(BIN)/python
