@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.commands.classify import play
-from daemon.config import SensorSettings, Settings
+from daemon.config import LiveSettings, SensorSettings, Settings
 from daemon.events import Event, Prediction, epoch_s
 from daemon.pipeline import Pipeline
 from daemon.rig import SpawnedDaemon, outline
@@ -104,8 +104,8 @@ def table(figures: Figures) -> str:
     return "".join(lines)
 
 
-def measure(touch_s: float) -> Figures:
-    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`."""
+def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
+    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; live: with a page."""
     stream = touched(touch_s)
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
@@ -114,7 +114,7 @@ def measure(touch_s: float) -> Figures:
         ready.bind(str(folder / "notify"))
         ready.settimeout(START_S)
         port = closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
-        settings = Settings(sensor=SensorSettings(port=port.path))
+        settings = Settings(sensor=SensorSettings(port=port.path), live=live)
         started_s = time.monotonic()
         daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
         closing.callback(daemon.stop)
