@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,11 +41,11 @@ Build = Callable[[Settings, int], Any]
 
 
 class Data:
-    """The recordings as published, read when first asked for; features are made once."""
+    """The recordings as published, each file read when first asked for; features are made once."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._features: dict[tuple[Features, int], tuple[Floats, Floats]] = {}
+        self._made: dict[tuple[Features, int, str], Floats] = {}
 
     @cached_property
     def training(self) -> list[Recording]:
@@ -57,12 +57,13 @@ class Data:
         """The test participants' recordings."""
         return haart.read_test(self.folder)
 
-    def features(self, make: Features, frames: int) -> tuple[Floats, Floats]:
-        """Return the features of the training and of the test windows."""
-        if (make, frames) not in self._features:
-            both = [make(haart.cut(recordings, frames).counts) for recordings in (self.training, self.test)]
-            self._features[make, frames] = both[0], both[1]
-        return self._features[make, frames]
+    def features(self, make: Features, frames: int, part: Literal["training", "test"]) -> Floats:
+        """Return the features of one part's windows."""
+        key = (make, frames, part)
+        if key not in self._made:
+            recordings = self.training if part == "training" else self.test
+            self._made[key] = make(haart.cut(recordings, frames).counts)
+        return self._made[key]
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class HandMade(System):
     def choose(self, data: Data) -> Settings:
         """Return the option that does best when each participant in turn is left out."""
         whole = haart.cut(data.training, PUBLISHED_FRAMES)
-        features, _ = data.features(self.features, PUBLISHED_FRAMES)
+        features = data.features(self.features, PUBLISHED_FRAMES, "training")
         scores = [left_out_accuracy(self.build(each, 0), features, whole) for each in self.options]
         best = int(np.argmax(scores))
         tried = [[str(option), round(score, 4)] for option, score in zip(self.options, scores, strict=True)]
@@ -112,10 +113,11 @@ class HandMade(System):
     ) -> Iterator[tuple[int, Labels]]:
         """Train a classifier a length."""
         for frames in lengths:
-            training, test = data.features(self.features, frames)
             labels = haart.cut(data.training, frames).labels
-            fitted = self.build(chosen["settings"], seed).fit(training, labels)
-            yield frames, np.asarray(fitted.predict(test), dtype=np.int64)
+            features = data.features(self.features, frames, "training")
+            fitted = self.build(chosen["settings"], seed).fit(features, labels)
+            named = fitted.predict(data.features(self.features, frames, "test"))
+            yield frames, np.asarray(named, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ class Searched(HandMade):
     def choose(self, data: Data) -> Settings:
         """Return the features that the floating search ends with."""
         whole = haart.cut(data.training, PUBLISHED_FRAMES)
-        features, _ = data.features(self.features, PUBLISHED_FRAMES)
+        features = data.features(self.features, PUBLISHED_FRAMES, "training")
 
         def worth(columns: tuple[int, ...]) -> float:
             forest = RandomForestClassifier(SEARCH_TREES, random_state=0)
