@@ -1,0 +1,76 @@
+"""Who is left out in turn, so that what is measured is said of recordings that nothing was learnt from.
+
+With two participants or more, whole participants; with one, recordings. Never are windows of one recording on
+both sides. A recording counts only where the gesture was learnt from another one on the other side.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from drivers.recording import Recording
+
+LeftOut = Literal["participants", "recordings", "nothing"]
+MOST_PARTICIPANT_FOLDS = 20
+MOST_RECORDING_FOLDS = 4
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Recordings, by their number: those learnt from, and those that are left out and then asked about."""
+
+    learnt: tuple[int, ...]
+    asked: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is left out in turn, and in which folds."""
+
+    left_out: LeftOut
+    folds: tuple[Fold, ...]
+
+    @property
+    def asked(self) -> list[int]:
+        """Return every recording that is asked about."""
+        return [i for fold in self.folds for i in fold.asked]
+
+
+def plan(recordings: Sequence[Recording]) -> Plan:
+    """Return the folds for a folder's recordings; none where too few are there to leave any out."""
+    participants = sorted({recording.participant for recording in recordings})
+    left_out: LeftOut = "recordings"
+    fold_of = _deal_recordings(recordings)
+    if len(participants) > 1:
+        left_out = "participants"
+        fold_of = [
+            participants.index(recording.participant) % MOST_PARTICIPANT_FOLDS for recording in recordings
+        ]
+    folds = [_fold(recordings, fold_of, fold) for fold in sorted(set(fold_of))]
+    useful = tuple(fold for fold in folds if fold.asked)
+    return Plan(left_out if useful else "nothing", useful)
+
+
+def _deal_recordings(recordings: Sequence[Recording]) -> list[int]:
+    """Return each recording's fold; those of a gesture are dealt out one after the other."""
+    dealt: dict[str, int] = {}
+    fold_of = []
+    for recording in recordings:
+        place = dealt.get(recording.gesture, 0)
+        dealt[recording.gesture] = place + 1
+        fold_of.append(place % MOST_RECORDING_FOLDS)
+    return fold_of
+
+
+def _fold(recordings: Sequence[Recording], fold_of: Sequence[int], fold: int) -> Fold:
+    learnt = tuple(i for i, own in enumerate(fold_of) if own != fold)
+    gestures = {recordings[i].gesture for i in learnt}
+    # Told from nothing else, any gesture would be right.
+    asked = tuple(
+        i
+        for i, own in enumerate(fold_of)
+        if own == fold and recordings[i].gesture in gestures and len(gestures) > 1
+    )
+    return Fold(learnt, asked)
