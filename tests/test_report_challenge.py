@@ -25,6 +25,7 @@ from model.study import (
     challenge_features,
     challenge_gaus,
     challenge_hughes,
+    challenge_kinds,
     challenge_networks,
     challenge_page,
     challenge_ta,
@@ -138,6 +139,16 @@ def test_a_flat_hand_along_a_row_is_a_long_and_thin_image() -> None:
     assert (row, column) == pytest.approx((2.0, 2.5))
     assert (long, short) == pytest.approx((np.sqrt(1.25), 0.0), abs=1e-6)
     assert (eccentricity, hardest) == pytest.approx((1.0, 0.25))
+
+
+def test_each_candidate_feature_has_a_name_at_its_place() -> None:
+    features = challenge_balli.features(pressed(sine(432, 3.0)).astype(np.uint16))[0]
+    named = dict(zip(challenge_balli.NAMES, features, strict=True))
+    assert len(named) == FEATURES[challenge_balli.features]
+    assert named["image's row"] == named["mean of column"] == pytest.approx(3.5)
+    assert named["greatest of greatest count"] == 149.0
+    assert named["mean of touched area"] == 1.0
+    assert named["mobility of mean pressure"] == pytest.approx(2.0 * np.sin(np.pi * 3.0 / HZ), rel=0.05)
 
 
 def test_the_search_goes_back_on_a_feature_that_only_looked_good_alone() -> None:
@@ -256,7 +267,7 @@ TRAINED = [system for system in SYSTEMS if not isinstance(system, Shipped)]
 def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
     for family in (challenge_ta, challenge_balli, challenge_gaus):
         monkeypatch.setattr(family, "TREES", 10)
-    monkeypatch.setattr(challenge_balli, "SEARCH_TREES", 2)
+    monkeypatch.setattr(challenge_kinds, "SEARCH_TREES", 2)
     monkeypatch.setattr(challenge_networks, "AUTOENCODER_STEPS", 50)
     monkeypatch.setattr(challenge_networks, "CROP_FRAMES", 54)
 

@@ -27,7 +27,18 @@ ORDER = 4
 SHORTEST_HURST_FRAMES = 8
 TREES = 300
 SEARCH_TREES = 20
-MOST_FEATURES = 14
+SERIES = ("mean pressure", "greatest count", "row", "column", "touched area")
+OF_IMAGE = ("row", "column", "long axis", "short axis", "eccentricity", "hardest share")
+OF_SERIES = (
+    *("mean", "deviation", "least", "greatest", "median", "skewness", "kurtosis"),
+    *("Hurst exponent", "activity", "mobility", "complexity"),
+    *(f"autoregression {lag}" for lag in range(1, ORDER + 1)),
+)
+NAMES = (
+    *(f"image's {name}" for name in OF_IMAGE),
+    *(f"{name} of {series}" for series in SERIES for name in OF_SERIES),
+)
+"""Of the candidate features, in order."""
 
 
 def features(counts: NDArray[np.uint16]) -> Floats:
@@ -40,7 +51,7 @@ def features(counts: NDArray[np.uint16]) -> Floats:
 
 
 def all_series(counts: NDArray[np.uint16]) -> list[Floats]:
-    """Return what is followed over time, each (N, L): mean and greatest count, row, column, touched area."""
+    """Return what is followed over time, each (N, L), as in SERIES."""
     path = shared.centroid(counts)
     greatest = counts.max(axis=(2, 3)).astype(np.float64)
     return [

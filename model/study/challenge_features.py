@@ -15,7 +15,7 @@ from model.metrics import Floats
 Values = NDArray[np.uint16] | NDArray[np.int32] | Floats
 
 CONTACT_COUNTS = 20
-"""A taxel counts as touched above this; an untouched pad stays below 29, and mostly below 10."""
+"""A taxel counts as touched above this, which fewer than 1 in 1000 counts of untouched training pads are."""
 TINY = 1e-9
 QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
 

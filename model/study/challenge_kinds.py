@@ -90,6 +90,10 @@ class System(ABC):
     ) -> Iterator[tuple[int, Labels]]:
         """Train, and yield each length with the class named for each test window (N,)."""
 
+    def in_words(self, settings: Settings) -> str:
+        """Return chosen settings as a reader would like them."""
+        return ", ".join(f"{name} {value}" for name, value in settings.items())
+
 
 @dataclass(frozen=True)
 class HandMade(System):
@@ -122,8 +126,9 @@ class HandMade(System):
 
 @dataclass(frozen=True)
 class Searched(HandMade):
-    """A forest on few features, which are searched for once, over whole recordings."""
+    """A forest on few features, searched for once, over whole recordings. names: of all the features."""
 
+    names: tuple[str, ...] = field(kw_only=True)
     most: int = 10
 
     def choose(self, data: Data) -> Settings:
@@ -137,6 +142,10 @@ class Searched(HandMade):
 
         found, score = floating_search(features.shape[1], self.most, worth)
         return {"settings": {"features": list(found)}, "left_out_accuracy": round(score, 4)}
+
+    def in_words(self, settings: Settings) -> str:
+        """Return the names of the features."""
+        return ", ".join(self.names[feature] for feature in settings["features"])
 
 
 @dataclass(frozen=True)

@@ -112,7 +112,7 @@ def _chosen(results: Results) -> Iterator[str]:
     for system in SYSTEMS:
         if results.has(chosen_key(system)) and results.get(chosen_key(system))["settings"]:
             chosen = results.get(chosen_key(system))
-            settings = ", ".join(f"{name} {value}" for name, value in chosen["settings"].items())
+            settings = system.in_words(chosen["settings"])
             rows.append(
                 (system.researchers, system.algorithm, settings, f"{100 * chosen['left_out_accuracy']:.1f}")
             )

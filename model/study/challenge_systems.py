@@ -20,6 +20,7 @@ SYSTEMS: tuple[System, ...] = (
         61.5,
         features=challenge_balli.features,
         build=challenge_balli.forest,
+        names=challenge_balli.NAMES,
     ),
     HandMade(
         "ta-forest",
