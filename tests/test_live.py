@@ -12,7 +12,6 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
 from expectations import RECORDINGS, expected, stream_of
 from live_rig import SERVED, Served, frames_among, free_port, live_daemon, serving
@@ -30,7 +29,6 @@ from daemon.rig import outline
 from daemon.service import load_model
 from daemon.wire import encoder_for
 from drivers.fake_port import FakePort
-from drivers.frame import Frame
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 NOW = "2026-11-20T10:00:00.000Z"
@@ -132,12 +130,12 @@ def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_count
 
     server._loop.call_soon_threadsafe(hang)
     assert hangs.wait(5)
-    frame = Frame(1, 1, 0.0, np.zeros((8, 8), np.uint16))
     for _ in range(CAPACITY + 7):
-        server.put_frame(frame, 0)
-    assert server.dropped == 7
+        server.put(PAD_UP)
+    dropped = server.dropped
     goes_on.set()
     server.stop(1.0)
+    assert dropped == 7
 
 
 def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served) -> None:

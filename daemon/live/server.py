@@ -76,7 +76,10 @@ class LiveServer:
 
     def put_frame(self, frame: Frame, dropped: int) -> None:
         """Take a frame, and how many the daemon was too slow for so far; all that was put is now shown."""
+        self._frames += 1
         self._frames_dropped = dropped
+        if not self._viewers:
+            return
         with self._lock:
             self._queue(frame)
             was_woken, self._is_woken = self._is_woken, True
@@ -169,7 +172,6 @@ class LiveServer:
     def _show(self, item: Item) -> None:
         match item:
             case Frame():
-                self._frames += 1
                 self._show_frame(item)
             case Scene():
                 self._memory.scene = item
@@ -184,8 +186,6 @@ class LiveServer:
         return encode_message(self._memory.state(self._page.stamp))
 
     def _show_frame(self, frame: Frame) -> None:
-        if not self._viewers:
-            return
         self._viewers.show(encode_frame(frame))
         leaning = self._leanings.push(frame)
         if leaning is not None:
