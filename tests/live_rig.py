@@ -39,7 +39,7 @@ class LiveDaemon:
         self._daemon = SpawnedDaemon(settings, folder, self._log)
         self.process = self._daemon.process
         self.events: list[Event] = []
-        self._reader = threading.Thread(target=lambda: self.events.extend(self._daemon.events()))
+        self._reader = threading.Thread(target=self._collect)
         self._reader.start()
         self.url = self._await_url()
 
@@ -70,6 +70,10 @@ class LiveDaemon:
         self._daemon.stop()
         self._log.close()
         return code
+
+    def _collect(self) -> None:
+        for event in self._daemon.events():
+            self.events.append(event)
 
     def _await_url(self) -> str:
         until_s = time.monotonic() + STARTS_WITHIN_S

@@ -13,10 +13,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, DRIVER
+from browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from expectations import DEMO, stream_of
 from live_rig import free_port, live_daemon
 from numpy.typing import NDArray
+from selenium.webdriver import ActionChains, Chrome, Keys
 
 from daemon.config import SensorSettings
 from daemon.events import Event, Prediction, TouchEnded
@@ -24,16 +25,13 @@ from daemon.wire import encoder_for
 from drivers.fake_port import FakePort
 from drivers.recording import Stream
 
-if CHROMIUM is None or DRIVER is None:
-    pytest.skip("chromium and chromium-driver are not installed", allow_module_level=True)
-
-webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-
-from browser import browser, prefer, show_in  # noqa: E402 - they need selenium
-
-pytestmark = pytest.mark.timeout(60)
+pytestmark = [
+    pytest.mark.timeout(60),
+    pytest.mark.skipif(
+        CHROMIUM is None or DRIVER is None, reason="chromium and chromium-driver are not installed"
+    ),
+]
 T = TypeVar("T")
-Chrome = Any
 
 WITHIN_S = 15.0
 SPEED = 6.0
@@ -141,7 +139,7 @@ def test_every_touch_is_listed_with_what_the_daemon_said_of_it(played: Played) -
     for path, event in zip(reversed(paths), ended, strict=True):
         said = [one for one in played.events if isinstance(one, Prediction) and one.touch == event.touch]
         changes = [name for name, _ in itertools.groupby(one.gesture for one in said)]
-        assert re.findall(r"[a-z]{3,}", path.replace("at", "", 0)) == changes
+        assert re.findall(r"[a-z]{3,}", path) == changes
 
 
 def test_answers_stand_at_their_marks_and_a_changed_one_is_seen_to_be(played: Played) -> None:
@@ -200,7 +198,7 @@ def test_what_no_longer_comes_is_not_shown_as_live(played: Played) -> None:
     assert re.fullmatch(r"\d+ s old|over a minute old", played.text("#age"))
     assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
     await_(lambda: played.text("#banner").startswith("The pad is away"))
-    assert played.text("#vital-pad") == "Pad\naway" or "away" in played.text("#vital-pad")
+    assert played.text("#vital-pad dd") == "away"
 
 
 def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: Played) -> None:
@@ -230,15 +228,14 @@ def test_a_screen_reader_finds_its_way(played: Played) -> None:
 
 def test_the_keyboard_reaches_what_there_is_to_reach(played: Played) -> None:
     def press(key: str) -> str:
-        webdriver.ActionChains(played.chrome).send_keys(key).perform()
+        ActionChains(played.chrome).send_keys(key).perform()
         return str(played.run("return document.activeElement.id || document.activeElement.className"))
 
-    keys = webdriver.Keys
     played.run("document.activeElement.blur()")
-    assert press(keys.TAB) == "skip"
+    assert press(Keys.TAB) == "skip"
     assert played.run("return document.querySelector('.skip').getBoundingClientRect().top") >= 0
-    assert press(keys.ENTER) == "answer"
-    assert press(keys.TAB) == "touches"
+    assert press(Keys.ENTER) == "answer"
+    assert press(Keys.TAB) == "touches"
     assert played.run("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
@@ -351,8 +348,6 @@ def test_it_comes_back_when_the_daemon_does_and_a_still_pad_stays_still(
         chrome.get(daemon.url)
         await_(lambda: text_of(chrome, "#vital-rate dd").startswith("5"))
         before = chrome.execute_script(CANVAS)
-        frames = "return performance.now()"
-        assert chrome.execute_script(frames)
         await_(lambda: float(text_of(chrome, "#vital-rate dd").split()[0]) > 50)
         assert chrome.execute_script(CANVAS) == before
         assert not chrome.execute_script("return document.body.hasAttribute('data-stale')")

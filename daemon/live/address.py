@@ -76,7 +76,8 @@ def url_of(settings: LiveSettings, port: int) -> str:
 def own_names(settings: LiveSettings) -> frozenset[str]:
     """Return the names, in lower case, by which this computer may be asked for the page."""
     name = socket.gethostname().lower()
-    return frozenset({"localhost", name, f"{name}.local", settings.host.lower()})
+    short = name.partition(".")[0]
+    return frozenset({"localhost", name, short, f"{short}.local", settings.host.lower()})
 
 
 def is_own_host(host: str, names: frozenset[str]) -> bool:

@@ -7,7 +7,7 @@ const STOPS = 6;
 // Colours rise with the logarithm of pressure, so that a stroke shows beside a slap: counts that weigh as
 // "light", and from which a touch is as firm as the scale goes.
 const LIGHT_COUNTS = 4;
-const FIRM_COUNTS = 400;
+const FIRM_COUNTS = 250;
 // Who wants little motion sees the last third of a second.
 const CALM_SHARE = 1 / 18;
 

@@ -35,18 +35,16 @@ export function showAnswer(store) {
     ? [make("b", "", percent(answer.confidence)), ` sure, after ${seconds(answer.elapsed_s)}`]
     : [];
   $("certainty").replaceChildren(...certainty);
-  $("remark").replaceChildren(...remarks(store.scene, said, previous));
+  $("remark").replaceChildren(...remarks(store, said, previous));
 }
 
-function remarks(scene, said, previous) {
+function remarks({ scene, robot }, said, previous) {
   const answer = said.at(-1);
   if (!answer) return [];
-  const told = said.findLast((one) => one.told);
-  const robot = scene.robot_configured ? "the robot" : "a robot";
-  const heard =
-    told?.gesture === answer.gesture
-      ? `sure enough to tell ${robot} after ${seconds(told.elapsed_s)}`
-      : `not sure enough to tell ${robot}`;
+  const told = said.findLast((one) => one.told && one.gesture === answer.gesture);
+  const whom = scene.robot_configured ? "the robot" : "a robot";
+  const telling = robot?.state === "up" ? "told the robot" : `sure enough to tell ${whom}`;
+  const heard = told ? `${telling} after ${seconds(told.elapsed_s)}` : `not sure enough to tell ${whom}`;
   const parts = previous ? [make("b", "", `↻ changed from ${nameOf(previous.gesture)}`), " · "] : [];
   const degraded = answer.degraded ? " · frames were lost" : "";
   return [...parts, heard, degraded];
