@@ -81,7 +81,7 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         closing.callback(notifier.close)
         check_pad(settings)
         classifier = load_model(settings)
-        _favour_latency()
+        favour_latency()
         outlet = Outlet(settings)
         closing.callback(outlet.stop)
         show_frame = None
@@ -128,7 +128,7 @@ def _logging(handler: logging.Handler, level: str) -> Iterator[None]:
         root.removeHandler(handler)
 
 
-def _favour_latency() -> None:
+def favour_latency() -> None:
     """Keep Python's own housekeeping from delaying an answer."""
     sys.setswitchinterval(SWITCH_S)
     # What start-up loaded stays; looking through it for garbage would only take time.
