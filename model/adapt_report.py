@@ -12,6 +12,8 @@ from model.adapt_measure import Comparison, LengthFigures
 
 # Of three recordings all right, the Wilson interval still reaches down to 44 %; of four, to 51 %.
 FEW_RECORDINGS = 4
+# Two who happen to change alike have an interval of no width at all.
+FEW_PARTICIPANTS = 3
 WIDTH = 80
 NAME_WIDTH = 20
 
@@ -30,7 +32,7 @@ def report_lines(adapted: Adapted) -> Iterable[str]:
         yield f"New to the model: {', '.join(sorted(new))}"
     comparison = adapted.comparison
     yield ""
-    yield _how(comparison)
+    yield from textwrap.wrap(_how(comparison), WIDTH)
     if comparison.lengths:
         yield ""
         yield from _table(comparison.lengths)
@@ -73,8 +75,10 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
     if not comparison.lengths or comparison.lengths[-1].difference is None:
         return
     last = comparison.lengths[-1]
-    if last.interval is None or last.interval[0] <= 0.0 <= last.interval[1]:
-        yield "Too little to tell whether this is better or worse: the difference is within what chance does."
+    if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
+        yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others are better served."
+    elif last.interval is None or last.interval[0] <= 0.0 <= last.interval[1]:
+        yield "Too little to tell whether this is better or worse: chance alone makes such a difference."
     elif last.interval[1] < 0.0:
         yield "This is worse than the shipped model: keep that, or record more."
 
@@ -83,12 +87,12 @@ def _how(comparison: Comparison) -> str:
     match comparison.left_out:
         case "participants":
             return (
-                "Right answers in percent. Each participant is answered by a model adapted to the others:\n"
+                "Right answers in percent. Each participant is answered by a model adapted to the others: "
                 "this is how well it will do on people it was not adapted to."
             )
         case "recordings":
             return (
-                "Right answers in percent. Each recording is answered by a model adapted to others of the\n"
+                "Right answers in percent. Each recording is answered by a model adapted to others of the "
                 "same participant: this is how well it will do on this person."
             )
         case "nothing":
