@@ -23,6 +23,8 @@ REFRESH_HZ = 12
 WIDTH = 80
 HISTORY = 11
 BAR_WIDTH = 22
+LABEL_WIDTH = 12
+MOST_LABELS = ROWS - 1
 
 
 class View:
@@ -102,10 +104,15 @@ class View:
         answer = self._answer
         rows: list[Text] = []
         if answer is not None:
+            # A lab's own model may know more gestures than there are lines for: the likeliest are shown.
+            likeliest = sorted(answer.probabilities.values(), reverse=True)[:MOST_LABELS]
             for label, probability in answer.probabilities.items():
+                if probability < likeliest[-1] or len(rows) == MOST_LABELS:
+                    continue
                 style = "bold green" if label == answer.gesture else ""
                 bar = "#" * round(probability * BAR_WIDTH)
-                rows.append(Text(f"{label:<9} {bar:<{BAR_WIDTH}} {probability:4.0%}", style))
+                name = f"{label[:LABEL_WIDTH]:<{LABEL_WIDTH}}"
+                rows.append(Text(f"{name} {bar:<{BAR_WIDTH}} {probability:4.0%}", style))
             rows.append(Text(f"{answer.stage}, after {answer.elapsed_s:.1f} s", "dim"))
         title = f"touch {self._touch}" if self._touch is not None else "nothing touches"
         return Panel(Text("\n").join(rows), title=title, width=WIDTH - PAD_WIDTH, height=ROWS + 2)
