@@ -47,7 +47,7 @@ def _introduction(results: Results, found: Sequence[Row]) -> Iterator[str]:
     yield f"""\
 All networks answered in turn in one run on one thread, {shipped["answers_timed"]} times each. p50, p99 and
 the median processor time, by which networks are compared here, are in ONNX Runtime, with PyTorch eager beside
-for the others', whose weights are random here, which does not change the time. Multiply-adds are those of the
+for the others, whose weights are random here, which does not change the time. Multiply-adds are those of the
 products in the graph. Memory is the most that a fresh process took which does nothing but answer, the median
 of three; {shipped["idle_bytes"] / 1e6:.0f} MB of it are there before any network is opened.
 Our int8 is static, the others' dynamic, and the error of the latter is not measured.
