@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import re
+import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -16,10 +18,12 @@ import pytest
 from expectations import RECORDINGS, expected, stream_of
 
 from daemon.config import SensorSettings, Settings
-from daemon.events import Event, Prediction
+from daemon.events import Event, Prediction, TouchBegan
 from daemon.rig import SpawnedDaemon, outline
 from daemon.wire import encoder_for
 from drivers.fake_port import FakePort
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import read_recordings, splice
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
@@ -85,3 +89,64 @@ def test_far_beyond_the_pads_rate_it_says_what_it_dropped(play: Play, speed: flo
     _, processed, dropped = play(speed)
     assert processed + dropped == len(stream_of(LENGTHS).counts)
     sys.stdout.write(f"{speed:g} times: {processed} frames, {dropped} dropped\n")
+
+
+STOPPED_TURNS, TURNS, STOPPED_SPEED = 10, 17, 20.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_overrun_it_counts_and_says_every_frame_given_up_and_then_answers_right_again(tmp_path: Path) -> None:
+    # Held up for ten turns of the recording, it then gets all of them as fast as the line can carry.
+    stream = splice(read_recordings(LENGTHS) * TURNS)
+    held_up_s = STOPPED_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / STOPPED_SPEED
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(tmp_path / "notify"))
+    with (
+        manager,
+        FakePort(stream, encoder_for(SensorSettings()), speed=STOPPED_SPEED) as port,
+        (tmp_path / "log").open("w+") as log,
+    ):
+        settings = Settings(sensor=SensorSettings(port=port.path))
+        environment = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        daemon = SpawnedDaemon(settings, tmp_path, log.buffer, environment)
+        manager.settimeout(20)
+        assert manager.recv(4096) == b"READY=1"
+        daemon.process.send_signal(signal.SIGSTOP)
+        assert not port.wait(held_up_s)
+        daemon.process.send_signal(signal.SIGCONT)
+        assert port.wait(60)
+        daemon.process.terminate()
+        events = list(daemon.events())
+        assert daemon.stop() == 0
+        statuses = _heard(manager)
+        log.seek(0)
+        said = log.read()
+    in_all = IN_ALL.search(said)
+    assert in_all is not None
+    processed, dropped = int(in_all[1]), int(in_all[3])
+    assert dropped > 0
+    assert processed + dropped == len(stream.counts)
+    assert "frames dropped: the machine is too busy for the pad" in said
+    assert any(re.search(r"frames/s, \d+ touches, [1-9]\d* frames dropped", status) for status in statuses)
+    assert _last_turn(events) == expected(LENGTHS)
+    sys.stdout.write(f"held up for {held_up_s:.0f} s: {processed} frames, {dropped} dropped\n")
+
+
+def _heard(manager: socket.socket) -> list[str]:
+    """Return everything that has come."""
+    manager.setblocking(False)
+    messages = []
+    while True:
+        try:
+            messages.append(manager.recv(4096).decode())
+        except BlockingIOError:
+            return messages
+
+
+def _last_turn(events: list[Event]) -> list[dict[str, object]]:
+    """Return the outline of the recording's last turn, with its touches numbered from 1."""
+    touches = max(int(str(entry["touch"])) for entry in expected(LENGTHS))
+    before = max(event.touch for event in events if isinstance(event, TouchBegan)) - touches
+    last = [entry | {"touch": int(str(entry["touch"])) - before} for entry in outline(events)]
+    return [entry for entry in last if entry["touch"] >= 1]
