@@ -77,11 +77,10 @@ class Material:
 
 def prepare(start: Start, recordings: Sequence[Recording], settings: AdaptSettings) -> Material:
     """Return the recordings' crops to learn from, and their windows to be asked about."""
-    shown = rehearsal(start, recordings, settings)
-    return Material(recordings, shown, windows(start.front, recordings))
+    return Material(recordings, learnable(start, recordings, settings), windows(start.front, recordings))
 
 
-def rehearsal(start: Start, recordings: Sequence[Recording], settings: AdaptSettings) -> Crops:
+def learnable(start: Start, recordings: Sequence[Recording], settings: AdaptSettings) -> Crops:
     """Return recordings' crops alone."""
     return crops(start.front, recordings, start.saved.settings.augmentation, settings.crops, settings.seed)
 

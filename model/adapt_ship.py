@@ -14,7 +14,7 @@ import torch
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
 from model import haart
-from model.adapt import Adapted, Start, adapt, prepare, rehearsal
+from model.adapt import Adapted, Start, adapt, learnable, prepare
 from model.adapt_head import AdaptSettings
 from model.checkpoint import code_version
 from model.classifier import SHIPPED_MODEL, ModelMetadata
@@ -45,7 +45,7 @@ def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings:
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
         if haart_folder is not None:
-            rehearsed = rehearsal(start, haart.realigned(haart.read_training(haart_folder)), settings)
+            rehearsed = learnable(start, haart.realigned(haart.read_training(haart_folder)), settings)
         adapted = adapt(start, prepare(start, recordings, settings), rehearsed, settings)
     write(start, adapted, output, settings)
     return adapted
