@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 import urllib.request
@@ -213,3 +216,16 @@ def test_sighup_opens_the_page_and_costs_no_touch(tmp_path: Path) -> None:
         assert outline(daemon.finish()) == expected(LENGTHS)
     finally:
         daemon.close()
+
+
+def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
+    command = [sys.executable, "-m", "daemon", "demo", "--plain", "--live", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
+        assert demo.stdout is not None
+        served = next(found for line in demo.stdout if (found := SERVED.search(line)))
+        # Its daemon is ready, and the page there, once the pad is.
+        assert any(line.startswith("pad up") for line in demo.stdout)
+        with urllib.request.urlopen(f"{served[1]}/", timeout=5) as answer:
+            assert answer.status == 200
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(10) == 0
