@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -407,6 +408,10 @@ def too_short(folder: Path) -> None:
     keep(folder, [pat, replace(hug, counts=hug.counts[:53], sensor_ms=hug.sensor_ms[:53])])
 
 
+def nameless(folder: Path) -> None:
+    keep(folder, [replace(recording, participant="") for recording in simulated(("A",), 1, ("pat", "hug"))])
+
+
 def damaged(folder: Path) -> None:
     folder.mkdir()
     (folder / "a.csv.gz").write_bytes(b"not gzip")
@@ -431,6 +436,7 @@ def damaged(folder: Path) -> None:
         (named("Stroke"), "Stroke and stroke differ in writing only"),
         (named("no-touch"), "no-touch and notouch differ in writing only"),
         (too_short, "0.98 s of hug without a gap, and at least 1 s is needed"),
+        (nameless, "does not say who touches"),
         (with_twin, "002.csv.gz: the same recording as in"),
     ],
 )
@@ -456,6 +462,21 @@ def test_an_output_that_cannot_be_is_refused_before_the_work(
 ) -> None:
     assert cli.main(["train", "--extra", str(tmp_path), "--output", str(tmp_path / output)]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_without_torch_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert cli.main(["train", "--extra", str(tmp_path)]) == 2
+    assert "pip install 'touchd[train]'" in capsys.readouterr().err
+
+
+def test_what_only_a_recipe_or_only_adapting_takes_is_not_passed_over(tmp_path: Path) -> None:
+    for arguments in (["--output", "x.onnx"], ["--extra", str(tmp_path), "--recipe", "x.yaml"]):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["train", *arguments])
+        assert ended.value.code == 2
 
 
 def test_a_folder_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
