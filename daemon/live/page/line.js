@@ -6,7 +6,7 @@ const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
 // Counts in all that fill half of the height, unless a touch is firmer.
 const LIGHT_LOAD = 300;
-const ROWS = 3;
+const ROWS = 4;
 
 export class TimeLine {
   #canvas;
