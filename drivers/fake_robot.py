@@ -89,8 +89,9 @@ def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop:
             session.listenStandalone(f"tcp://127.0.0.1:{0 if login else options.port}")
             url: str = session.endpoints()[0]
             if login is not None:
-                folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-fake-robot-")))
-                gate = Gate(options.port, int(url.rsplit(":", 1)[1]), login, folder)
+                # Read once: a robot that is killed leaves no key behind.
+                with tempfile.TemporaryDirectory(prefix="touchd-fake-robot-") as folder:
+                    gate = Gate(options.port, int(url.rsplit(":", 1)[1]), login, Path(folder))
                 closing.callback(gate.close)
                 url = f"tcps://127.0.0.1:{gate.port}"
         except (RuntimeError, OSError, OverflowError) as error:
