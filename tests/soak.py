@@ -2,10 +2,11 @@
 
     python tests/soak.py --hours 24 --out docs/soak.json
 
-Bytes go through parser, ring, touch tracker, classifier, decision, journal and the link to a stand-in robot
-that is switched off and on; the pad is unplugged now and then, and its line has bursts of garbage. There is
-no serial port in it: flat out, the daemon's queue would give frames up, as it should. Ends with exit code 1
-when anything grew or was lost; a run that --minutes cut short says how many hours it was.
+Bytes go through parser, ring, touch tracker, classifier, decision, pad watch, journal, kept touches, the link
+to a stand-in robot that is switched off and on, and the live page, at which somebody looks now and then; the
+pad is unplugged at times, and its line has bursts of garbage. There is no serial port in it: flat out, the
+daemon's queue would give frames up, as it should. Ends with exit code 1 when anything grew or was lost; a run
+that --minutes cut short says how many hours it was.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import argparse
 import json
 import os
 import random
+import socket
 import sys
 import tempfile
 import time
@@ -21,15 +23,20 @@ from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 
-from daemon.config import Settings
-from daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
+from soak_audit import Audit, Viewer
+
+from daemon.config import LiveSettings, Settings
+from daemon.events import Event, encode
 from daemon.journal import Journal
+from daemon.live.sink import LiveSink
 from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
 from daemon.recorded import with_quiet
 from daemon.service import load_model
-from daemon.sinks import JournalSink, RobotSink
-from daemon.wire import encoder_for, parser_for
+from daemon.sinks import JournalSink, RobotSink, Sink
+from daemon.touch_sink import TouchSink
+from daemon.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from daemon.wire import description_of, encoder_for, parser_for
 from drivers.fake_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Selection, Stream, read_recordings, realign, splice
@@ -43,46 +50,12 @@ ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8
 UNPLUGGED_EVERY_FRAMES = HOUR_FRAMES // 3
 GARBAGE_EVERY_CHUNKS = 50
 MAX_GROWTH_MB = 5.0
-# A touch of this many frames has had its final answer; two to spare for the median that smooths its end.
-FINAL_FRAMES = 144 + 2
 JOURNAL_BYTES = 1_000_000
 JOURNAL_KEEP = 2
+TOUCHES_KEPT = 50
+# Of the eight spans between two switches of the robot that make an hour, the one in which somebody looks.
+LOOKED_AT = 3
 GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
-
-
-class Audit:
-    """Looks at every event: touches are numbered without a gap, each has its answers, and none twice."""
-
-    def __init__(self) -> None:
-        self.touches = self.predictions = self.events = 0
-        self.wrong: deque[str] = deque(maxlen=20)
-        self._stages: list[str] | None = None
-
-    def see(self, event: Event) -> None:
-        """Take the next event."""
-        self.events += 1
-        match event:
-            case TouchBegan():
-                self._expect(self._stages is None and event.touch == self.touches + 1, event)
-                self.touches = event.touch
-                self._stages = []
-            case Prediction():
-                stages = self._stages if self._stages is not None else []
-                again = event.stage != "ongoing" and event.stage in stages
-                self._expect(self._stages is not None and event.touch == self.touches and not again, event)
-                stages.append(event.stage)
-                self.predictions += 1
-            case TouchEnded():
-                stages = self._stages or [""]
-                answered = "final" in stages or stages[-1] in ("released", "uncertain")
-                long = event.frames >= FINAL_FRAMES
-                self._expect(event.touch == self.touches and answered, event)
-                self._expect(not long or "final" in stages, event)
-                self._stages = None
-
-    def _expect(self, holds: bool, event: Event) -> None:
-        if not holds:
-            self.wrong.append(f"after {self._stages}: {encode(event).decode()}")
 
 
 def recorded() -> Stream:
@@ -131,14 +104,28 @@ class Soak:
         self.hours: list[dict[str, float]] = []
         self._path = folder / "events.jsonl"
         self._latest: deque[bytes] = deque(maxlen=1000)
-        settings = Settings()
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            settings = Settings(live=LiveSettings(port=free.getsockname()[1]))
+        assert settings.live is not None
+        model = load_model(settings)
         self._parser = parser_for(settings.sensor)
         self._line = line(recorded(), settings)
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
         self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         self._robot_sink = RobotSink(self._link)
-        self._pipeline = Pipeline(settings.pipeline, load_model(settings), self._emit)
+        self._store = TouchStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
+        self._touch_sink = TouchSink(self._store)
+        self._live_sink = LiveSink()
+        self._live_sink.use(settings, model)
+        self._sinks: tuple[Sink, ...] = (
+            self._journal_sink,
+            self._robot_sink,
+            self._touch_sink,
+            self._live_sink,
+        )
+        self.viewer = Viewer(settings.live.port)
+        self._pipeline = Pipeline(settings.pipeline, model, self._emit)
         self._pad_watch = PadWatch()
 
     def run(self, hours: float, until_s: float) -> dict[str, object]:
@@ -148,8 +135,10 @@ class Soak:
         for data in self._line:
             before = frames
             for frame in self._parser.feed(data, time.monotonic()):
+                self._touch_sink.take(frame)
                 self._pipeline.on_frame(frame)
                 self._pad_watch.update(frame)
+                self._live_sink.put_frame(frame, 0)
                 frames += 1
             if frames // ROBOT_EVERY_FRAMES != before // ROBOT_EVERY_FRAMES:
                 self._switch_the_robot()
@@ -161,15 +150,16 @@ class Soak:
                 break
         self._pipeline.flush()
         took_s, took_cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
-        self._journal_sink.stop(10.0)
-        self._robot_sink.stop(2.0)
+        self.viewer.leave()
+        for sink in self._sinks:
+            sink.stop(10.0)
         return self._figures(frames, took_s, took_cpu_s)
 
     def _emit(self, event: Event) -> None:
         self.audit.see(event)
         self._latest.append(encode(event))
-        self._journal_sink.put(event)
-        self._robot_sink.put(event)
+        for sink in self._sinks:
+            sink.put(event)
 
     def _switch_the_robot(self) -> None:
         self.robot_switched += 1
@@ -179,6 +169,10 @@ class Soak:
             self.robot.start()
         else:
             self.robot.kill()
+        if self.robot_switched % 8 == LOOKED_AT:
+            self.viewer.come()
+        else:
+            self.viewer.leave()
 
     def _unplug(self) -> None:
         self._pipeline.on_sensor_state(SensorState("down", "unplugged"))
@@ -201,6 +195,7 @@ class Soak:
         files = [self._path.with_name(f"{self._path.name}.{number}") for number in range(JOURNAL_KEEP, 0, -1)]
         written = b"".join(file.read_bytes() for file in [*files, self._path] if file.exists())
         latest = list(self._latest)
+        kept = kept_touches(folder_of(self._path))
         holds = {
             "every touch has its answers, none twice": not self.audit.wrong and self.audit.touches > 0,
             "memory grows at most 5 MB after the first hour": growth_mb <= MAX_GROWTH_MB,
@@ -212,6 +207,11 @@ class Soak:
                 [entry.rstrip() for entry in written.splitlines()[-len(latest) :]] == latest
                 and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
                 and self._journal.lost + self._journal_sink.dropped == 0
+            ),
+            "the last touches are kept, no more than asked for, and can be read": (
+                len(kept) == min(TOUCHES_KEPT, self.audit.touches - self._touch_sink.dropped)
+                and self._store.lost == 0
+                and all(read_frames(touch).touch.counts.size for touch in kept)
             ),
             "what became of each message to the robot is known": counts.queued
             >= counts.sent + counts.dropped + counts.stale + counts.failed,
@@ -231,6 +231,8 @@ class Soak:
                 "switched_on_or_off": self.robot_switched,
                 **{name: getattr(counts, name) for name in ("queued", "sent", "dropped", "stale", "failed")},
             },
+            "live_page": {"messages_seen": self.viewer.seen, "frames_skipped": self._live_sink.dropped},
+            "touches_kept": {"files": len(kept), "too_fast_for_the_disk": self._touch_sink.dropped},
             "wrong": list(self.audit.wrong),
             "holds": holds,
         }

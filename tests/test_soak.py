@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from soak import Audit, Soak
+from soak import Soak
+from soak_audit import Audit
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 
