@@ -25,11 +25,15 @@ def stream_of(frames: int = 4000) -> Stream:
 
 
 @contextmanager
-def sensing(port: str, protocol: Protocol | None = None, silence_s: float = 0.5) -> Iterator[FrameQueue]:
+def sensing(
+    port: str, protocol: Protocol | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
+) -> Iterator[FrameQueue]:
     """A running sensor's queue; afterwards nothing of the sensor is left."""
     before = set(os.listdir("/proc/self/fd"))
     queue = FrameQueue(100_000)
-    sensor = Sensor(port, BAUD, protocol or FabricGrid(), queue, longest_retry_s=0.2, silence_s=silence_s)
+    sensor = Sensor(
+        port, BAUD, protocol or FabricGrid(), queue, longest_retry_s=longest_retry_s, silence_s=silence_s
+    )
     sensor.start()
     try:
         yield queue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from daemon.pad_watch import PadWatch
 from drivers.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.pad_health import Finding, PadHealth
@@ -59,6 +61,34 @@ def saturated(counts: Counts) -> None:
     counts[:, 2:6, 2:7] = 1023
 
 
+def through_the_port(counts: Counts) -> list[Frame]:
+    """Return the frames that the sensor reads of a pad with these counts."""
+    stream = Stream(counts, ideal_clock_ms(len(counts)), (Span(0, len(counts), "notouch"),))
+    queue = FrameQueue(len(counts) + 1)
+    frames: list[Frame] = []
+    with FakePort(stream, encode_fabric_grid, speed=None) as port:
+        sensor = Sensor(port.path, 512000, FabricGrid(), queue)
+        sensor.start()
+        while len(frames) < len(counts):
+            item = queue.get(5.0)
+            assert item is not None
+            if isinstance(item, Frame):
+                frames.append(item)
+        sensor.stop()
+    return frames
+
+
+def assert_logged(frames: list[Frame], what: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A person is warned once when it begins and told once when it is over."""
+    caplog.set_level(logging.INFO)
+    caplog.clear()
+    watch = PadWatch()
+    for frame in frames:
+        watch.update(frame)
+    lines = [(record.levelname, record.message) for record in caplog.records]
+    assert lines == [("WARNING", what), ("INFO", f"no longer: {what}")]
+
+
 @pytest.mark.parametrize(
     ("damage", "kind", "what"),
     [
@@ -70,22 +100,12 @@ def saturated(counts: Counts) -> None:
     ],
 )
 def test_through_the_port_a_broken_pad_is_told_once_and_its_repair_too(
-    damage: Damage, kind: str, what: str
+    damage: Damage, kind: str, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     counts = sound_pad(30)
     damage(counts[5 * RATE_HZ : 20 * RATE_HZ])
-    stream = Stream(counts, ideal_clock_ms(len(counts)), (Span(0, len(counts), "notouch"),))
-    queue, health = FrameQueue(len(counts) + 1), PadHealth()
-    with FakePort(stream, encode_fabric_grid, speed=None) as port:
-        sensor = Sensor(port.path, 512000, FabricGrid(), queue)
-        sensor.start()
-        frames: list[Frame] = []
-        while len(frames) < len(counts):
-            item = queue.get(5.0)
-            assert item is not None
-            if isinstance(item, Frame):
-                frames.append(item)
-        sensor.stop()
+    frames = through_the_port(counts)
+    health = PadHealth()
     told = [(frame, finding) for frame in frames if (finding := health.update(frame))]
     (begun, begin), (ended, end) = told
     assert (begin.kind, begin.began, end.kind, end.began) == (kind, True, kind, False)
@@ -93,6 +113,7 @@ def test_through_the_port_a_broken_pad_is_told_once_and_its_repair_too(
     assert 5_000 < begun.sensor_ms < 18_000
     assert 20_000 < ended.sensor_ms < 25_000
     np.testing.assert_array_equal(frames[-1].pressure, counts[-1])
+    assert_logged(frames, begin.what, caplog)
 
 
 def test_a_sound_pad_under_a_still_heavy_hand_is_not_broken() -> None:
@@ -123,13 +144,20 @@ def test_a_pad_that_is_silent_at_rest_is_not_broken() -> None:
     assert findings_in(counts) == []
 
 
-def test_a_rest_level_that_creeps_up_is_told_and_its_return_too() -> None:
-    counts = sound_pad(400)
-    creep = np.concatenate([np.zeros(80), np.linspace(0, 40, 160), np.zeros(160)])
+def test_through_the_port_a_rest_level_that_creeps_up_is_told_once_and_its_return_too(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    counts = sound_pad(300)
+    creep = np.concatenate([np.zeros(80), np.linspace(0, 40, 100), np.zeros(120)])
     counts += np.repeat(creep, RATE_HZ).astype(np.uint16)[:, None, None]
-    (begun_s, begin), (ended_s, end) = findings_in(counts)
+    frames = through_the_port(counts)
+    health = PadHealth()
+    told = [(frame.sensor_ms / 1000, finding) for frame in frames if (finding := health.update(frame))]
+    (begun_s, begin), (ended_s, end) = told
     assert (begin.kind, begin.began, end.began) == ("drift", True, False)
-    assert 80 < begun_s < 240 < ended_s < 330
+    assert 80 < begun_s < 180 < ended_s < 270
+    np.testing.assert_array_equal(frames[-1].pressure, counts[-1])
+    assert_logged(frames, begin.what, caplog)
     assert "the level at rest rose by" in begin.what
 
 

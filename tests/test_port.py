@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import time
 
 import numpy as np
 import pytest
@@ -42,7 +44,10 @@ def test_a_device_that_is_no_terminal_is_said_to_be_none() -> None:
         assert "/dev/null cannot be opened" in next_state(queue).reason
 
 
-def test_without_permission_it_says_how_to_get_it_and_goes_on_when_it_has_it() -> None:
+def test_without_permission_it_says_how_to_get_it_and_goes_on_when_it_has_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO)
     with FakePort(stream_of(), encode_fabric_grid) as port:
         os.chmod(port.path, 0)
         is_root = os.geteuid() == 0
@@ -57,7 +62,10 @@ def test_without_permission_it_says_how_to_get_it_and_goes_on_when_it_has_it() -
                     os.seteuid(0)
                 else:
                     os.chmod(port.path, 0o600)
+                begun_s = time.monotonic()
                 assert next_state(queue).state == "up"
+                assert time.monotonic() - begun_s < 2.0
+            assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
         finally:
             if is_root:
                 os.seteuid(0)
