@@ -11,7 +11,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import msgspec
@@ -38,6 +38,10 @@ NOW = "2026-11-20T10:00:00.000Z"
 BEGAN = TouchBegan(touch=1, time=NOW, sensor_ms=7)
 ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=NOW)
 BEGAN_AGAIN = TouchBegan(touch=2, time=NOW, sensor_ms=9)
+HANDSHAKE = (
+    "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dG91Y2hkdG91Y2hkdG91Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
 PAD_UP = SensorEvent(state="up", time=NOW)
 
 
@@ -119,6 +123,15 @@ def test_a_viewer_who_does_not_read_costs_the_others_nothing_and_gets_the_newest
         told = [json.loads(message) for message in backlog if isinstance(message, str)]
         state = [message for message in told if message["type"] == "state"][-1]
         assert [touch["began"]["touch"] for touch in state["touches"]] == [1]
+
+
+def test_a_viewer_who_no_longer_answers_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daemon.live.server.PING_EVERY_S", 0.2)
+    with serving() as served, socket.create_connection(("127.0.0.1", served.port), timeout=10) as dead:
+        dead.sendall(HANDSHAKE.format(port=served.port).encode())
+        with suppress(ConnectionResetError):
+            while dead.recv(65536):
+                pass
 
 
 def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_counted() -> None:
