@@ -44,8 +44,8 @@ class Leanings:
         elif isinstance(event, TouchEnded):
             self._touch = None
 
-    def push(self, frame: Frame) -> Leaning | None:
-        """Take the next frame; return what the model makes of the touch, where it is time to ask."""
+    def push(self, frame: Frame, may_ask: bool = True) -> Leaning | None:
+        """Take the next frame; return what the model makes of the touch, if it is time to ask and one may."""
         laid = self._ring.push(frame)
         if not laid:
             return None
@@ -61,9 +61,8 @@ class Leanings:
         if self._first_index is None:
             return None
         length = self._frames[-1].index + 1 - self._first_index
-        if length < FEWEST_FRAMES or length % STRIDE_FRAMES != OFFSET_FRAMES:
-            return None
-        return self._ask(self._touch.touch, length)
+        is_due = length >= FEWEST_FRAMES and length % STRIDE_FRAMES == OFFSET_FRAMES
+        return self._ask(self._touch.touch, length) if is_due and may_ask else None
 
     def _find(self, sensor_ms: int) -> int | None:
         """Return the index of the frame with which the touch began; None when it came before we looked."""

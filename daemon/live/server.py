@@ -31,6 +31,8 @@ log = logging.getLogger(__name__)
 # Ten seconds of frames, which wait only when the machine is far too busy.
 CAPACITY = 540
 STATUS_EVERY_S = 0.5
+# With so much to show at once, the model is not asked what it leans to.
+BEHIND_ITEMS = 9
 RATE_SAMPLES = 5
 # Connections of any kind, those that ask for a file and those that ask for nothing among them.
 MOST_CONNECTIONS = 64
@@ -58,6 +60,7 @@ class LiveServer:
         self._items: deque[Item] = deque()
         self._lock = threading.Lock()
         self._is_woken = False
+        self._is_stopping = False
         self._frames = 0
         self._frames_dropped = 0
         self._loop = asyncio.new_event_loop()
@@ -89,7 +92,8 @@ class LiveServer:
                 self._loop.call_soon_threadsafe(self._take)
 
     def stop(self, timeout_s: float) -> None:
-        """Say goodbye to all viewers and stop listening; may be repeated."""
+        """Say goodbye to all viewers and stop listening, without showing what is queued; may be repeated."""
+        self._is_stopping = True
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._stopping.set)
         self._thread.join(timeout_s)
@@ -163,16 +167,23 @@ class LiveServer:
         with self._lock:
             items, self._items = self._items, deque()
             self._is_woken = False
+        is_behind = len(items) > BEHIND_ITEMS
         for item in items:
+            # A thread that still works when Python ends would take the process down with it.
+            if self._is_stopping:
+                return
             try:
-                self._show(item)
+                self._show(item, is_behind)
             except Exception:
                 log.exception("live: something could not be shown")
 
-    def _show(self, item: Item) -> None:
+    def _show(self, item: Item, is_behind: bool) -> None:
         match item:
             case Frame():
-                self._show_frame(item)
+                self._viewers.show(encode_frame(item))
+                leaning = self._leanings.push(item, may_ask=not is_behind)
+                if leaning is not None:
+                    self._viewers.show(encode_message(leaning))
             case Scene():
                 self._memory.scene = item
                 self._leanings.change(item)
@@ -184,12 +195,6 @@ class LiveServer:
 
     def _state(self) -> str:
         return encode_message(self._memory.state(self._page.stamp))
-
-    def _show_frame(self, frame: Frame) -> None:
-        self._viewers.show(encode_frame(frame))
-        leaning = self._leanings.push(frame)
-        if leaning is not None:
-            self._viewers.show(encode_message(leaning))
 
 
 def _quiet_logger() -> logging.Logger:
