@@ -17,6 +17,7 @@ import yaml
 from model.settings import SettingsError, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
+MAX_BYTES = 64 * 1024
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,7 +43,11 @@ class Job:
 def read_recipe(path: Path = SHIPPED_RECIPE) -> Recipe:
     """Read a recipe from YAML. Raises SettingsError, which names the key."""
     try:
-        return msgspec.convert(yaml.safe_load(path.read_text(encoding="utf-8")), Recipe)
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise SettingsError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a recipe")
+        return msgspec.convert(yaml.safe_load(text), Recipe)
     except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
         raise SettingsError(f"{path}: {error}") from error
 

@@ -23,6 +23,8 @@ from daemon.strict_yaml import _StrictLoader
 from daemon.wire import encoder_for
 from drivers.fake_port import FakePort
 from drivers.robot_session import qi_installed
+from model.recipe import MAX_BYTES, read_recipe
+from model.settings import SettingsError
 
 ROOT = Path(__file__).parent.parent
 SOURCES = sorted(path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("*.py"))
@@ -111,6 +113,17 @@ def test_a_checkpoint_that_unpacks_to_more_than_any_of_ours_is_refused_unread(tm
     assert path.stat().st_size < 2**20
     with pytest.raises(checkpoint.CheckpointError, match="larger than 128 MiB"):
         checkpoint.load(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(b"#" * (MAX_BYTES + 1), "larger than 64 KiB"), (b"\xff\xfe\xfd: [", "recipe.yaml: ")],
+)
+def test_a_recipe_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_bytes(content)
+    with pytest.raises(SettingsError, match=message):
+        read_recipe(path)
 
 
 def sockets(pid: int) -> list[tuple[str, str, str]]:
