@@ -49,7 +49,7 @@ def read_recipe(path: Path = SHIPPED_RECIPE) -> Recipe:
             raise SettingsError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a recipe")
         return msgspec.convert(yaml.safe_load(text), Recipe)
     except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
-        raise SettingsError(f"{path}: {error}") from error
+        raise SettingsError(f"{path}: {' '.join(str(error).split())}") from error
 
 
 def fold_name(left_out: tuple[str, ...]) -> str:

@@ -117,13 +117,18 @@ def test_a_checkpoint_that_unpacks_to_more_than_any_of_ours_is_refused_unread(tm
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(b"#" * (MAX_BYTES + 1), "larger than 64 KiB"), (b"\xff\xfe\xfd: [", "recipe.yaml: ")],
+    [
+        (b"#" * (MAX_BYTES + 1), "larger than 64 KiB"),
+        (b"\xff\xfe\xfd: [", "recipe.yaml: "),
+        (b"name: [", "recipe.yaml: while parsing"),
+    ],
 )
 def test_a_recipe_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "recipe.yaml"
     path.write_bytes(content)
-    with pytest.raises(SettingsError, match=message):
+    with pytest.raises(SettingsError, match=message) as refusal:
         read_recipe(path)
+    assert "\n" not in str(refusal.value)
 
 
 def sockets(pid: int) -> list[tuple[str, str, str]]:
