@@ -11,7 +11,7 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -134,10 +134,9 @@ def test_a_viewer_who_no_longer_answers_is_let_go(monkeypatch: pytest.MonkeyPatc
                 pass
 
 
-def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_counted() -> None:
-    listening = socket.create_server(("127.0.0.1", 0))
-    scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
-    server = LiveServer(listening, LiveSettings(), scene)
+@contextmanager
+def hung(server: LiveServer) -> Iterator[None]:
+    """The page's thread does nothing meanwhile."""
     hangs, goes_on = threading.Event(), threading.Event()
 
     def hang() -> None:
@@ -146,12 +145,34 @@ def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_count
 
     server._loop.call_soon_threadsafe(hang)
     assert hangs.wait(5)
-    for _ in range(CAPACITY + 7):
-        server.put(PAD_UP)
-    dropped = server.dropped
-    goes_on.set()
+    try:
+        yield
+    finally:
+        goes_on.set()
+
+
+def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_counted() -> None:
+    listening = socket.create_server(("127.0.0.1", 0))
+    scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
+    server = LiveServer(listening, LiveSettings(), scene)
+    with hung(server):
+        for _ in range(CAPACITY + 7):
+            server.put(PAD_UP)
+        dropped = server.dropped
     server.stop(1.0)
     assert dropped == 7
+
+
+def test_the_end_does_not_wait_for_what_is_still_to_be_shown(served: Served) -> None:
+    server = served.sink._server
+    assert server is not None
+    with served.look() as viewer:
+        await_message(viewer, "state")
+        with hung(server):
+            for _ in range(CAPACITY):
+                served.put_frame()
+            server.stop(0.0)
+        assert [message for message in viewer if isinstance(message, bytes)] == []
 
 
 def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served) -> None:

@@ -63,6 +63,16 @@ def test_a_touch_whose_beginning_was_not_seen_is_not_guessed_about(scene: Scene)
     assert [leaning for frame in frames(300) if (leaning := leanings.push(frame))] == []
 
 
+def test_a_page_that_is_behind_asks_the_model_nothing(scene: Scene) -> None:
+    leanings = Leanings(scene)
+    said: list[Leaning | None] = []
+    pipeline = Pipeline(scene.settings, scene.model, leanings.put)
+    for frame in frames():
+        pipeline.on_frame(frame)
+        said.append(leanings.push(frame, may_ask=False))
+    assert set(said) == {None}
+
+
 def test_what_is_remembered_for_who_comes_late_is_bounded(scene: Scene) -> None:
     memory = Memory(scene)
     prediction = next(event for event in answers(STREAM, scene.model) if isinstance(event, Prediction))
