@@ -281,7 +281,7 @@ def test_the_pad_has_its_name_and_group_by_the_udev_rule(touchd: Machine) -> Non
 
 
 @needs_hardware
-def test_it_is_there_again_after_a_reboot(touchd: Machine) -> None:
+def test_after_a_reboot_it_is_there_and_may_open_a_pad_that_is_plugged_in_only_then(touchd: Machine) -> None:
     touchd.run("systemctl enable --quiet touchd")
     touchd.reboot()
     touchd.wait_until("systemctl is-active -q touchd")
