@@ -262,4 +262,4 @@ def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
         with urllib.request.urlopen(f"{served[1]}/", timeout=5) as answer:
             assert answer.status == 200
         demo.send_signal(signal.SIGINT)
-        assert demo.wait(10) == 0
+        assert demo.wait(20) == 0

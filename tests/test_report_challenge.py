@@ -272,6 +272,7 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(challenge_networks, "CROP_FRAMES", 54)
 
 
+@pytest.mark.timeout(180)
 @pytest.mark.parametrize("system", TRAINED, ids=lambda system: system.key)
 def test_settings_are_chosen_without_the_test_file(system: System) -> None:
     chosen = small(system).choose(MadeUp(with_test=False))
