@@ -35,8 +35,10 @@ touchd train --extra lab --output lab.onnx
 Then put `model: lab.onnx` into `touchd.yaml`; for the service, which sees no home folders, copy the file to
 `/etc/touchd` first (`sudo install -m 644 lab.onnx /etc/touchd/`), then `sudo systemctl reload touchd`. The
 shipped model stays where it is, and no file is written over. Touches kept by the daemon and labelled with
-`touchd record --from-journal` may lie in the same folder. For 72 recordings by three participants it took 20 s
-of processor time (`time touchd train --extra FOLDER`), half of it to load PyTorch and write the file.
+`touchd record --from-journal` may lie in the same folder.
+
+It took 16 s of processor time for 7 recordings, 20 s for 72 by three participants, and 16 s more with
+`--haart` (`time touchd train --extra FOLDER`, on a busy machine).
 
 **What it reports.** Right answers before and after, gesture by gesture, always on recordings that nothing
 was learnt from: with two participants or more, each of them is answered by a model adapted to the others;
