@@ -214,6 +214,7 @@ def test_from_loopback_to_every_address_is_a_change_at_one_port(served: Served) 
     assert served.ask("/").status == 200
 
 
+@pytest.mark.slow
 def test_viewers_of_every_kind_cost_the_daemon_no_frame_and_do_not_delay_its_end(tmp_path: Path) -> None:
     stream = stream_of(LENGTHS)
     with (

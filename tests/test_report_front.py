@@ -216,6 +216,7 @@ def test_each_stored_size_is_the_one_that_was_declared_and_answers(path: Path) -
     assert classifier.probabilities(hand(81)).sum() == pytest.approx(1, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_ours_and_the_papers_are_timed_weighed_and_ours_scored(tmp_path: Path) -> None:
     asked = networks.ours({}, recordings(), tmp_path)
     asked += networks.papers(PaperSettings("public", frames=9, blocks=1, width=8, heads=2), tmp_path)
