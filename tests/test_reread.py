@@ -140,7 +140,7 @@ def test_other_settings_count_at_once_and_no_frame_and_no_number_is_lost(
 def test_another_port_is_read_from_then_on(daemon: Daemon) -> None:
     with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=SPEED) as other:
         daemon.configure(sensor=SensorSettings(port=other.path))
-        while not any(isinstance(event, SensorEvent) and other.path in event.reason for event in daemon.events):
+        while not any(isinstance(e, SensorEvent) and other.path in e.reason for e in daemon.events):
             daemon.await_event(SensorEvent)
         daemon.await_event(TouchEnded)
         states = [event for event in daemon.events if isinstance(event, SensorEvent)]
