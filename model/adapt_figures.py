@@ -142,6 +142,11 @@ def pull_rows(entries: Sequence[Pull]) -> list[Pull]:
     return rows
 
 
+def own_change(cell: Cell) -> float:
+    """Return the points that a cell's participant won or lost after the last answer."""
+    return change(cell.own_before.accuracy, cell.own_after.accuracy)
+
+
 def _gain(cells: Sequence[Cell], frames: int) -> Gain:
     names = list(dict.fromkeys(cell.participant for cell in cells))
     key = str(frames)

@@ -156,6 +156,7 @@ def measure(haart_folder: Path, runs: Path, path: Path) -> Study:
     for start, name, unseen in people(read_recipe(), haart_folder, runs):
         if name not in TEST_PARTICIPANTS and not any(pad.participant == name for pad in study.pads):
             study.pads += other_pads(start, name, unseen, settings)
+            write(study, path)
         if name in study.done:
             continue
         person = Person(start, name, unseen)
