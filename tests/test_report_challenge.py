@@ -273,7 +273,13 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.timeout(180)
-@pytest.mark.parametrize("system", TRAINED, ids=lambda system: system.key)
+@pytest.mark.parametrize(
+    "system",
+    [
+        pytest.param(system, id=system.key, marks=[pytest.mark.slow] if isinstance(system, Network) else [])
+        for system in TRAINED
+    ],
+)
 def test_settings_are_chosen_without_the_test_file(system: System) -> None:
     chosen = small(system).choose(MadeUp(with_test=False))
     assert chosen["settings"]

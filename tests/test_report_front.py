@@ -193,6 +193,7 @@ def test_a_size_that_is_stored_is_not_trained_again(tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
+@pytest.mark.slow
 def test_a_size_is_trained_by_the_recipe_and_exported_where_it_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
