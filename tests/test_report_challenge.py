@@ -357,7 +357,20 @@ def test_the_table_has_the_papers_own_figures_beside_what_is_measured(tmp_path: 
         "",
         "72.8 (144 frames)",
     ]
-    assert rows[1].startswith("| Ta et al. 2015 | Random forest | 70.9 | 72.0 ± 2.0 | 71.0 ± 2.0 |")
+    assert rows[1].startswith("| Ta et al. 2015 | Random forest | 70.9 | 72.0 ± 2.0 | 71.0 ± 2.0 | not run |")
+
+
+def test_the_page_names_what_is_not_run_to_the_end_and_nothing_once_all_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = next(system for system in SYSTEMS if system.key == "ta-svm")
+    monkeypatch.setattr(challenge_page, "SYSTEMS", (machine,))
+    results = Results(tmp_path / "report.json")
+    assert "Not run to the end, for want of time: Ta et al. 2015, SVM." in challenge.section(results)
+    for frames in challenge_page.LENGTHS:
+        values = {"accuracy": 0.5, "macro_accuracy": 0.5}
+        results.put(challenge_page.cell_key(machine, frames, 0), values, 1.0)
+    assert "ot run" not in challenge.section(results)
 
 
 def test_the_picture_is_drawn_from_what_is_measured_so_far(tmp_path: Path) -> None:
