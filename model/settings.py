@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Any
-
 import msgspec
-import yaml
 
 from drivers.errors import TouchdError
 
@@ -82,12 +78,3 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 class SettingsError(TouchdError):
     """The training settings are wrong; the message names the key."""
-
-
-def read_settings(path: Path, changes: dict[str, Any]) -> TrainSettings:
-    """Read training settings from a YAML file and apply `changes` at the top level. Raises SettingsError."""
-    try:
-        stored = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return msgspec.convert({**stored, **changes}, TrainSettings)
-    except (OSError, yaml.YAMLError, msgspec.ValidationError, TypeError) as error:
-        raise SettingsError(f"{path}: {error}") from error

@@ -24,7 +24,7 @@ for number in range(15):
 def test_a_cell_keeps_its_values_and_says_what_made_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["/somewhere/bin/touchd", "report"])
+    monkeypatch.setattr(sys, "argv", ["/somewhere/bin/touchd", "report", "--haart", "/home/anna/haart"])
     results = Results(tmp_path / "docs" / "report.json")
     assert not results.has("table/a")
     results.put("table/a", {"accuracies": [0.5, 0.75]}, 12.34567)
@@ -32,7 +32,7 @@ def test_a_cell_keeps_its_values_and_says_what_made_it(
     assert again.get("table/a") == {"accuracies": [0.5, 0.75]}
     cell = again.cell("table/a")
     assert cell.seconds == 12.346
-    assert cell.command == "touchd report"
+    assert cell.command == "touchd report --haart haart"
     assert "cores" in cell.machine
     assert "onnxruntime" in cell.machine
 

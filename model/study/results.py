@@ -105,10 +105,10 @@ def _one_line_a_cell(cells: dict[str, Cell]) -> bytes:
 
 
 def command() -> str:
-    """Return the command line that this process was started with, its program without its folder."""
+    """Return the command line that this process was started with, folders by their last names only."""
     program = Path(sys.argv[0])
     name = program.parent.name if program.name == "__main__.py" else program.name
-    return " ".join([name, *sys.argv[1:]])
+    return " ".join([name, *(Path(word).name if "/" in word else word for word in sys.argv[1:])])
 
 
 def commit() -> str:
