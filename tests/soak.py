@@ -4,9 +4,10 @@
 
 Bytes go through parser, ring, touch tracker, classifier, decision, pad watch, journal, kept touches, the link
 to a stand-in robot that is switched off and on, and the live page, at which somebody looks now and then; the
-pad is unplugged at times, and its line has bursts of garbage. There is no serial port in it: flat out, the
-daemon's queue would give frames up, as it should. Ends with exit code 1 when anything grew or was lost; a run
-that --minutes cut short says how many hours it was.
+pad is unplugged at times, and its line has bursts of garbage. The pad is a program of its own, its line a
+pipe, which waits for the daemon's parts; a serial port does not wait, and frames would be given up, as they
+should. Ends with exit code 1 when anything grew or was lost; a run that --minutes cut short says how many
+hours it was.
 """
 
 from __future__ import annotations
@@ -14,84 +15,68 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import socket
 import sys
 import tempfile
+import threading
 import time
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 from soak_audit import Audit, Viewer
+from soak_line import pad
 
 from daemon.config import LiveSettings, Settings
-from daemon.events import Event, encode
+from daemon.events import Event, TouchEnded, encode
 from daemon.journal import Journal
 from daemon.live.sink import LiveSink
 from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
-from daemon.recorded import with_quiet
 from daemon.service import load_model
 from daemon.sinks import JournalSink, RobotSink, Sink
+from daemon.touch_frames import FeltTouch
 from daemon.touch_sink import TouchSink
 from daemon.touch_store import TouchStore, folder_of, kept_touches, read_frames
-from daemon.wire import description_of, encoder_for, parser_for
+from daemon.wire import description_of, parser_for
 from drivers.fake_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import Selection, Stream, read_recordings, realign, splice
 from drivers.robot import RobotLink, RobotSettings
 from drivers.sensor import SensorState
-from drivers.simulator import simulate
 
 HOUR_FRAMES = round(3600 * FRAME_RATE_HZ)
-CHUNK_FRAMES = 20
 ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8
 UNPLUGGED_EVERY_FRAMES = HOUR_FRAMES // 3
-GARBAGE_EVERY_CHUNKS = 50
 MAX_GROWTH_MB = 5.0
 JOURNAL_BYTES = 1_000_000
 JOURNAL_KEEP = 2
 TOUCHES_KEPT = 50
+WRITTEN_S = 10.0
 # Of the eight spans between two switches of the robot that make an hour, the one in which somebody looks.
 LOOKED_AT = 3
-GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
-
-
-def recorded() -> Stream:
-    """HAART's test participants where there are any, else ten minutes of a simulated hand."""
-    if folder := os.environ.get("TOUCHD_HAART"):
-        path = Path(folder) / "testWITHLABELS.csv.gz"
-        found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]
-        touching = [recording for recording in found if recording.gesture != "notouch"]
-        return with_quiet(touching, [recording for recording in found if recording.gesture == "notouch"])
-    rng = random.Random(1)
-    script = [("notouch", 3.0)]
-    for _ in range(120):
-        script += [(rng.choice(GESTURES), rng.uniform(0.3, 6.0)), ("notouch", rng.uniform(1.2, 3.0))]
-    return splice(simulate(script, 1))
-
-
-def line(stream: Stream, settings: Settings) -> Iterator[bytes]:
-    """Yield what the pad sends, for ever: the stream over and over, its clock going on, and some garbage."""
-    encode_frame = encoder_for(settings.sensor)
-    rng = random.Random(2)
-    round_ms = int(stream.sensor_ms[-1] - stream.sensor_ms[0]) + round(1000 / FRAME_RATE_HZ)
-    offset_ms, chunks = 0, 0
-    while True:
-        for start in range(0, len(stream.counts), CHUNK_FRAMES):
-            part = slice(start, start + CHUNK_FRAMES)
-            clock_ms = (stream.sensor_ms[part] + offset_ms).tolist()
-            chunks += 1
-            garbage = rng.randbytes(rng.randrange(400)) if chunks % GARBAGE_EVERY_CHUNKS == 0 else b""
-            yield b"".join(map(encode_frame, stream.counts[part], clock_ms)) + garbage
-        offset_ms = (offset_ms + round_ms) % 2**32
 
 
 def memory_mb() -> float:
     """What of this process is resident now (see proc(5))."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class PromptStore(TouchStore):
+    """Tells when a touch is written: in life there is time before the next one ends, here it is given."""
+
+    def __init__(self, folder: Path, most: int, sensor: str) -> None:
+        self._written = threading.Semaphore(0)
+        super().__init__(folder, most, sensor)
+
+    def add(self, touch: FeltTouch) -> None:
+        """Write a touch, and tell."""
+        super().add(touch)
+        self._written.release()
+
+    def wait(self) -> None:
+        """Wait until one more touch is written."""
+        self._written.acquire(timeout=WRITTEN_S)
 
 
 class Soak:
@@ -109,12 +94,11 @@ class Soak:
         assert settings.live is not None
         model = load_model(settings)
         self._parser = parser_for(settings.sensor)
-        self._line = line(recorded(), settings)
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
         self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         self._robot_sink = RobotSink(self._link)
-        self._store = TouchStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
+        self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
         self._touch_sink = TouchSink(self._store)
         self._live_sink = LiveSink()
         self._live_sink.use(settings, model)
@@ -128,11 +112,11 @@ class Soak:
         self._pipeline = Pipeline(settings.pipeline, model, self._emit)
         self._pad_watch = PadWatch()
 
-    def run(self, hours: float, until_s: float) -> dict[str, object]:
-        """Go through so many hours of sensor time, or until that monotonic time; returns the figures."""
+    def run(self, line: Iterable[bytes], hours: float, until_s: float) -> dict[str, object]:
+        """Read so many hours of sensor time from a pad, or until that monotonic time; returns the figures."""
         began_s, began_cpu_s, frames = time.monotonic(), time.process_time(), 0
         self._measure()
-        for data in self._line:
+        for data in line:
             before = frames
             for frame in self._parser.feed(data, time.monotonic()):
                 self._touch_sink.take(frame)
@@ -160,6 +144,8 @@ class Soak:
         self._latest.append(encode(event))
         for sink in self._sinks:
             sink.put(event)
+        if isinstance(event, TouchEnded):
+            self._store.wait()
 
     def _switch_the_robot(self) -> None:
         self.robot_switched += 1
@@ -209,8 +195,8 @@ class Soak:
                 and self._journal.lost + self._journal_sink.dropped == 0
             ),
             "the last touches are kept, no more than asked for, and can be read": (
-                len(kept) == min(TOUCHES_KEPT, self.audit.touches - self._touch_sink.dropped)
-                and self._store.lost == 0
+                len(kept) == min(TOUCHES_KEPT, self.audit.touches)
+                and self._store.lost + self._touch_sink.dropped == 0
                 and all(read_frames(touch).touch.counts.size for touch in kept)
             ),
             "what became of each message to the robot is known": counts.queued
@@ -232,7 +218,7 @@ class Soak:
                 **{name: getattr(counts, name) for name in ("queued", "sent", "dropped", "stale", "failed")},
             },
             "live_page": {"messages_seen": self.viewer.seen, "frames_skipped": self._live_sink.dropped},
-            "touches_kept": {"files": len(kept), "too_fast_for_the_disk": self._touch_sink.dropped},
+            "touches_kept": len(kept),
             "wrong": list(self.audit.wrong),
             "holds": holds,
         }
@@ -245,8 +231,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=1e6, help="end after so many minutes of real time")
     parser.add_argument("--out", type=Path, help="write the figures there too, as JSON")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory(prefix="touchd-soak-") as folder:
-        figures = Soak(Path(folder)).run(options.hours, time.monotonic() + 60 * options.minutes)
+    with tempfile.TemporaryDirectory(prefix="touchd-soak-") as folder, pad() as line:
+        figures = Soak(Path(folder)).run(line, options.hours, time.monotonic() + 60 * options.minutes)
     text = json.dumps(figures, indent=1) + "\n"
     sys.stdout.write(text)
     if options.out:

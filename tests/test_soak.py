@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from soak import Soak
 from soak_audit import Audit
+from soak_line import pad
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 
@@ -34,7 +35,8 @@ def final(touch: int = 1) -> Prediction:
 
 def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHD_HAART", raising=False)
-    figures = Soak(tmp_path).run(hours=0.03, until_s=float("inf"))
+    with pad() as line:
+        figures = Soak(tmp_path).run(line, hours=0.03, until_s=float("inf"))
     holds = figures["holds"]
     assert isinstance(holds, dict)
     assert [what for what, held in holds.items() if not held] == []
