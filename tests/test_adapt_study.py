@@ -70,6 +70,7 @@ def test_the_person_adapted_to_gains_and_rehearsal_spares_the_others(study: Stud
     assert of[4, False, 144].own.low > 0
 
 
+@pytest.mark.slow
 @needs_haart
 def test_a_sample_of_the_figures_holds_when_measured_again(study: Study) -> None:
     name, number, each = SAMPLE
