@@ -35,7 +35,7 @@ help:
 	@echo "make test-systemd  install the service on a Debian machine of its own and try it there (root; see the file)"
 	@echo "make check         ruff and mypy"
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
-	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some ten minutes)"
+	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some twenty minutes)"
 	@echo "make expectations  rebuild the expected events beside the shipped recordings"
 	@echo "make install       put the service in place, or upgrade it (sudo; PREFIX, DESTDIR); make uninstall removes it"
 	@echo "make setup         set up what the daemon needs: $(BIN)/touchd"
@@ -68,8 +68,9 @@ format: $(DEVELOPMENT)
 bench: $(RUNTIME)
 	@$(BIN)/touchd bench
 
+# With the memory settings of the unit.
 soak: $(RUNTIME)
-	PYTHONPATH=.:tests $(BIN)/python tests/soak.py --out docs/soak.json
+	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python tests/soak.py --out docs/soak.json
 
 expectations: $(RUNTIME)
 	$(BIN)/python tests/expectations.py

@@ -1,6 +1,8 @@
 """A day of sensor time, flat out: nothing grows, nothing is lost. By hand: make soak, or
 
-    python tests/soak.py --hours 24 --out docs/soak.json
+    MALLOC_MMAP_THRESHOLD_=131072 python tests/soak.py --hours 24 --out docs/soak.json
+
+with the memory settings of the service.
 
 Bytes go through parser, ring, touch tracker, classifier, decision, pad watch, journal, kept touches, the link
 to a stand-in robot that is switched off and on, and the live page, at which somebody looks now and then; the
@@ -203,6 +205,7 @@ class Soak:
             >= counts.sent + counts.dropped + counts.stale + counts.failed,
         }
         return {
+            "malloc_mmap_threshold": os.environ.get("MALLOC_MMAP_THRESHOLD_", "glibc's own"),
             "sensor_hours": round(frames / HOUR_FRAMES, 3),
             "frames": frames,
             "bytes_dropped_as_garbage": self._parser.counts.bytes_dropped,
