@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from soak_line import pad
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 
+ROOT = Path(__file__).parent.parent
 BEGAN = TouchBegan(touch=1, time="", sensor_ms=0)
 ENDED = TouchEnded(touch=1, gesture="rub", frames=200, reason="released", time="")
 
@@ -75,3 +77,11 @@ def test_a_touch_with_its_answers_is_right() -> None:
     for event in [BEGAN, final(), ENDED]:
         audit.see(event)
     assert not audit.wrong
+
+
+def test_the_published_day_holds_and_was_run_with_the_memory_settings_of_the_service() -> None:
+    published = json.loads((ROOT / "docs" / "soak.json").read_text(encoding="utf-8"))
+    assert published["sensor_hours"] >= 24.0
+    assert [what for what, held in published["holds"].items() if not held] == []
+    unit = (ROOT / "systemd" / "touchd.service").read_text(encoding="utf-8")
+    assert f"Environment=MALLOC_MMAP_THRESHOLD_={published['malloc_mmap_threshold']}\n" in unit
