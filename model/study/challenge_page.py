@@ -102,7 +102,12 @@ def _not_run(results: Results) -> Iterator[str]:
 
 
 def _paper_rows(results: Results) -> Iterator[list[str]]:
-    yield ["Ren et al. 2023", "TGC, Transformer", f"{PAPER_TGC} ({PAPER_TGC_FRAMES} frames)", *[""] * 2 * len(LENGTHS)]
+    yield [
+        "Ren et al. 2023",
+        "TGC, Transformer",
+        f"{PAPER_TGC} ({PAPER_TGC_FRAMES} frames)",
+        *[""] * 2 * len(LENGTHS),
+    ]
     networks = {(variant, blocks) for variant, blocks, _ in trained_networks(results)}
     for variant, blocks in sorted(networks, key=lambda network: (network[0] != "public", -network[1])):
         row = ["Ren et al., made again", f"TGC, {describe(variant, blocks)}", ""]

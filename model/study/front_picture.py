@@ -71,13 +71,13 @@ def _draw_ours(axes: Axes, together: Sequence[Row]) -> None:
     for arithmetic, fill, line in ((FLOAT32, BLUE, "-"), (INT8, "white", ":")):
         sizes = [row for row in together if (row.family, row.arithmetic) == (OURS, arithmetic)]
         _points(axes, sizes, f"touchd {arithmetic}, by width", BLUE, marker="o", mfc=fill, linestyle=line)
+    shipped = [row for row in together if row.shipped]
     for row in together:
         if row.family == OURS and row.arithmetic == FLOAT32:
+            # The star of the shipped model would hide what stands to its left.
+            offset, side = ((8, -4), "left") if row.width > shipped[0].width else ((-20, -4), "right")
             place = (row.processor_ms, _percent(row))
-            axes.annotate(
-                f"{row.width}", place, (-20, -4), textcoords="offset points", ha="right", color=BLUE
-            )
-    shipped = [row for row in together if row.shipped]
+            axes.annotate(f"{row.width}", place, offset, textcoords="offset points", ha=side, color=BLUE)
     _points(axes, shipped, "the shipped model", "gold", marker="*", mec=BLUE, markersize=18, zorder=5)
 
 
