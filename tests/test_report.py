@@ -17,9 +17,20 @@ from drivers.recording import Recording
 from model import evaluate, haart
 from model.classifier import Classifier
 from model.speed import one_torch_thread
-from model.study import ours, page, paper_cells, paper_kept, paper_training, representation, table2, table3
+from model.study import (
+    kept_int8,
+    ours,
+    page,
+    paper_cells,
+    paper_kept,
+    paper_training,
+    representation,
+    table2,
+    table3,
+)
 from model.study.paper_cells import predictions_path
 from model.study.results import Results
+from model.study.study import Study
 
 DOCS = Path(__file__).parent.parent / "docs"
 RESULTS = Results(DOCS / page.RESULTS_NAME)
@@ -86,6 +97,20 @@ def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list
         probabilities = paper_training.answer(paper_kept.load_kept(DOCS, cell), windows.counts)
     again = paper_training.macro_accuracy(probabilities, windows.labels)
     assert again == pytest.approx(RESULTS.get(cell.key)["accuracies"][-1], abs=TOLERANCE)
+
+
+@needs_haart
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_the_kept_network_costs_in_int8_what_is_reported(tmp_path: Path) -> None:
+    cell = paper_kept.kept_cell(RESULTS)
+    assert cell is not None
+    again = Study(Path(os.environ["TOUCHD_HAART"]), tmp_path, Results(tmp_path / "report.json"), 1, DOCS)
+    again.results.put(cell.key, RESULTS.get(cell.key), 0.0)
+    kept_int8.run(again)
+    reported = RESULTS.get(kept_int8.key(cell))
+    # Processors round int8 products differently.
+    assert again.results.get(kept_int8.key(cell)) == pytest.approx(reported, abs=5 * TOLERANCE)
 
 
 @needs_haart

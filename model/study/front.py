@@ -22,7 +22,7 @@ from model.hard_cases import hand
 from model.quantize import FLOAT32
 from model.settings import LENGTHS
 from model.speed import one_torch_thread
-from model.study import front_page, front_picture, sizes
+from model.study import front_page, front_picture, kept_int8, sizes
 from model.study import networks as every
 from model.study.macs import multiply_adds
 from model.study.networks import INT8, OURS, SHIPPED, Network
@@ -49,6 +49,7 @@ class Asked:
 
 def run(study: Study) -> None:
     """Measure every network in one run, unless all have been; sizes that are missing are trained first."""
+    kept_int8.run(study)
     if all(study.results.has(key) for key in keys()):
         return
     files = sizes.ready(study.haart, study.checkpoints, study.threads)
