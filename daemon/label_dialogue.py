@@ -32,7 +32,10 @@ class LabelDialogue:
         """Go through touches in their order; raises `daemon.ask.Stopped` when the person wants no more."""
         place = 0
         asked: list[int] = []
-        while place < len(touches):
+        while place < len(touches) or self._is_slip(asked):
+            if place == len(touches):
+                place = self._undo(touches, asked)
+                continue
             offered = touches[place]
             try:
                 frames = read_frames(offered.kept)
@@ -47,9 +50,7 @@ class LabelDialogue:
             self._console.print(draw(offered, frames, title))
             answer = self._ask()
             if answer == "u" and asked:
-                place = asked.pop()
-                self._folder.undo(touches[place].kept)
-                self._say("  undone", "green")
+                place = self._undo(touches, asked)
             elif answer == "u":
                 self._say("  this is the first: there is nothing to undo", "yellow")
             elif answer == "w":
@@ -58,7 +59,18 @@ class LabelDialogue:
                 self._decide(offered.kept, answer)
                 asked.append(place)
                 place += 1
+
+    def _is_slip(self, asked: Sequence[int]) -> bool:
+        """After the last touch, ask whether what was said of it shall be undone."""
         self._say("\nThat was the last of them.", "bold")
+        return bool(asked) and ask(self._console, "Enter to end, u undo: ", ("", "u")) == "u"
+
+    def _undo(self, touches: Sequence[Offered], asked: list[int]) -> int:
+        """Forget the latest answer; returns the place of the touch that it was about."""
+        place = asked.pop()
+        self._folder.undo(touches[place].kept)
+        self._say("  undone", "green")
+        return place
 
     def _decide(self, kept: KeptTouch, answer: str) -> None:
         """Do as the person says of a touch; "l" does nothing, so that it is asked for again another time."""

@@ -229,6 +229,18 @@ def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
         terminal.until("quit: ")
         terminal.answer("l")
         terminal.until("That was the last of them.")
+        terminal.until("Enter to end, u undo: ")
+        terminal.answer("u")
+        terminal.until("4 of 4: touch 1")
+        terminal.until("quit: ")
+        terminal.answer("7")
+        terminal.until("Enter to end, u undo: ")
+        terminal.answer("u")
+        terminal.until("undone")
+        terminal.until("quit: ")
+        terminal.answer("l")
+        terminal.until("Enter to end, u undo: ")
+        terminal.answer("")
         assert terminal.process.wait(10) == 0
     assert [name.rpartition("_")[0] for name in lab.files()] == ["anna_foam_fur_tickle", "ben_foam_fur_rub"]
 
