@@ -142,7 +142,7 @@ def _chosen(results: Results) -> Iterator[str]:
 
 def draw(results: Results, figures: Path) -> None:
     """Draw a line a system: what was published, and what ours gives at each length, with its spread."""
-    figure, axes = plt.subplots(figsize=(7.4, 4.4), layout="constrained")
+    figure, axes = plt.subplots(figsize=(7.4, 5.2), layout="constrained")
     places = np.arange(len(SYSTEMS))[::-1]
     for number, frames in enumerate(LENGTHS):
         for place, system in zip(places, SYSTEMS, strict=True):
@@ -150,7 +150,8 @@ def draw(results: Results, figures: Path) -> None:
             if values:
                 spread = np.std(values, ddof=1) if len(values) > 1 else 0.0
                 label = f"ours, {frames} frames" if system is SYSTEMS[0] else None
-                axes.errorbar(np.mean(values), place, xerr=spread, fmt="o", color=f"C{number}", label=label)
+                lower = place - 0.13 * (number - (len(LENGTHS) - 1) / 2)
+                axes.errorbar(np.mean(values), lower, xerr=spread, fmt="o", color=f"C{number}", label=label)
     known = [
         (system.published, place) for place, system in zip(places, SYSTEMS, strict=True) if system.published
     ]
@@ -159,6 +160,6 @@ def draw(results: Results, figures: Path) -> None:
     axes.set_yticks(places, [f"{system.researchers}, {system.algorithm}" for system in SYSTEMS], fontsize=8)
     axes.set(xlabel="accuracy on test, %")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=8)
+    figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     figure.savefig(figures / PICTURE, dpi=120)
     plt.close(figure)
