@@ -326,7 +326,7 @@ def test_a_second_run_trains_only_what_is_missing(tmp_path: Path, monkeypatch: p
     results.put(present, {"accuracy": 0.25}, 1.0)
     challenge.run(study)
     challenge.run(study)
-    assert system.trained == [(0, (432, 144, 54)), (1, (432, 54))]
+    assert system.trained == [(0, (432, 144, 81, 54)), (1, (432, 81, 54))]
     assert results.get(present) == {"accuracy": 0.25}
     cell = results.get(challenge_page.cell_key(system, 432, 0))
     assert cell == {"windows": 6, "accuracy": 0.0, "macro_accuracy": 0.0, "answers": "000000"}
