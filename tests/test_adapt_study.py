@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from haart_folder import HAART, needs_haart
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = pytest.mark.timeout(120)
@@ -24,8 +24,6 @@ from model.speed import one_torch_thread  # noqa: E402
 from model.summaries import windows  # noqa: E402
 
 DOCS = Path(__file__).parent.parent / "docs"
-HAART = os.environ.get("TOUCHD_HAART")
-needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
 SAMPLE = ("T1", 0, 4)
 TOLERANCE = 0.02
 """A window is 1.8 % of a gesture; three may fall the other way on another processor."""

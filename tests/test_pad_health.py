@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from haart_folder import needs_haart
 
 from daemon.pad_watch import PadWatch
 from drivers.fake_port import FakePort
@@ -172,7 +173,7 @@ def test_a_clock_that_starts_again_does_no_harm() -> None:
     ] == []
 
 
-@pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART names no folder with HAART")
+@needs_haart
 def test_in_ten_minutes_of_real_touches_nothing_is_found_broken() -> None:
     path = Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz"
     recordings = [realign(recording) for recording in read_recordings(path, Selection(participants=("T9",)))]

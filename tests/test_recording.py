@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from haart_folder import needs_haart
 
 from drivers import recording as recording_module
 from drivers.recording import (
@@ -196,7 +197,7 @@ def test_splicing_nothing_says_that_nothing_was_selected() -> None:
         splice([])
 
 
-@pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART names no folder with HAART")
+@needs_haart
 def test_haarts_own_files_are_read_to_the_last_value() -> None:
     recordings = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz")
     assert {recording.counts.shape for recording in recordings} == {(432, 8, 8)}

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
+from haart_folder import HAART, needs_haart
+from stored_report import DOCS, RESULTS
 
 pytest.importorskip("torch", reason="needs the extra train")
 pytest.importorskip("sklearn", reason="needs the extra train")
@@ -32,12 +33,8 @@ from model.study.paper_cells import predictions_path
 from model.study.results import Results
 from model.study.study import Study
 
-DOCS = Path(__file__).parent.parent / "docs"
-RESULTS = Results(DOCS / page.RESULTS_NAME)
 ALL_KEYS = RESULTS.keys()
 PAPER_KEYS = RESULTS.keys(paper_cells.PREFIX)
-HAART = os.environ.get("TOUCHD_HAART")
-needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
 TOLERANCE = 0.002
 """A window or two may fall the other way on another processor, or when probabilities are rounded."""
 
@@ -105,7 +102,7 @@ def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list
 def test_the_kept_network_costs_in_int8_what_is_reported(tmp_path: Path) -> None:
     cell = paper_kept.kept_cell(RESULTS)
     assert cell is not None
-    again = Study(Path(os.environ["TOUCHD_HAART"]), tmp_path, Results(tmp_path / "report.json"), 1, DOCS)
+    again = Study(Path(str(HAART)), tmp_path, Results(tmp_path / "report.json"), 1, DOCS)
     again.results.put(cell.key, RESULTS.get(cell.key), 0.0)
     kept_int8.run(again)
     reported = RESULTS.get(kept_int8.key(cell))

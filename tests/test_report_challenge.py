@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from haart_folder import HAART, needs_haart
 from numpy.typing import NDArray
+from stored_report import RESULTS
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("sklearn", reason="needs the extra `train`")
@@ -29,7 +30,6 @@ from model.study import (
     challenge_networks,
     challenge_page,
     challenge_ta,
-    page,
 )
 from model.study.challenge_kinds import Data, HandMade, Network, Searched, Shipped, System
 from model.study.challenge_selection import floating_search
@@ -37,11 +37,7 @@ from model.study.challenge_systems import SYSTEMS
 from model.study.results import Results
 from model.study.study import Study
 
-DOCS = Path(__file__).parent.parent / "docs"
-RESULTS = Results(DOCS / page.RESULTS_NAME)
 CELLS = [key for key in RESULTS.keys(challenge_page.PREFIX) if "/seed" in key]
-HAART = os.environ.get("TOUCHD_HAART")
-needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")
 TOLERANCE = 0.02
 """Of a refit: another processor or scikit-learn sums otherwise, and trees split on the last digit."""

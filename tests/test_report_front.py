@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
+from haart_folder import HAART, needs_haart
+from stored_report import RESULTS
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 onnx = pytest.importorskip("onnx", reason="needs the extra `train`")
@@ -27,10 +28,7 @@ from model.study.macs import multiply_adds  # noqa: E402
 from model.study.peak import idle_bytes, peak_bytes  # noqa: E402
 from model.study.results import Results  # noqa: E402
 
-STORED = Results(Path(__file__).parent.parent / "docs" / "report.json")
-HAART = os.environ.get("TOUCHD_HAART")
-needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
-measured_front = pytest.mark.skipif(not STORED.keys("front/"), reason="the front is not measured yet")
+measured_front = pytest.mark.skipif(not RESULTS.keys("front/"), reason="the front is not measured yet")
 TOLERANCE = 0.004
 """A few windows may fall the other way on another processor."""
 
@@ -310,7 +308,7 @@ def test_what_is_not_measured_is_said_and_not_drawn(tmp_path: Path) -> None:
 def test_stored_files_are_as_large_and_as_much_work_as_the_results_say() -> None:
     files = {networks.SHIPPED: SHIPPED_MODEL, **{p.stem: p for p in sizes.SIZES_FOLDER.glob("*.onnx")}}
     for name, path in files.items():
-        cell = STORED.get(f"front/{name}/float32")
+        cell = RESULTS.get(f"front/{name}/float32")
         assert cell["file_bytes"] == path.stat().st_size
         for frames in LENGTHS:
             assert cell["at"][str(frames)]["multiply_adds"] == multiply_adds(path, frames)
@@ -325,6 +323,6 @@ def test_stored_errors_hold_when_a_sample_of_them_is_measured_again() -> None:
         (networks.SHIPPED, SHIPPED_MODEL),
         ("touchd-24-wide", sizes.SIZES_FOLDER / "touchd-24-wide.onnx"),
     ):
-        cell = STORED.get(f"front/{name}/float32")
+        cell = RESULTS.get(f"front/{name}/float32")
         for frames, accuracy in front.accuracies(path, test).items():
             assert cell["at"][frames]["accuracy"] == pytest.approx(accuracy, abs=TOLERANCE)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from pathlib import Path
 
 import pytest
+from haart_folder import HAART, needs_haart
 
 from model import evaluate, haart
 from model.classifier import SHIPPED_MODEL, Classifier
@@ -18,8 +18,6 @@ from model.ship import SCORES_NAME, left_out_split
 
 WEIGHTS = SHIPPED_MODEL.parent
 DOCS = Path(__file__).parent.parent / "docs"
-HAART = os.environ.get("TOUCHD_HAART")
-needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
 TOLERANCE = 0.002
 """A window or two may fall the other way on another processor."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from haart_folder import needs_haart
 
 from daemon.demo import RECORDING as DEMO
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
@@ -167,7 +168,7 @@ def test_the_shipped_model_finds_no_touch_in_the_rests_of_the_demo(
     assert [answer(classifier, rest, FINAL_FRAMES) for rest in rests] == ["notouch"] * len(rests)
 
 
-@pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART names no folder with HAART")
+@needs_haart
 def test_simulated_hands_press_and_move_as_the_middle_half_of_haarts_do() -> None:
     bare = Selection(covers=("none",))
     haart = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", bare)

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from haart_folder import needs_haart
 
 from daemon.decide import DecisionSettings
 from daemon.stream_measure import Said, Told, decide, listen
@@ -61,9 +62,7 @@ def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
     assert told.settled_s == 1.5
 
 
-@pytest.mark.skipif(
-    "TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART names no folder of HAART recordings"
-)
+@needs_haart
 @pytest.mark.timeout(120)
 def test_one_participants_touches_are_answered_by_a_network_that_never_saw_them() -> None:
     pytest.importorskip("torch", reason="needs the extra train")

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from haart_folder import needs_haart
 from numpy.typing import NDArray
 
 from daemon.events import Event, Prediction
@@ -22,10 +23,6 @@ from model.haart import TRAINING_FILE, find
 
 FIGURES = Path(__file__).parent.parent / "docs" / "touch.json"
 SAMPLE = "P6"
-
-needs_haart = pytest.mark.skipif(
-    "TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART names no HAART folder"
-)
 
 
 @pytest.fixture(scope="module")
