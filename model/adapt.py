@@ -13,7 +13,7 @@ from torch import nn
 from tqdm import tqdm
 
 from drivers.recording import NO_TOUCH, Recording
-from model import checkpoint
+from model import checkpoint, metrics
 from model.adapt_head import AdaptSettings, fit, rebuilt
 from model.adapt_measure import Answers, Comparison, compare
 from model.adapt_plan import Plan, plan
@@ -171,13 +171,8 @@ def _temperature(
 
     def unlikeliness(temperature: float) -> float:
         prior = 0.5 * (np.log(temperature / start) / TEMPERATURE_SPREAD) ** 2
-        return float(prior + (count * _loss(answers.after / temperature, truth) if count else 0.0))
+        return float(
+            prior + (count * metrics.cross_entropy(answers.after / temperature, truth) if count else 0.0)
+        )
 
     return float(min([start, *TEMPERATURES], key=unlikeliness))
-
-
-def _loss(scaled: NDArray[np.float64], truth: NDArray[np.int64]) -> float:
-    """Return the mean negative log likelihood of the true classes (W,) under logits (W, labels)."""
-    scaled = scaled - scaled.max(axis=1, keepdims=True)
-    log_sum = np.log(np.exp(scaled).sum(axis=1))
-    return float((log_sum - scaled[np.arange(len(truth)), truth]).mean())

@@ -69,14 +69,9 @@ def accuracies(answers: Sequence[LeftOut]) -> dict[str, float]:
 
 def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
     """Return the temperature from TEMPERATURES with the least negative log likelihood."""
-
-    def loss(temperature: float) -> float:
-        scaled = logits / temperature
-        scaled = scaled - scaled.max(axis=1, keepdims=True)
-        log_sum = np.log(np.exp(scaled).sum(axis=1))
-        return float((log_sum - scaled[np.arange(len(labels)), labels]).mean())
-
-    return float(min(TEMPERATURES, key=loss))
+    return float(
+        min(TEMPERATURES, key=lambda temperature: metrics.cross_entropy(logits / temperature, labels))
+    )
 
 
 def _logits(network: TGC, counts: NDArray[np.uint16]) -> NDArray[np.float64]:
