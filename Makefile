@@ -54,7 +54,7 @@ test-slow: $(DEVELOPMENT)
 
 # TOUCHD_LAB=emulated: on a machine with USB and power of its own.
 test-systemd: $(DEVELOPMENT)
-	$(BIN)/python -m pytest -n 0 -s tests/real_systemd.py
+	$(BIN)/python -m pytest -n 0 -s tests/by_hand/real_systemd.py
 
 check: $(DEVELOPMENT)
 	$(BIN)/ruff check .
@@ -70,10 +70,10 @@ bench: $(RUNTIME)
 
 # With the memory settings of the unit.
 soak: $(RUNTIME)
-	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python tests/soak.py --out docs/soak.json
+	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python -m by_hand.soak --out docs/soak.json
 
 expectations: $(RUNTIME)
-	$(BIN)/python tests/expectations.py
+	PYTHONPATH=tests $(BIN)/python -m rigs.expectations
 
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
 PREFIX ?= /opt

@@ -26,7 +26,7 @@ class Command:
 
 COMMANDS = (
     Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
-    Command("demo", "daemon.demo", "shows the daemon at work on a simulated hand, then ends"),
+    Command("demo", "daemon.commands.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
     Command("fake-robot", "daemon.commands.fake_robot", "stands in for a robot, prints what it is asked"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
@@ -35,14 +35,14 @@ COMMANDS = (
     Command("train", "daemon.commands.train", "trains the networks of a recipe"),
     Command("export", "daemon.commands.export", "calibrates trained networks and writes them as ONNX files"),
     Command("evaluate", "daemon.commands.evaluate", "scores the model, and writes the accuracy page"),
-    Command("report", "daemon.commands.report", "the paper's tables and figures beside ours"),
     Command("stability", "daemon.commands.stability", "checks the model's arithmetic on hard cases"),
-    Command("speed", "daemon.commands.speed", "times an answer against the paper's network"),
-    Command("quantize", "daemon.commands.quantize", "weighs int8 copies of the model against float32"),
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
     Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
-    Command("bench", "daemon.bench", "measures latency, processor, memory, start-up and speed"),
+    Command("bench", "daemon.commands.bench", "measures latency, processor, memory, start-up and speed"),
 )
+
+MOVED = ("report", "speed", "quantize")
+"""Studies for researchers: commands of the repository's own, not of an installed touchd."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,6 +57,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
         return 0
     command = next((command for command in COMMANDS if command.name == words[0]), None)
+    if words[0] in MOVED:
+        sys.stderr.write(
+            f"touchd: {words[0]} is a study now: python -m docs.studies {words[0]}, in the repository\n"
+        )
+        return USERS_MISTAKE
     if command is None:
         known = ", ".join(command.name for command in COMMANDS)
         sys.stderr.write(f"touchd: {words[0]} is no command; there are {known}\n")

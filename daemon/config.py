@@ -10,12 +10,12 @@ import msgspec
 
 from daemon.decide import DecisionSettings
 from daemon.pipeline import PipelineSettings
-from daemon.ring import RingSettings
 from daemon.strict_yaml import StrictYamlError, convert
 from daemon.touch import TouchSettings
 from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, ROWS
-from drivers.robot_actions import ActionRule
+from drivers.pad.grid import RingSettings
+from drivers.robot.actions import ActionRule
 
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
@@ -76,7 +76,7 @@ class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene for the pipeline, and what the robot does in it: see `drivers.robot_actions`."""
+    """A scene for the pipeline, and what the robot does in it: see `drivers.robot.actions`."""
 
     actions: tuple[ActionRule, ...] = ()
 

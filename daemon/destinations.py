@@ -8,11 +8,11 @@ from pathlib import Path
 
 from daemon.config import ConfigError, JournalSettings, RobotConfig, SceneSettings, Settings
 from daemon.events import Event, RobotEvent, one_line, timestamp
-from daemon.journal import Journal
-from daemon.touch_store import TouchStore, folder_of
+from daemon.kept.journal import Journal
+from daemon.kept.touch_store import TouchStore, folder_of
 from daemon.wire import description_of
 from drivers.recording import RecordingError
-from drivers.robot import RobotLink, RobotSettings, State
+from drivers.robot.link import RobotLink, RobotSettings, State
 
 BYTES_PER_MB = 1_000_000
 

@@ -22,10 +22,10 @@ from daemon.events import (
     one_line,
     timestamp,
 )
-from daemon.ring import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
 from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import FRAME_RATE_HZ, Frame
-from drivers.sensor_state import SensorState
+from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
+from drivers.pad.sensor_state import SensorState
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # Two inferences a second while a long touch goes on: a change is seen within half a second, at little cost.

@@ -15,15 +15,15 @@ from daemon.decide import NO_TOUCH
 from daemon.destinations import link_to_robot, open_journal, open_touch_store
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
+from daemon.kept.touch_sink import TouchSink
 from daemon.live.sink import LiveSink
-from daemon.pad_watch import PadWatch
 from daemon.pipeline import Pipeline
 from daemon.sinks import JournalSink, RobotSink, Sink
-from daemon.touch_sink import TouchSink
 from daemon.wire import parser_for
 from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, ROWS, Counts, Frame
-from drivers.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port
+from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port
+from drivers.pad.watch import PadWatch
 from model.classifier import SHIPPED_MODEL, Classifier
 
 # How often a loop without frames looks whether it shall stop, which also bounds an idle daemon's wake-ups.

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from daemon.events import Event, Prediction, SensorEvent, encode, epoch_s
-from daemon.journal import Journal
-from drivers.robot import RobotLink, RobotMessage, State
+from daemon.kept.journal import Journal
+from drivers.robot.link import RobotLink, RobotMessage, State
 
 log = logging.getLogger(__name__)
 

@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.events import EndReason
-from daemon.ring import GridFrame
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from drivers.pad.grid import GridFrame
 
 TAXELS = ROWS * COLUMNS
 Taxels = NDArray[np.float32]

@@ -7,7 +7,7 @@ from functools import partial
 
 from daemon.config import SensorSettings
 from drivers.frame import Counts
-from drivers.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
+from drivers.pad.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
 
 
 def description_of(sensor: SensorSettings) -> str:

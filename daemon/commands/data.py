@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from rich.console import Console
 
 from daemon.commands.haart_folder import add_haart_argument
-from model.download import ARCHIVE_URL, obtain
+from model.training.download import ARCHIVE_URL, obtain
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -19,8 +19,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--weights", type=Path, default=Path("model/weights"), help="where the files go")
     options = parser.parse_args(arguments)
 
-    from model.recipe import SHIPPED_RECIPE, read_recipe
-    from model.ship import export_recipe
+    from model.training.recipe import SHIPPED_RECIPE, read_recipe
+    from model.training.ship import export_recipe
 
     recipe = read_recipe(options.recipe or SHIPPED_RECIPE)
     for path in export_recipe(recipe, options.haart, options.runs, options.weights):

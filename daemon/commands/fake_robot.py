@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from drivers import fake_robot
+from drivers.fakes import fake_robot
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daemon.ask import ask_name
-from daemon.label_dialogue import KEYS, OVER, UNDER, WHO, LabelDialogue
-from daemon.labelling import LabelFolder, Setting, find
-from daemon.touch_picture import Offered, list_touches
-from daemon.touch_store import KeptTouch, folder_of, kept_touches
-from daemon.touches import read_since
+from daemon.kept.touch_store import KeptTouch, folder_of, kept_touches
+from daemon.kept.touches import read_since
+from daemon.recorder.label_dialogue import KEYS, OVER, UNDER, WHO, LabelDialogue
+from daemon.recorder.labelling import LabelFolder, Setting, find
+from daemon.recorder.touch_picture import Offered, list_touches
+from daemon.terminal.ask import ask_name
 from drivers.recording import RecordingError
 
 NOT_KEPT = (
@@ -42,7 +42,7 @@ def label_of(text: str) -> Label:
 def label(console: Console, options: argparse.Namespace) -> None:
     """Label the touches kept beside a journal: those that --label names, else all, asking of each.
 
-    Raises RecordingError and JournalError, and `daemon.ask.Stopped` when the person wants no more.
+    Raises RecordingError and JournalError, and `daemon.terminal.ask.Stopped` when the person wants no more.
     """
     journal: Path = options.from_journal
     if len(options.gestures) > len(KEYS):

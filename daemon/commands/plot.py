@@ -7,12 +7,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon import plot_journal, plot_recording
 from daemon.config import Settings, load
-from daemon.plot import PlotError, new_figure, save
-from daemon.recorded import add_arguments, chosen_stream
+from daemon.kept.touches import read_journal
+from daemon.playback.stream import add_arguments, chosen_stream
+from daemon.plot import journal as plot_journal
+from daemon.plot import recording as plot_recording
+from daemon.plot.plot import PlotError, new_figure, save
 from daemon.service import load_model
-from daemon.touches import read_journal
 
 RECORDING_SUFFIXES = (".csv", ".csv.gz")
 MOST_TOUCHES = 100

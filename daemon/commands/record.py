@@ -10,13 +10,13 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from daemon.ask import Stopped, ask_name
-from daemon.capture import Pad
 from daemon.commands.label import label, label_of
 from daemon.config import Settings, load
-from daemon.dialogue import Dialogue, Terms
-from daemon.record import NAME_RULE, Session, is_name, prepare
-from drivers.sensor import check_port
+from daemon.recorder.capture import Pad
+from daemon.recorder.dialogue import Dialogue, Terms
+from daemon.recorder.session import NAME_RULE, Session, is_name, prepare
+from daemon.terminal.ask import Stopped, ask_name
+from drivers.pad.sensor import check_port
 
 GESTURES = "constant,notouch,pat,rub,scratch,stroke,tickle"
 WIDTH = 80

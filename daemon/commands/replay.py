@@ -12,9 +12,9 @@ from pathlib import Path
 import msgspec
 
 from daemon.config import SensorSettings, load
-from daemon.recorded import add_arguments, chosen_stream
+from daemon.playback.stream import add_arguments, chosen_stream
 from daemon.wire import encoder_for
-from drivers.fake_port import FakePort
+from drivers.fakes.fake_port import FakePort
 
 
 def main(arguments: Sequence[str]) -> int:

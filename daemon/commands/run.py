@@ -86,7 +86,7 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         closing.callback(outlet.stop)
         show_frame = None
         if with_view:
-            from daemon.view import View, ViewHandler
+            from daemon.terminal.view import View, ViewHandler
 
             view = closing.enter_context(View(f"touchd on {settings.sensor.port}"))
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))

@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
+from model.checks.stability import run, table
 from model.classifier import SHIPPED_MODEL
-from model.stability import run, table
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -52,17 +52,17 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _train(options: argparse.Namespace, haart: Path) -> int:
-    from model.recipe import SHIPPED_RECIPE, read_recipe
-    from model.ship import train_recipe
+    from model.training.recipe import SHIPPED_RECIPE, read_recipe
+    from model.training.ship import train_recipe
 
     train_recipe(read_recipe(options.recipe or SHIPPED_RECIPE), haart, options.runs, options.threads)
     return 0
 
 
 def _adapt(options: argparse.Namespace) -> int:
-    from model.adapt_head import AdaptSettings
-    from model.adapt_report import report_lines
-    from model.adapt_ship import adapt_folder
+    from model.adapt.head import AdaptSettings
+    from model.adapt.report import report_lines
+    from model.adapt.ship import adapt_folder
 
     output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
     settings = AdaptSettings(seed=options.seed)

@@ -28,8 +28,8 @@ from daemon.doctor.pad import (
     is_pressed,
 )
 from daemon.wire import parser_for
-from drivers.port import open_port
-from drivers.sensor import SensorError, check_port
+from drivers.pad.port import open_port
+from drivers.pad.sensor import SensorError, check_port
 
 PRESS_S = 15.0
 # Too few to say anything of a rate.

@@ -11,11 +11,11 @@ from serial.tools.list_ports import comports
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
-from daemon.pace import pace_of, steps_ms
 from daemon.wire import parser_for
-from drivers.diagnosis import diagnose
 from drivers.frame import FRAME_RATE_HZ
-from drivers.sensor import SensorError
+from drivers.pad.diagnosis import diagnose
+from drivers.pad.pace import pace_of, steps_ms
+from drivers.pad.sensor import SensorError
 
 # What boards are usually set to: the lab's Mega and Teensy builds first.
 USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)

@@ -11,9 +11,9 @@ import serial
 from numpy.typing import NDArray
 
 from drivers.frame import Counts, Frame
-from drivers.framing import CLOCK_MODULUS
-from drivers.port import SensorError, read_waiting
-from drivers.protocol import Protocol
+from drivers.pad.framing import CLOCK_MODULUS
+from drivers.pad.port import SensorError, read_waiting
+from drivers.pad.protocol import Protocol
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0

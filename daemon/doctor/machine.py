@@ -12,8 +12,8 @@ from daemon.config import ConfigError, Settings
 from daemon.doctor.check import Check
 from daemon.service import load_model
 from drivers.frame import COLUMNS, ROWS
-from drivers.robot import RobotSettings, read_login
-from drivers.robot_session import OpenSession, QiSession, RobotError, RobotLost, RobotRefused
+from drivers.robot.link import RobotSettings, read_login
+from drivers.robot.session import OpenSession, QiSession, RobotError, RobotLost, RobotRefused
 from model.classifier import ModelError
 
 UNIT = "touchd"

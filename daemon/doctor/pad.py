@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard
-from daemon.pace import steps_ms
-from daemon.ring import Ring
 from daemon.touch import MAX_DEVIATION_COUNTS, Onset, TouchTracker
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
-from drivers.pad_health import Finding, Kind, PadHealth
+from drivers.pad.grid import Ring
+from drivers.pad.health import Finding, Kind, PadHealth
+from drivers.pad.pace import steps_ms
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT

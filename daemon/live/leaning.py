@@ -10,9 +10,9 @@ from daemon.decide import Decision
 from daemon.events import Event, TouchBegan, TouchEnded
 from daemon.live.memory import Scene
 from daemon.live.messages import Leaning
-from daemon.ring import CLOCK_WRAP_MS, GridFrame, Ring
 from daemon.touch import LEARN_FRAMES
 from drivers.frame import Frame
+from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring
 
 # Six times a second. Answers fall due at whole multiples of these, so that asking half way between two leaves
 # the processor to them.

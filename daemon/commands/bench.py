@@ -1,0 +1,210 @@
+"""`touchd bench`: how quick, small and light the real daemon is, on a fake pad at 54 Hz."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.commands.classify import play
+from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.events import Event, Prediction, epoch_s
+from daemon.pipeline import Pipeline
+from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.service import load_model
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.hand import simulate
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import Stream, splice
+
+QUIET_S = 20.0
+TOUCHES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
+TOUCH_S = 3.0
+BETWEEN_S = 1.5
+START_S = 30.0
+# Events carry whole milliseconds, which tells the frame they stem from: frames are 18 ms apart.
+STAMP_S = 0.002
+SEED = 1
+TARGETS = {
+    "latency_p99_ms": ("at most", 5.0),
+    "cpu_idle_percent": ("at most", 3.0),
+    "cpu_touching_percent": ("at most", 3.0),
+    "memory_mb": ("at most", 120.0),
+    "start_to_ready_s": ("at most", 1.5),
+    "classify_times_real_time": ("at least", 100.0),
+}
+
+
+class Figures(msgspec.Struct, frozen=True, kw_only=True):
+    """What was measured; a name ends in its unit.
+
+    latency: from writing the last byte of the frame that completes an answer's window to the port, until the
+    answer's line was read from the daemon's output. inner: the part of it that the daemon itself counts.
+    cpu: of one core. memory: the most that was resident. same_predictions: `run` and `classify` agree.
+    """
+
+    answers: int
+    latency_p50_ms: float
+    latency_p99_ms: float
+    inner_p50_ms: float
+    inner_p99_ms: float
+    cpu_idle_percent: float
+    cpu_touching_percent: float
+    memory_mb: float
+    start_to_ready_s: float
+    classify_times_real_time: float
+    same_predictions: bool
+
+
+@dataclass(frozen=True)
+class Received:
+    """An event read from the daemon, and when, by two clocks."""
+
+    event: Event
+    monotonic_s: float
+    epoch_s: float
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print; returns 0 whatever the figures are."""
+    parser = argparse.ArgumentParser(
+        prog="touchd bench", description="Measures the real daemon on a fake pad at 54 Hz."
+    )
+    parser.add_argument(
+        "--seconds", type=float, default=120.0, help="how long to touch the pad (default 120)"
+    )
+    parser.add_argument("--json", action="store_true", help="figures as JSON instead of a table")
+    options = parser.parse_args(arguments)
+    figures = measure(options.seconds)
+    sys.stdout.write(msgspec.json.encode(figures).decode() + "\n" if options.json else table(figures))
+    return 0
+
+
+def table(figures: Figures) -> str:
+    """Return the figures as lines for people, with what is wanted beside them."""
+    lines = []
+    for name, value in msgspec.to_builtins(figures).items():
+        shown = f"{value:10.2f}" if isinstance(value, float) else f"{value!s:>10}"
+        bound, target = TARGETS.get(name, ("", None))
+        wanted = "" if target is None else f"   wanted: {bound} {target:g}"
+        lines.append(f"{name:<26}{shown}{wanted}\n")
+    return "".join(lines)
+
+
+def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
+    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; live: with a page."""
+    stream = touched(touch_s)
+    with ExitStack() as closing:
+        folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
+        log = closing.enter_context((folder / "log").open("wb"))
+        ready = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+        ready.bind(str(folder / "notify"))
+        ready.settimeout(START_S)
+        port = closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
+        settings = Settings(sensor=SensorSettings(port=port.path), live=live)
+        started_s = time.monotonic()
+        daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
+        closing.callback(daemon.stop)
+        received: list[Received] = []
+        reader = threading.Thread(target=_receive, args=(daemon, received), name="touchd-bench", daemon=True)
+        reader.start()
+        while b"READY=1" not in ready.recv(4096):
+            pass
+        start_to_ready_s = time.monotonic() - started_s
+        idle_percent = _cpu_percent(daemon.process.pid, QUIET_S - 2.0)
+        time.sleep(2.0)
+        touching_percent = _cpu_percent(daemon.process.pid, touch_s)
+        port.wait(START_S)
+        memory_mb = _peak_memory_mb(daemon.process.pid)
+        daemon.stop()
+        reader.join()
+    latencies_ms = _latencies_ms(port.sent_s, received)
+    events = [arrived.event for arrived in received]
+    inner_ms = [event.latency_ms for event in events if isinstance(event, Prediction)]
+    speed, classified = _classify(stream)
+    return Figures(
+        answers=len(inner_ms),
+        latency_p50_ms=float(np.percentile(latencies_ms, 50)),
+        latency_p99_ms=float(np.percentile(latencies_ms, 99)),
+        inner_p50_ms=float(np.percentile(inner_ms, 50)),
+        inner_p99_ms=float(np.percentile(inner_ms, 99)),
+        cpu_idle_percent=idle_percent,
+        cpu_touching_percent=touching_percent,
+        memory_mb=memory_mb,
+        start_to_ready_s=start_to_ready_s,
+        classify_times_real_time=speed,
+        same_predictions=outline(events) == outline(classified),
+    )
+
+
+def touched(touch_s: float) -> Stream:
+    """Return a simulated stream that rests for 20 s and is then touched over and over for `touch_s`."""
+    turns = max(1, round(touch_s / (TOUCH_S + BETWEEN_S)))
+    script = [("notouch", QUIET_S)]
+    for turn in range(turns):
+        script += [(TOUCHES[turn % len(TOUCHES)], TOUCH_S), ("notouch", BETWEEN_S)]
+    return splice(simulate(script, SEED))
+
+
+def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
+    for event in daemon.events():
+        received.append(Received(event, time.monotonic(), time.time()))
+
+
+def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
+    """Return, for each answer, the time from writing the frame that made it due to reading its line.
+
+    sent_s: (T,) when each frame was written. Which frame it was follows from the event: it says when it was
+    handed over and how long after its frame.
+    """
+    latencies_ms = []
+    for arrived in received:
+        if isinstance(arrived.event, Prediction):
+            since_hand_over_s = arrived.epoch_s - epoch_s(arrived.event.time)
+            frame_s = arrived.monotonic_s - since_hand_over_s - arrived.event.latency_ms / 1000
+            frame = int(np.searchsorted(sent_s, frame_s + STAMP_S)) - 1
+            latencies_ms.append(1000 * (arrived.monotonic_s - float(sent_s[frame])))
+    return latencies_ms
+
+
+def _cpu_percent(pid: int, seconds: float) -> float:
+    """Return how much of one core the process takes over that many seconds, in per cent (see proc(5))."""
+    began_s, used_s = time.monotonic(), _cpu_s(pid)
+    time.sleep(seconds)
+    return 100 * (_cpu_s(pid) - used_s) / (time.monotonic() - began_s)
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _peak_memory_mb(pid: int) -> float:
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) * 1024 / 1e6
+    raise RuntimeError("the kernel does not tell how much memory the daemon took")
+
+
+def _classify(stream: Stream) -> tuple[float, list[Event]]:
+    """Send the stream through the pipeline flat out; returns how many times real time, and the events."""
+    settings = Settings()
+    classifier = load_model(settings)
+    events: list[Event] = []
+    began_s = time.perf_counter()
+    play(stream, Pipeline(settings.pipeline, classifier, events.append))
+    took_s = time.perf_counter() - began_s
+    return len(stream.counts) / FRAME_RATE_HZ / took_s, events

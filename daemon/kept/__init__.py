@@ -1,0 +1,1 @@
+"""What the daemon keeps on disk: the journal, and the frames of touches."""

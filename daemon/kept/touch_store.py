@@ -1,0 +1,142 @@
+"""The frames of the last touches, beside the journal: a file each, whole or not at all, the oldest deleted.
+
+JOURNAL.touches/TIME-NUMBER.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
+`touch_began` in the journal (with - for : in file names). It holds up to a second of rest before the touch,
+the touch from its true first frame to its last contact, and the quiet in which its end was known.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+from daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
+from daemon.recorder.session import PARTIAL, SUFFIX, keep, prepare
+from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
+
+log = logging.getLogger(__name__)
+
+FOLDER_MODE = 0o750
+
+NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)" + re.escape(SUFFIX))
+
+
+@dataclass(frozen=True, order=True)
+class KeptTouch:
+    """A touch in a store. time, number: of its `touch_began`."""
+
+    time: str
+    number: int
+    path: Path
+
+
+@dataclass(frozen=True, eq=False)
+class KeptFrames:
+    """What a kept touch's file holds; rest before and quiet after it may be missing."""
+
+    before: Recording | None
+    touch: Recording
+    after: Recording | None
+
+
+class TouchStore:
+    """Writes touches to a folder, and keeps the last so many; a full disk costs touches, never the daemon.
+
+    sensor: which pad it is and how it is read, for the files. Raises RecordingError when the folder cannot be
+    used.
+    """
+
+    def __init__(self, folder: Path, most: int, sensor: str) -> None:
+        self._folder = folder
+        self._most = most
+        self._sensor = sensor
+        self._failing = False
+        self.lost = 0
+        try:
+            self._make_folder()
+        except OSError as error:
+            raise RecordingError(
+                f"{folder}: cannot be made ({error.strerror}); give another journal.path"
+            ) from error
+        prepare(folder)
+        for partial in folder.glob(f"{PARTIAL}*"):
+            partial.unlink(missing_ok=True)
+
+    def add(self, touch: FeltTouch) -> None:
+        """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
+        path = self._folder / file_name(touch.began.time, touch.began.touch)
+        try:
+            # Who wants no touch kept any longer may have deleted them with their folder.
+            self._make_folder()
+            pieces = cut(touch)
+            keep(path, pieces.recordings(), self._provenance(touch, pieces))
+            for older in kept_touches(self._folder)[: -self._most]:
+                older.path.unlink(missing_ok=True)
+        except (OSError, RecordingError) as error:
+            self.lost += 1
+            level = logging.DEBUG if self._failing else logging.WARNING
+            log.log(level, "the frames of touches are not kept until that is mended: %s", error)
+            self._failing = True
+        else:
+            if self._failing:
+                log.info("the frames of touches are kept again; those of %d were lost", self.lost)
+            self._failing = False
+
+    def _make_folder(self) -> None:
+        """Make the folder where it is not there; like the journal, it is not for everybody's eyes."""
+        self._folder.mkdir(FOLDER_MODE, exist_ok=True)
+
+    def _provenance(self, touch: FeltTouch, pieces: TouchPieces) -> dict[str, str]:
+        return {
+            "source": f"touchd run, touchd {metadata.version('touchd')}",
+            "recorded": touch.began.time,
+            "touch": str(touch.began.touch),
+            "taken for": f"{touch.ended.gesture} ({touch.ended.reason})",
+            "sensor": self._sensor,
+            "rate": pieces.rate,
+            "part": "the whole touch" if pieces.is_whole else "the beginning of a longer touch",
+        }
+
+
+def folder_of(journal: Path) -> Path:
+    """Return the folder with the frames of a journal's touches."""
+    return journal.with_name(f"{journal.name}.touches")
+
+
+def file_name(time: str, number: int) -> str:
+    """Return the name of the file with the frames of a touch."""
+    return f"{time.replace(':', '-')}-{number}{SUFFIX}"
+
+
+def kept_touches(folder: Path) -> list[KeptTouch]:
+    """Return the touches in a store's folder, oldest first; none where there is no folder.
+
+    Raises RecordingError when it cannot be read.
+    """
+    try:
+        names = os.listdir(folder)
+    except FileNotFoundError:
+        return []
+    except OSError as error:
+        raise RecordingError(
+            f"{folder}: cannot be read ({error.strerror}); what the service keeps takes sudo"
+        ) from error
+    kept: list[KeptTouch] = []
+    for name in names:
+        if parts := NAME.fullmatch(name):
+            kept.append(KeptTouch(":".join(parts.group(1, 2, 3)), int(parts[4]), folder / name))
+    return sorted(kept)
+
+
+def read_frames(kept: KeptTouch) -> KeptFrames:
+    """Read a kept touch; raises RecordingError, also when it has been deleted meanwhile."""
+    parts = read_recordings(kept.path)
+    place = next((i for i, part in enumerate(parts) if part.gesture == UNLABELLED), None)
+    if place is None:
+        raise RecordingError(f"{kept.path}: holds no touch as touchd keeps them")
+    before, after = parts[:place], parts[place + 1 :]
+    return KeptFrames(before[-1] if before else None, parts[place], after[0] if after else None)

@@ -1,0 +1,97 @@
+"""Events put together again to touches: each with what was said of it, from a pipeline or from a journal."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from itertools import chain, count
+from pathlib import Path
+
+from daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
+from daemon.kept.journal import MAX_LINE_BYTES, JournalError
+
+# The end of a journal that is looked at, thousands of touches; one may grow to gigabytes.
+TAIL_BYTES = 4_000_000
+
+
+@dataclass
+class Touch:
+    """One touch. ended: None when it goes on, or when its end is not known."""
+
+    began: TouchBegan
+    predictions: list[Prediction] = field(default_factory=list)
+    ended: TouchEnded | None = None
+
+
+def gather(events: Iterable[Event]) -> list[Touch]:
+    """Return the touches that events tell of, in order; what belongs to none of them is left out."""
+    touches: list[Touch] = []
+    for event in events:
+        match event:
+            case TouchBegan():
+                touches.append(Touch(event))
+            case Prediction() if touches and touches[-1].began.touch == event.touch:
+                touches[-1].predictions.append(event)
+            case TouchEnded() if touches and touches[-1].began.touch == event.touch:
+                touches[-1].ended = event
+    return touches
+
+
+def read_journal(path: Path) -> list[Touch]:
+    """Return the touches in the last part of a journal; raises JournalError when it is none."""
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            file.seek(max(0, size - TAIL_BYTES))
+            lines = file.read(TAIL_BYTES).split(b"\n")
+    except OSError as error:
+        raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error
+    # What stands before the first newline of a part, and after the last of any, is no whole line.
+    whole = lines[1 if size > TAIL_BYTES else 0 : -1]
+    try:
+        return gather([decode(line) for line in whole])
+    except EventError as error:
+        raise JournalError(
+            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({error})"
+        ) from error
+
+
+def read_since(path: Path, time: str) -> list[Touch]:
+    """Return the touches of a journal that began at a time (as in events) or later, oldest first.
+
+    Looks through older files (path.1 and so on) too, as far back as needed; passes over half lines and what
+    is no event. Raises JournalError when a file is there and cannot be read.
+    """
+    parts: list[list[Event]] = []
+    file = path
+    for number in count(1):
+        try:
+            events, reaches_back = _events_since(file, time)
+        except FileNotFoundError:
+            break
+        except OSError as error:
+            raise JournalError(
+                f"journal {file}: cannot be read ({error.strerror}); check the path"
+            ) from error
+        parts.insert(0, events)
+        if reaches_back:
+            break
+        file = path.with_name(f"{path.name}.{number}")
+    return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
+
+
+def _events_since(path: Path, time: str) -> tuple[list[Event], bool]:
+    """Return a file's events of a time or later, and whether it has earlier ones too."""
+    events: list[Event] = []
+    reaches_back = False
+    with path.open("rb") as file:
+        while line := file.readline(MAX_LINE_BYTES):
+            with suppress(EventError):
+                event = decode(line)
+                if event.time >= time:
+                    events.append(event)
+                else:
+                    reaches_back = True
+    return events, reaches_back

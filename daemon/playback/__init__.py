@@ -1,0 +1,1 @@
+"""Recordings played as a pad would send them."""

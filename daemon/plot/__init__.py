@@ -1,0 +1,1 @@
+"""Recordings and journals as pictures (`touchd plot`)."""

@@ -1,0 +1,81 @@
+"""A journal as a picture: its last touches below each other, what was said of each, how long it was."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from daemon.events import Stage
+from daemon.kept.touches import Touch
+from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
+from drivers.frame import FRAME_RATE_HZ
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
+# What comes after the final answer shares a column, in which the last counts.
+COLUMN_OF: Mapping[Stage, int] = {
+    "early": 0,
+    "revised": 1,
+    "final": 2,
+    "ongoing": 3,
+    "released": 3,
+    "uncertain": 3,
+}
+COLUMN_NAMES = ("early", "revised", "final", "later, the last")
+
+
+def draw(touches: Sequence[Touch], title: str) -> Figure:
+    """Return the picture of touches, the oldest at the top; raises PlotError when there is none."""
+    if not touches:
+        raise PlotError(f"{title}: no touch in it yet, so nothing to draw")
+    gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
+    figure = new_figure(TITLE_INCHES + TOUCH_INCHES * len(touches))
+    figure.suptitle(f"{title}: the last touches ({len(touches)})", fontsize=11, color=INK)
+    answers, lengths = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
+    _draw_answers(answers, touches, gestures)
+    _draw_lengths(lengths, touches, gestures)
+    # The first at the top; both pictures share this axis.
+    answers.set_ylim(len(touches) - 0.4, -0.6)
+    return figure
+
+
+def _draw_answers(axes: Axes, touches: Sequence[Touch], gestures: Sequence[str]) -> None:
+    for row, touch in enumerate(touches):
+        last = {COLUMN_OF[answer.stage]: answer for answer in touch.predictions}
+        for column, answer in last.items():
+            colour = colour_of(answer.gesture, gestures)
+            draw_answer(axes, column, row, answer, colour, wrong=False)
+    axes.set_xlim(-0.15, len(COLUMN_NAMES) - 0.2)
+    axes.set_xticks(range(len(COLUMN_NAMES)), COLUMN_NAMES, ha="left")
+    axes.set_yticks(range(len(touches)), [_name(touch) for touch in touches])
+    axes.set_xlabel("answers; filled: the robot was told", fontsize=8, color=QUIET_INK)
+    axes.grid(axis="y", color=PALE, linewidth=0.8)
+    axes.set_axisbelow(True)
+    bare(axes)
+    axes.tick_params(length=0)
+
+
+def _draw_lengths(axes: Axes, touches: Sequence[Touch], gestures: Sequence[str]) -> None:
+    for row, touch in enumerate(touches):
+        told = touch.ended.gesture if touch.ended else "not over"
+        colour = colour_of(told, gestures) if touch.ended else PALE
+        axes.barh(row, _length_s(touch), height=0.55, color=colour, alpha=0.6)
+        axes.annotate(
+            told, (0, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
+        )
+    axes.set_xlabel("what it was taken for, and its length in seconds", fontsize=8, color=QUIET_INK)
+    bare(axes, "left", "bottom")
+    axes.tick_params(axis="y", length=0, labelleft=False)
+
+
+def _length_s(touch: Touch) -> float:
+    if touch.ended is not None:
+        return touch.ended.frames / FRAME_RATE_HZ
+    return max((answer.elapsed_s for answer in touch.predictions), default=0.0)
+
+
+def _name(touch: Touch) -> str:
+    return f"{touch.began.time[:10]} {touch.began.time[11:19]}   touch {touch.began.touch}"

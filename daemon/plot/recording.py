@@ -1,0 +1,225 @@
+"""A recording as a picture: pressure over time, touches as they were felt, answers, the mean pad."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.config import Settings
+from daemon.decide import NO_TOUCH, ProbabilityModel
+from daemon.events import UNCERTAIN, Event, Stage, TouchBegan
+from daemon.kept.touches import Touch, gather
+from daemon.pipeline import Pipeline
+from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
+from drivers.frame import FRAME_RATE_HZ, Frame
+from drivers.recording import UNLABELLED, Span, Stream
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure, SubFigure
+
+ROW_S = 24.0
+LONGEST_S = 300.0
+LEGEND = "filled: the robot was told    red: not the gesture that was done    grey: a touch was felt"
+LANES: tuple[tuple[Stage, ...], ...] = (
+    ("early",),
+    ("revised",),
+    ("final",),
+    ("released", "ongoing", "uncertain"),
+)
+LANE_NAMES = ("early", "revised", "final", "later")
+ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
+LEAST_COLUMNS, MOST_COLUMNS = 4, 7
+# Noise alone is not blown up to a mountain range.
+LEAST_SCALE_COUNTS = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """A stream as the pipeline felt it: when each frame came, in seconds, its rise above rest, the touches.
+
+    time_s: (T,). rise: (T, 8, 8) counts. starts_s: when each touch began.
+    """
+
+    stream: Stream
+    time_s: NDArray[np.float64]
+    rise: NDArray[np.float64]
+    touches: list[Touch]
+    starts_s: list[float]
+
+    def ends_s(self, number: int) -> float:
+        """Return when a touch was over."""
+        ended = self.touches[number].ended
+        return self.starts_s[number] + (ended.frames if ended else 0) / FRAME_RATE_HZ
+
+    def truth(self, number: int) -> str:
+        """Return the gesture that most of a touch shows in truth."""
+        start_s, end_s = self.starts_s[number], self.ends_s(number)
+
+        def overlap_s(span: Span) -> float:
+            first_s, last_s = self.time_s[[span.start, span.stop - 1]].tolist()
+            return float(min(end_s, last_s) - max(start_s, first_s))
+
+        return max(self.stream.spans, key=overlap_s).gesture
+
+
+def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Felt:
+    """Send a stream through the pipeline; raises PlotError when it is too long for one picture."""
+    steps_ms = np.diff(stream.sensor_ms)
+    # A clock that starts anew goes back, time does not.
+    restarts = np.flatnonzero(steps_ms <= 0) + 1
+    steps_ms = np.where(steps_ms > 0, steps_ms, 1000 / FRAME_RATE_HZ)
+    time_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000
+    if time_s[-1] > LONGEST_S:
+        raise PlotError(
+            f"{time_s[-1]:.0f} s are too long for one picture ({LONGEST_S:g} s at most); choose with "
+            "--participant, --substrate, --cover or --gesture"
+        )
+    events: list[Event] = []
+    pipeline = Pipeline(settings.pipeline, model, events.append)
+    told_at: list[int] = []
+    for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
+        pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
+        told_at += [number] * (len(events) - len(told_at))
+    pipeline.flush()
+    touches = gather(events)
+    began_at = [at for at, event in zip(told_at, events, strict=False) if isinstance(event, TouchBegan)]
+    starts_s = [_start_s(stream, time_s, at, touch) for at, touch in zip(began_at, touches, strict=True)]
+    return Felt(stream, time_s, _rise(stream, restarts), touches, starts_s)
+
+
+def _start_s(stream: Stream, time_s: NDArray[np.float64], noticed_at: int, touch: Touch) -> float:
+    """Return when a touch truly began, which was a little before it was noticed."""
+    noticed_ms = int(stream.sensor_ms[noticed_at])
+    return float(time_s[noticed_at]) - (noticed_ms - touch.began.sensor_ms) / 1000
+
+
+def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (T, 8, 8) counts above rest, which is another where the pad was set up anew."""
+    is_quiet = np.zeros(len(stream.counts), dtype=np.bool_)
+    for span in stream.spans:
+        is_quiet[span.start : span.stop] = span.gesture == NO_TOUCH
+    rise = stream.counts.astype(np.float64)
+    for part, quiet in zip(np.split(rise, restarts), np.split(is_quiet, restarts), strict=True):
+        part -= np.median(part[quiet], axis=0) if quiet.any() else part.min(axis=0)
+    return rise
+
+
+def draw(felt: Felt, title: str) -> Figure:
+    """Return the picture of a stream."""
+    gestures = sorted({span.gesture for span in felt.stream.spans} - {NO_TOUCH})
+    rows = _rows(felt)
+    longest_s = max(end_s - begin_s for begin_s, end_s in rows)
+    columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, len(gestures)))
+    pad_rows = math.ceil(len(gestures) / columns)
+    heights = [ROW_INCHES * len(rows), *([PADS_INCHES * pad_rows] if gestures else [])]
+    figure = new_figure(sum(heights) + TITLE_INCHES)
+    figure.suptitle(title, fontsize=11, color=INK)
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
+    for row, (begin_s, end_s) in enumerate(rows):
+        answers, pressure = axes[2 * row : 2 * row + 2]
+        _draw_answers(answers, felt, gestures, begin_s, end_s)
+        _draw_pressure(pressure, felt, gestures, begin_s, end_s)
+        for part in (answers, pressure):
+            part.set_xlim(begin_s, begin_s + longest_s)
+        pressure.set_xticks([tick for tick in pressure.get_xticks() if begin_s <= tick <= end_s])
+        pressure.spines["bottom"].set_bounds(begin_s, end_s)
+    axes[0].set_title(LEGEND, fontsize=8, color=QUIET_INK, loc="right")
+    axes[-1].set_xlabel("seconds", fontsize=8, color=QUIET_INK)
+    if gestures:
+        _draw_pads(parts[1], felt, gestures, pad_rows, columns)
+    return figure
+
+
+def _rows(felt: Felt) -> list[tuple[float, float]]:
+    """Return from when to when, in seconds, each row shows the stream: of like length, broken in a quiet."""
+    end_s = float(felt.time_s[-1])
+    count = max(1, math.ceil(end_s / ROW_S))
+    length_s = end_s / count
+    quiets = [span for span in felt.stream.spans if span.gesture == NO_TOUCH]
+    middles_s = felt.time_s[[(span.start + span.stop) // 2 for span in quiets]]
+    breaks_s = {0.0, end_s}
+    for at_s in (row * length_s for row in range(1, count)):
+        nearby_s = middles_s[np.abs(middles_s - at_s) < length_s / 2]
+        nearest_s = nearby_s[np.argmin(np.abs(nearby_s - at_s))] if len(nearby_s) else at_s
+        breaks_s.add(float(nearest_s))
+    return list(pairwise(sorted(breaks_s)))
+
+
+def _draw_pressure(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+    """Draw the pad's whole pressure in the true gesture's colour, and shade the touches that were felt."""
+    first, last = np.searchsorted(felt.time_s, [begin_s, end_s]).tolist()
+    load = felt.rise.sum(axis=(1, 2))
+    highest = max(float(load[first : last + 1].max()), LEAST_SCALE_COUNTS)
+    for number in range(len(felt.touches)):
+        start_s, stop_s = max(begin_s, felt.starts_s[number]), min(end_s, felt.ends_s(number))
+        if start_s < stop_s:
+            axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
+    for span in felt.stream.spans:
+        part = slice(max(span.start, first), min(span.stop, last) + 1)
+        if len(load[part]) == 0:
+            continue
+        colour = colour_of(span.gesture, gestures)
+        axes.fill_between(felt.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
+        axes.plot(felt.time_s[part], load[part], color=colour, linewidth=0.9)
+        if span.gesture != NO_TOUCH:
+            middle_s = felt.time_s[part].mean()
+            axes.text(
+                middle_s,
+                1.04 * highest,
+                span.gesture,
+                ha="center",
+                va="bottom",
+                fontsize=8.5,
+                fontweight="bold",
+                color=colour,
+                clip_on=True,
+            )
+    axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
+    axes.set_ylabel("counts above rest", fontsize=8, color=QUIET_INK)
+    bare(axes, "left", "bottom")
+
+
+def _draw_answers(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+    """Draw each answer in the lane of its stage, at its time."""
+    for number, touch in enumerate(felt.touches):
+        truth = felt.truth(number)
+        for answer in touch.predictions:
+            at_s = felt.starts_s[number] + answer.elapsed_s
+            if begin_s <= at_s < end_s:
+                lane = next(lane for lane, stages in enumerate(LANES) if answer.stage in stages)
+                colour = colour_of(answer.gesture, gestures)
+                is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
+                draw_answer(axes, at_s, -lane, answer, colour, wrong=is_wrong)
+    axes.set_ylim(-len(LANES) + 0.4, 0.6)
+    axes.set_yticks([-lane for lane in range(len(LANES))], LANE_NAMES)
+    axes.set_xticks([])
+    axes.grid(axis="y", color=PALE, linewidth=0.8)
+    axes.set_axisbelow(True)
+    bare(axes)
+    axes.tick_params(length=0)
+
+
+def _draw_pads(figure: SubFigure, felt: Felt, gestures: Sequence[str], rows: int, columns: int) -> None:
+    """Draw the mean pad of each gesture, each on a scale of its own: a light touch would else not show."""
+    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in all_axes[len(gestures) :]:
+        axes.set_visible(False)
+    for axes, gesture in zip(all_axes, gestures, strict=False):
+        spans = [span for span in felt.stream.spans if span.gesture == gesture]
+        mean = np.concatenate([felt.rise[span.start : span.stop] for span in spans]).mean(axis=0)
+        highest = max(float(mean.max()), 1.0)
+        axes.imshow(mean, cmap="inferno", vmin=0, vmax=highest)
+        axes.set_title(gesture, fontsize=9, color=colour_of(gesture, gestures), fontweight="bold")
+        axes.set_xlabel(f"mean pad, 0 to {highest:.0f}", fontsize=8, color=QUIET_INK)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        bare(axes)

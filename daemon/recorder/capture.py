@@ -1,0 +1,153 @@
+"""The pad while recordings are made: is it alive, was it touched, which frames came."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+
+from daemon.config import Settings
+from daemon.touch import Onset, Release, TouchTracker
+from daemon.wire import parser_for
+from drivers.frame import Frame
+from drivers.pad.framing import CLOCK_MODULUS
+from drivers.pad.grid import Ring
+from drivers.pad.health import Kind, PadHealth
+from drivers.pad.pace import pace_of, steps_ms
+from drivers.pad.sensor import FrameQueue, Sensor, SensorState
+from drivers.recording import NO_TOUCH, Recording
+
+SILENCE_S = 2.5
+RESTARTED_MS = 1000
+MOST_LOST_SHARE = 0.02
+LEAST_TOUCHED_SHARE = 0.5
+NO_FRAME = "no frame comes: is the pad plugged in, and does it run?"
+
+
+class PadLost(Exception):  # noqa: N818 - says what happened; it is told and the recording done again
+    """The pad went away, or restarted, while it was followed; the message is for a person."""
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Frames that were recorded, and for what share of them the pad was touched."""
+
+    frames: tuple[Frame, ...]
+    touched_share: float
+
+    def recording(self, participant: str, substrate: str, cover: str, gesture: str) -> Recording:
+        """Return the frames as a recording, on the pad's own clock."""
+        clock_ms = self.frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(self.frames))])
+        counts = np.stack([frame.pressure for frame in self.frames])
+        return Recording(participant, substrate, cover, gesture, counts, clock_ms.astype(np.int64), "live")
+
+
+class Pad:
+    """Reads the pad from beginning to end of a session; a context manager."""
+
+    def __init__(self, settings: Settings) -> None:
+        sensor = settings.sensor
+        self._settings = settings
+        self._queue = FrameQueue()
+        self._sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self._queue)
+        self._health = PadHealth()
+        self._troubles: dict[Kind, str] = {}
+        self._away = ""
+
+    def __enter__(self) -> Pad:
+        self._sensor.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._sensor.stop()
+
+    @property
+    def troubles(self) -> list[str]:
+        """What is wrong with the pad's taxels now, in words for a person."""
+        return list(self._troubles.values())
+
+    def await_frame(self, within_s: float) -> str:
+        """Forget what came while nobody followed, wait for a frame; return why none came, "" if one did."""
+        for _ in range(len(self._queue)):
+            self._note(self._queue.get(timeout_s=0))
+        until_s = time.monotonic() + within_s
+        while (left_s := until_s - time.monotonic()) > 0:
+            item = self._queue.get(timeout_s=left_s)
+            self._note(item)
+            if isinstance(item, Frame):
+                return ""
+        return self._away or NO_FRAME
+
+    def follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:
+        """Yield frames for so long, each after the seconds since the first, both by the pad's clock.
+
+        Raises PadLost when the pad goes away or restarts.
+        """
+        passed_ms = 0
+        last: Frame | None = None
+        while passed_ms < 1000 * seconds:
+            match self._queue.get(timeout_s=SILENCE_S):
+                case Frame() as frame:
+                    step_ms = (frame.sensor_ms - last.sensor_ms) % CLOCK_MODULUS if last else 0
+                    if step_ms > RESTARTED_MS:
+                        raise PadLost("the pad restarted, or its line was cut: look at its plug")
+                    passed_ms += step_ms
+                    last = frame
+                    self._look_at(frame)
+                    yield passed_ms / 1000, frame
+                case SensorState() as state:
+                    self._note(state)
+                    if self._away:
+                        raise PadLost(self._away)
+                case None:
+                    raise PadLost(self._away or NO_FRAME)
+
+    def _note(self, item: Frame | SensorState | None) -> None:
+        if isinstance(item, SensorState):
+            self._away = item.reason if item.state == "down" else ""
+
+    def _look_at(self, frame: Frame) -> None:
+        if finding := self._health.update(frame):
+            if finding.began:
+                self._troubles[finding.kind] = finding.what
+            else:
+                self._troubles.pop(finding.kind, None)
+
+
+class Contact:
+    """Whether a hand is on the pad, from the first frame on, which must be of a pad at rest."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._ring = Ring(settings.ring, 1)
+        self._tracker = TouchTracker(settings.touch)
+        self._touched = False
+
+    def update(self, frame: Frame) -> bool:
+        """Take the next frame; return whether the pad is touched."""
+        for laid in self._ring.push(frame):
+            match self._tracker.update(laid):
+                case Onset():
+                    self._touched = True
+                case Release():
+                    self._touched = False
+        return self._touched
+
+
+def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:
+    """Return why a recording of a gesture had better be made again, a line each; none when it is sound."""
+    found = list(troubles)
+    lost = pace_of(capture.frames).lost
+    if lost > MOST_LOST_SHARE * len(capture.frames):
+        found.append(f"{lost} frames were lost on the way: look at cable and plug")
+    if gesture == NO_TOUCH and capture.touched_share > 0:
+        found.append("something touched the pad")
+    elif gesture != NO_TOUCH and capture.touched_share == 0:
+        found.append("no touch was felt: hands off during the countdown, then a little firmer")
+    elif gesture != NO_TOUCH and capture.touched_share < LEAST_TOUCHED_SHARE:
+        found.append(f"a touch was felt for only {capture.touched_share:.0%} of the time")
+    return found

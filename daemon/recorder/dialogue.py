@@ -1,0 +1,175 @@
+"""The guidance through a session of recordings: one gesture after the other, checked and kept."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Literal
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+
+from daemon.config import Settings
+from daemon.events import timestamp
+from daemon.recorder.capture import Capture, Contact, Pad, PadLost, complaints
+from daemon.recorder.session import Session, Take, keep
+from daemon.terminal.ask import ask
+from daemon.wire import description_of
+from drivers.frame import MAX_COUNT, Counts
+from drivers.pad.pace import pace_of
+from drivers.recording import Recording
+
+# As HAART did: of ten seconds of one gesture again and again, the middle eight are kept.
+EDGE_S = 1.0
+# The pad's board may restart when its port is opened, which takes two seconds.
+ALIVE_WITHIN_S = 5.0
+METER_WIDTH = 10
+
+HOW = {
+    "constant": "lay a hand on the pad and leave it there",
+    "notouch": "leave the pad alone",
+    "pat": "pat the pad with a flat hand, again and again",
+    "rub": "rub the pad to and fro, without lifting the hand",
+    "scratch": "scratch the pad with the fingertips, again and again",
+    "stroke": "stroke the pad with a flat hand one way, lift, and again",
+    "tickle": "tickle the pad with light, quick fingers",
+}
+
+Choice = Literal["keep", "redo", "skip"]
+# Shows the current step, how far it is (0 to 1), and the pad's pressure.
+Show = Callable[[str, float, Counts], None]
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What holds for every recording.
+
+    seconds: length that is kept. countdown_s: how long the pad rests before. licence: what others may do.
+    """
+
+    seconds: float
+    countdown_s: float
+    licence: str
+
+
+class Dialogue:
+    """Asks for every recording of a session that is not there yet."""
+
+    def __init__(
+        self, console: Console, pad: Pad, settings: Settings, session: Session, terms: Terms
+    ) -> None:
+        self._console = console
+        self._pad = pad
+        self._settings = settings
+        self._session = session
+        self._terms = terms
+
+    def run(self) -> None:
+        """Guide through what is left to record; raises `Stopped` when the person wants no more."""
+        takes = self._session.takes()
+        for place, take in enumerate(takes, 1):
+            if not take.path.exists():
+                how = HOW.get(take.gesture, f"{take.gesture}, again and again")
+                self._say(f"\n{place} of {len(takes)}: {take.gesture}", "bold")
+                self._say(f"  {how}, until the bar is full")
+                self._make(take)
+        there = sum(take.path.exists() for take in takes)
+        self._say(f"\n{there} of {len(takes)} recordings are in {self._session.folder}", "bold")
+        if there < len(takes):
+            self._say("The same command asks for the others again.")
+
+    def _make(self, take: Take) -> None:
+        """Record until a take is kept or skipped."""
+        choice: Choice = "redo"
+        while choice == "redo":
+            if ask(self._console, "  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s":
+                return
+            try:
+                capture = self._capture(take)
+            except PadLost as lost:
+                self._say(f"  {lost}", "yellow")
+                continue
+            choice = self._choose(capture, take)
+            if choice == "keep":
+                keep(take.path, [self._recording(take, capture)], self._provenance(take, capture))
+                self._say(f"  kept {take.path.name}", "green")
+
+    def _capture(self, take: Take) -> Capture:
+        """Count down while the pad rests, then record; raises PadLost."""
+        if reason := self._pad.await_frame(ALIVE_WITHIN_S):
+            raise PadLost(reason)
+        contact = Contact(self._settings)
+        countdown_s = self._terms.countdown_s
+        length_s = self._terms.seconds + 2 * EDGE_S
+        frames, touched = [], 0
+        with self._bar() as show:
+            for elapsed_s, frame in self._pad.follow(countdown_s):
+                contact.update(frame)
+                show(
+                    f"hands off, {math.ceil(countdown_s - elapsed_s)}",
+                    elapsed_s / countdown_s,
+                    frame.pressure,
+                )
+            for elapsed_s, frame in self._pad.follow(length_s):
+                is_touched = contact.update(frame)
+                show(f"{take.gesture} now", elapsed_s / length_s, frame.pressure)
+                if EDGE_S <= elapsed_s < length_s - EDGE_S:
+                    frames.append(frame)
+                    touched += is_touched
+        return Capture(tuple(frames), touched / len(frames))
+
+    @contextmanager
+    def _bar(self) -> Iterator[Show]:
+        columns = TextColumn("  {task.description:<20}"), BarColumn(), TextColumn("{task.fields[meter]}")
+        with Progress(*columns, console=self._console, transient=True) as progress:
+            bar = progress.add_task("", total=1.0, meter="")
+
+            def show(step: str, share: float, pressure: Counts) -> None:
+                # The root lifts light touches, as in the terminal view.
+                level = round(METER_WIDTH * (int(pressure.max()) / MAX_COUNT) ** 0.5)
+                meter = f"pressure {'#' * level:<{METER_WIDTH}}"
+                progress.update(bar, description=step, completed=share, meter=meter)
+
+            yield show
+
+    def _choose(self, capture: Capture, take: Take) -> Choice:
+        """Show what was recorded, and let the person decide."""
+        peak = max(int(frame.pressure.max()) for frame in capture.frames)
+        pace = pace_of(capture.frames)
+        self._say(
+            f"  {len(capture.frames)} frames, {pace.rate_hz:.1f} a second, peak {peak} counts, "
+            f"touched {capture.touched_share:.0%} of the time"
+        )
+        found = complaints(capture, take.gesture, self._pad.troubles)
+        if not found:
+            question = "  Enter to keep it, r to do it again, s to skip, q to stop: "
+            choices: Mapping[str, Choice] = {"": "keep", "r": "redo", "s": "skip"}
+        else:
+            for complaint in found:
+                self._say(f"  {complaint}", "yellow")
+            question = "  Enter to do it again, k to keep it all the same, s to skip, q to stop: "
+            choices = {"": "redo", "k": "keep", "s": "skip"}
+        return choices[ask(self._console, question, choices)]
+
+    def _recording(self, take: Take, capture: Capture) -> Recording:
+        session = self._session
+        return capture.recording(session.participant, session.substrate, session.cover, take.gesture)
+
+    def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
+        pace = pace_of(capture.frames)
+        return {
+            "source": f"touchd record, touchd {metadata.version('touchd')}",
+            "recorded": timestamp(time.time()),
+            "sensor": description_of(self._settings.sensor),
+            "rate": f"{pace.rate_hz:.2f} Hz, {pace.lost} frames lost",
+            "part": f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s",
+            "round": f"{take.number} of {self._session.rounds}, seed {self._session.seed}",
+            "licence": self._terms.licence,
+        }
+
+    def _say(self, text: str, style: str = "") -> None:
+        self._console.print(text, style=style, markup=False)

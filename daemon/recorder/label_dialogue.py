@@ -1,0 +1,102 @@
+"""Goes through kept touches with a person: each is shown, and a key says what it was."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.console import Console
+
+from daemon.kept.touch_store import KeptTouch, read_frames
+from daemon.recorder.labelling import LabelFolder, Setting
+from daemon.recorder.touch_picture import Offered, draw
+from daemon.terminal.ask import ask, ask_name
+from drivers.recording import RecordingError
+
+# Digits first, then letters but for l, q, u and w, which mean something else.
+KEYS = "123456789abcdefghijkmnoprstvxyz"
+WHO, UNDER, OVER = "Who touched the pad?", "What was under the pad?", "What was over the pad?"
+
+
+class LabelDialogue:
+    """Asks of one kept touch after the other what it was."""
+
+    def __init__(
+        self, console: Console, folder: LabelFolder, gestures: Sequence[str], setting: Setting
+    ) -> None:
+        self._console = console
+        self._folder = folder
+        self._gestures = dict(zip(KEYS, gestures, strict=False))
+        self._setting = setting
+
+    def run(self, touches: Sequence[Offered]) -> None:
+        """Go through touches in their order; raises `Stopped` when the person wants no more."""
+        place = 0
+        asked: list[int] = []
+        while place < len(touches) or self._is_slip(asked):
+            if place == len(touches):
+                place = self._undo(touches, asked)
+                continue
+            offered = touches[place]
+            try:
+                frames = read_frames(offered.kept)
+            except RecordingError as error:
+                self._say(f"  {error}", "yellow")
+                place += 1
+                continue
+            title = (
+                f"{place + 1} of {len(touches)}: touch {offered.kept.number}, taken for {offered.taken_for}"
+            )
+            self._console.print()
+            self._console.print(draw(offered, frames, title))
+            answer = self._ask()
+            if answer == "u" and asked:
+                place = self._undo(touches, asked)
+            elif answer == "u":
+                self._say("  this is the first: there is nothing to undo", "yellow")
+            elif answer == "w":
+                self._setting = self._ask_setting()
+            else:
+                self._decide(offered.kept, answer)
+                asked.append(place)
+                place += 1
+
+    def _is_slip(self, asked: Sequence[int]) -> bool:
+        """After the last touch, ask whether what was said of it shall be undone."""
+        self._say("\nThat was the last of them.", "bold")
+        return bool(asked) and ask(self._console, "Enter to end, u undo: ", ("", "u")) == "u"
+
+    def _undo(self, touches: Sequence[Offered], asked: list[int]) -> int:
+        """Forget the latest answer; returns the place of the touch that it was about."""
+        place = asked.pop()
+        self._folder.undo(touches[place].kept)
+        self._say("  undone", "green")
+        return place
+
+    def _decide(self, kept: KeptTouch, answer: str) -> None:
+        """Do as the person says of a touch; "l" does nothing, so that it is asked for again another time."""
+        if answer == "":
+            self._folder.find_right(kept)
+            self._say("  right", "green")
+        elif answer in self._gestures:
+            path = self._folder.label(kept, self._setting, self._gestures[answer])
+            self._say(f"  kept {path.name}", "green")
+
+    def _ask(self) -> str:
+        setting = self._setting
+        keys = "  ".join(f"{key} {gesture}" for key, gesture in self._gestures.items())
+        substrate, cover = setting.substrate, setting.cover
+        self._say(f"{setting.participant}, {substrate} under the pad, {cover} over it. It was:")
+        self._say(keys, "bold")
+        question = "Enter it was right, l later, w someone or something else, u undo, q quit: "
+        return ask(self._console, question, (*self._gestures, "", "l", "w", "u"))
+
+    def _ask_setting(self) -> Setting:
+        usual = self._setting
+        return Setting(
+            participant=ask_name(self._console, WHO, usual.participant),
+            substrate=ask_name(self._console, UNDER, usual.substrate),
+            cover=ask_name(self._console, OVER, usual.cover),
+        )
+
+    def _say(self, text: str, style: str = "") -> None:
+        self._console.print(text, style=style, markup=False)

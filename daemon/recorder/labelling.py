@@ -1,0 +1,121 @@
+"""What kept touches truly were: each that is labelled becomes a recording, each that was right is remembered.
+
+A recording is FOLDER/participant_substrate_cover_gesture_TIME-NUMBER.csv.gz, TIME and NUMBER being those of
+the kept touch; FOLDER/.right holds an empty file for each touch that was found right. So FOLDER itself tells
+what has been looked at, after a crash too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from daemon.events import timestamp
+from daemon.kept.touch_store import KeptFrames, KeptTouch, read_frames
+from daemon.recorder.session import SUFFIX, keep, prepare
+from drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
+
+RIGHT = ".right"
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Who touched what: substrate is under the pad, cover over it."""
+
+    participant: str
+    substrate: str
+    cover: str
+
+
+class LabelFolder:
+    """A folder of recordings made from kept touches. Raises RecordingError when it cannot be used.
+
+    licence: what others may do with the recordings.
+    """
+
+    def __init__(self, folder: Path, licence: str) -> None:
+        self.path = folder
+        self._licence = licence
+        prepare(folder)
+
+    def labelled(self) -> dict[str, Path]:
+        """Return the recordings that are there, by the name of the kept touch's file they were made from."""
+        found = [path for path in self.path.glob(f"*_*{SUFFIX}") if not path.name.startswith(".")]
+        return {path.name.rpartition("_")[2]: path for path in found}
+
+    def found_right(self) -> set[str]:
+        """Return the names of the files of the kept touches that were found right."""
+        return {path.name for path in (self.path / RIGHT).glob("*")}
+
+    def label(self, kept: KeptTouch, setting: Setting, gesture: str) -> Path:
+        """Write a kept touch as a recording of a gesture, and return where; raises RecordingError.
+
+        Of a touch it is what lies between its first frame and its last contact; where in truth nothing
+        touched, the rest before and after belongs to it as well.
+        """
+        if already := self.labelled().get(kept.path.name):
+            raise RecordingError(f"{already}: is there already; delete it to label touch {kept.number} anew")
+        names = (setting.participant, setting.substrate, setting.cover, gesture)
+        path = self.path / f"{'_'.join(names)}_{kept.path.name}"
+        recording = _whole(read_frames(kept)) if gesture == NO_TOUCH else read_frames(kept).touch
+        participant, substrate, cover, _ = names
+        recording = replace(
+            recording, participant=participant, substrate=substrate, cover=cover, gesture=gesture
+        )
+        keep(path, [recording], self._provenance(kept))
+        return path
+
+    def find_right(self, kept: KeptTouch) -> None:
+        """Remember that what was said of a touch was right."""
+        mark = self.path / RIGHT / kept.path.name
+        try:
+            mark.parent.mkdir(exist_ok=True)
+            mark.touch()
+        except OSError as error:
+            raise RecordingError(f"{mark}: cannot be written ({error.strerror})") from error
+
+    def undo(self, kept: KeptTouch) -> None:
+        """Forget what was said of a kept touch here: delete its recording, or the mark that it was right."""
+        (self.path / RIGHT / kept.path.name).unlink(missing_ok=True)
+        if path := self.labelled().get(kept.path.name):
+            path.unlink(missing_ok=True)
+
+    def _provenance(self, kept: KeptTouch) -> dict[str, str]:
+        return {
+            **read_provenance(kept.path),
+            "source": f"touchd record --from-journal, touchd {metadata.version('touchd')}",
+            "labelled": timestamp(time.time()),
+            "licence": self._licence,
+        }
+
+
+def find(kept: Sequence[KeptTouch], name: str) -> KeptTouch:
+    """Return the kept touch of a number, or of a time's beginning; raises RecordingError unless it is one."""
+    found = [
+        touch
+        for touch in kept
+        if (touch.number == int(name) if name.isdecimal() else touch.time.startswith(name))
+    ]
+    if not found:
+        raise RecordingError(
+            f"{name}: no kept touch has this number or time; its frames are gone, or were never kept. "
+            f"There are touches from {kept[0].time} to {kept[-1].time}"
+        )
+    if len(found) > 1:
+        times = ", ".join(touch.time for touch in found[-3:])
+        raise RecordingError(
+            f"{name}: {len(found)} kept touches have it; say which by its time, the last are {times}"
+        )
+    return found[0]
+
+
+def _whole(frames: KeptFrames) -> Recording:
+    """Return all of a kept touch's file as one recording."""
+    parts = [part for part in (frames.before, frames.touch, frames.after) if part is not None]
+    counts = np.concatenate([part.counts for part in parts])
+    return replace(frames.touch, counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))

@@ -1,0 +1,143 @@
+"""Kept touches in the terminal: a list of them, and one with mean pad, pressure over time and answers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.columns import Columns
+from rich.console import Group
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from daemon.events import UNCERTAIN, Prediction
+from daemon.kept.touch_store import KeptFrames, KeptTouch
+from daemon.kept.touches import Touch
+from daemon.terminal.pad_picture import PAD_WIDTH, pad_picture
+from drivers.frame import FRAME_RATE_HZ
+
+WIDTH = 80
+CHART_WIDTH, CHART_HEIGHT = WIDTH - 4, 5
+MOST_ANSWERS = 8
+# Noise alone is not blown up to a touch.
+LEAST_SCALE_COUNTS = 20.0
+UNKNOWN = "?"
+COLUMNS = {
+    "began (UTC)": 14,
+    "touch": 5,
+    "length": 6,
+    "early": 13,
+    "revised": 13,
+    "later": 13,
+    "taken for": 9,
+}
+
+
+@dataclass(frozen=True)
+class Offered:
+    """A kept touch, and what the journal says of it; None where its lines are gone."""
+
+    kept: KeptTouch
+    said: Touch | None
+
+    @property
+    def taken_for(self) -> str:
+        """The gesture that the robot was last told."""
+        return self.said.ended.gesture if self.said and self.said.ended else UNKNOWN
+
+    @property
+    def length_s(self) -> str:
+        """From first to last contact, in words."""
+        if self.said is None or self.said.ended is None:
+            return UNKNOWN
+        return f"{self.said.ended.frames / FRAME_RATE_HZ:.1f} s"
+
+
+def list_touches(offered: Sequence[Offered]) -> Table:
+    """Return touches a line each: when, number, length, what was said at each stage, what it was told as."""
+    table = Table(box=None, padding=(0, 1, 0, 0), width=WIDTH, header_style="dim")
+    for name, width in COLUMNS.items():
+        table.add_column(name, width=width, no_wrap=True, overflow="ellipsis")
+    for touch in offered:
+        table.add_row(
+            f"{touch.kept.time[5:10]} {touch.kept.time[11:19]}",
+            str(touch.kept.number),
+            touch.length_s,
+            *_answers_in_columns(touch.said.predictions if touch.said else ()),
+            Text(touch.taken_for, "bold"),
+        )
+    return table
+
+
+def draw(offered: Offered, frames: KeptFrames, title: str) -> Group:
+    """Return a touch as a picture of 20 lines of 80 characters."""
+    rise = rise_above_rest(frames)
+    mean = rise.mean(axis=0)
+    pad = Panel(
+        pad_picture(mean, max(float(mean.max()), 1.0)),
+        title=f"mean pad, 0 to {max(mean.max(), 1.0):.0f} counts",
+        width=PAD_WIDTH,
+        padding=0,
+    )
+    answers = Panel(_answers(offered), title=title, width=WIDTH - PAD_WIDTH, height=10)
+    clock_s = (frames.touch.sensor_ms - frames.touch.sensor_ms[0]) / 1000
+    chart = Panel(_chart(rise.sum(axis=(1, 2)), clock_s, offered), width=WIDTH, title="pressure over time")
+    return Group(Columns([pad, answers], padding=0, expand=False), chart)
+
+
+def rise_above_rest(frames: KeptFrames) -> NDArray[np.float64]:
+    """Return the touch's (T, 8, 8) counts above each taxel's rest, its least where that is unknown."""
+    counts = frames.touch.counts.astype(np.float64)
+    rest = np.median(frames.before.counts, axis=0) if frames.before is not None else counts.min(axis=0)
+    rise: NDArray[np.float64] = np.maximum(counts - rest, 0.0)
+    return rise
+
+
+def _answers_in_columns(answers: Sequence[Prediction]) -> list[str]:
+    """Return what was said early, when revised, and last of all after that."""
+    columns = {"early": "", "revised": "", "later": ""}
+    for answer in answers:
+        column = answer.stage if answer.stage in columns else "later"
+        columns[column] = _in_words(answer)
+    return list(columns.values())
+
+
+def _answers(offered: Offered) -> Text:
+    """Return what was said of a touch, a line each, the last ones where there are many."""
+    if offered.said is None:
+        return Text("the journal no longer tells of it", "dim")
+    lines = [
+        Text(
+            f"{answer.stage:<9} {answer.elapsed_s:5.1f} s  {_in_words(answer):<15}",
+            "bold" if answer.told else "",
+        ).append("  told" if answer.told else "", "green")
+        for answer in offered.said.predictions[-MOST_ANSWERS:]
+    ]
+    return Text("\n").join(lines)
+
+
+def _in_words(answer: Prediction) -> str:
+    return UNCERTAIN if answer.gesture == UNCERTAIN else f"{answer.gesture} {answer.confidence:.0%}"
+
+
+def _chart(load: NDArray[np.float64], clock_s: NDArray[np.float64], offered: Offered) -> Text:
+    """Return (T,) counts over (T,) seconds as columns of #, with a mark below where answers were given."""
+    end_s = float(clock_s[-1]) or 1.0
+    places = np.minimum((clock_s / end_s * CHART_WIDTH).astype(np.int64), CHART_WIDTH - 1)
+    highs = np.zeros(CHART_WIDTH)
+    np.maximum.at(highs, places, load)
+    # A short touch has fewer frames than there are columns.
+    highs = np.interp(np.arange(CHART_WIDTH), np.unique(places), highs[np.unique(places)])
+    filled = np.rint(highs / max(float(highs.max()), LEAST_SCALE_COUNTS) * CHART_HEIGHT)
+    lines = [
+        "".join("#" if column >= level else " " for column in filled) for level in range(CHART_HEIGHT, 0, -1)
+    ]
+    marks = [" "] * CHART_WIDTH
+    for answer in offered.said.predictions if offered.said else ():
+        marks[min(round(answer.elapsed_s / end_s * CHART_WIDTH), CHART_WIDTH - 1)] = "^"
+    legend = "^ an answer"
+    scale = f"0 s{legend:^{CHART_WIDTH - 6 - len(f'{end_s:.1f}')}}{end_s:.1f} s"
+    return Text("\n".join([*lines, "".join(marks), scale]))

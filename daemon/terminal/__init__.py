@@ -1,0 +1,1 @@
+"""The daemon in a terminal: the live view, questions, events in words."""

@@ -1,0 +1,50 @@
+"""Questions to a person at a terminal, answered by a line each."""
+
+from __future__ import annotations
+
+import sys
+import termios
+from collections.abc import Collection
+
+from rich.console import Console
+from rich.text import Text
+
+from daemon.recorder.session import NAME_RULE, is_name
+
+
+class Stopped(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
+    """The person wants no more, or nobody is there to answer."""
+
+
+def ask(console: Console, question: str, answers: Collection[str]) -> str:
+    """Return which of the answers a person gives, "" being a bare Enter; q, or no answer, raises Stopped."""
+    while True:
+        answer = _line(console, question).lower()
+        if answer == "q":
+            raise Stopped
+        if answer in answers:
+            return answer
+        named = ", ".join(answer or "Enter" for answer in (*answers, "q"))
+        console.print(f"  {answer!r} is none of {named}", style="yellow", markup=False)
+
+
+def ask_name(console: Console, question: str, default: str = "") -> str:
+    """Return a name for a participant, a substrate or a cover; raises Stopped."""
+    hint = f" [{default}]" if default else ""
+    while True:
+        answer = _line(console, f"{question}{hint} ") or default
+        if is_name(answer):
+            return answer
+        console.print(f"  {NAME_RULE}", style="yellow")
+
+
+def _line(console: Console, question: str) -> str:
+    # What was typed ahead was not meant for this question.
+    if sys.stdin.isatty():
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    console.print(Text(question), end="")
+    line = sys.stdin.readline()
+    if not line:
+        console.print()
+        raise Stopped
+    return line.strip()

@@ -1,0 +1,31 @@
+"""The entry to every study: `python -m docs.studies NAME`, from the repository's root."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+
+STUDIES = {
+    "accuracy": ("docs.studies.accuracy", "rewrites the accuracy page from the stored scores"),
+    "report": ("docs.studies.commands.report", "the paper's tables and figures beside ours"),
+    "speed": ("docs.studies.commands.speed", "times an answer against the paper's network"),
+    "quantize": ("docs.studies.commands.quantize", "compares int8 copies of the model with float32"),
+    "adapting": ("docs.studies.adapting.study", "what adapting to a person gains and costs"),
+    "tracker": ("docs.studies.tracker.report", "how well touches are noticed"),
+    "decision": ("docs.studies.decision.report", "how early and how often the daemon is right"),
+}
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run a study; returns its exit code, 2 when there is none of that name."""
+    name = arguments[0] if arguments else ""
+    if name not in STUDIES:
+        listing = "\n".join(f"  {known:<10} {what}" for known, (_, what) in STUDIES.items())
+        sys.stderr.write(f"usage: python -m docs.studies NAME [OPTIONS]\n\n{listing}\n")
+        return 2
+    return int(importlib.import_module(STUDIES[name][0]).main(arguments[1:]) or 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

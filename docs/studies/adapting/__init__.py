@@ -1,0 +1,1 @@
+"""What adapting to a person gains and costs (docs/adapt.md)."""

@@ -1,0 +1,1 @@
+"""How early and how often the daemon is right (docs/decision.md)."""

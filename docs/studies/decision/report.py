@@ -1,0 +1,232 @@
+"""What the daemon says over a touch, measured: docs/decision.md, for people, and docs/decision.json.
+
+`python -m docs.studies decision FOLDER [DOCS]` plays HAART's training recordings in FOLDER, in some minutes.
+The defaults of `speak_above` and `revise_margin` are the point that `choose` picks from the curve.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from daemon.decide import DecisionSettings
+from daemon.events import Stage
+from daemon.pipeline import STAGES
+from docs.studies.decision.measure import Said, decide, listen
+from docs.studies.tracker.measure import spliced
+from drivers.recording import NO_TOUCH, Recording
+from model.classifier import SHIPPED_MODEL
+from model.training import haart
+from model.training.metrics import expected_calibration_error
+from model.training.ship import left_out_split
+
+SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
+# Less than a tenth would let noise change the robot's mind.
+REVISE_MARGIN = (0.1, 0.2, 0.3, 0.4, 0.5)
+LEAST_RIGHT_EARLY = 0.85
+MOST_CHANGED = 0.10
+MOST_HARMED = 0.02
+# Half a point of 492 touches is two of them: chance.
+AS_GOOD = 0.005
+
+
+class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
+    """The network's own answers at one stage, told or not, over the touches that lasted so long."""
+
+    stage: Stage
+    touches: int
+    accuracy: float
+    calibration_error: float
+
+
+class Point(msgspec.Struct, frozen=True, kw_only=True):
+    """What the robot hears under one pair of settings; shares of the touches noticed, times in seconds."""
+
+    speak_above: float
+    revise_margin: float
+    told_early: float
+    right_when_told_early: float
+    right_at_end: float
+    changed: float
+    """Touches whose told label was replaced at least once."""
+    harmed: float
+    """Touches in which a right told label was replaced by a wrong one."""
+    median_settled_s: float
+    """Median time of the first right answer that stayed, over the touches that have one."""
+
+    @property
+    def good(self) -> bool:
+        """Whether it meets what a scene may ask: early answers trustworthy, changes rare, harm rarer."""
+        return (
+            self.right_when_told_early >= LEAST_RIGHT_EARLY
+            and self.changed <= MOST_CHANGED
+            and self.harmed <= MOST_HARMED
+        )
+
+
+class StreamReport(msgspec.Struct, frozen=True, kw_only=True):
+    """The measurement: each stage, the curve over settings, and the point that became the default."""
+
+    touches: int
+    noticed: int
+    stages: tuple[StageFigures, ...]
+    default: Point
+    curve: tuple[Point, ...]
+
+
+def report(haart_folder: Path, weights: Path = SHIPPED_MODEL.parent) -> StreamReport:
+    """Measure on the training participants, each answered by the network that never saw them."""
+    return measure(haart.realigned(haart.read_training(haart_folder)), weights)
+
+
+def measure(recordings: Sequence[Recording], weights: Path) -> StreamReport:
+    """Play every touching recording through the pipeline and try every pair of settings on the answers."""
+    said: list[Said] = []
+    labels: tuple[str, ...] = ()
+    for classifier, held in left_out_split(weights, recordings):
+        labels = classifier.labels
+        said += listen(spliced(held, level_rest=True), classifier)
+    settings = DecisionSettings()
+    curve = tuple(
+        point(said, labels, speak_above, revise_margin)
+        for speak_above in SPEAK_ABOVE
+        for revise_margin in REVISE_MARGIN
+    )
+    return StreamReport(
+        touches=sum(recording.gesture != NO_TOUCH for recording in recordings),
+        noticed=len(said),
+        stages=tuple(stage_figures(said, labels, stage) for stage in STAGES),
+        default=point(said, labels, settings.speak_above, settings.revise_margin),
+        curve=curve,
+    )
+
+
+def choose(curve: Iterable[Point]) -> Point:
+    """Return the good point that tells early most often and, of those, changes its mind most readily.
+
+    Points that are right at the end less often than the best by more than AS_GOOD do not count.
+    """
+    good = [candidate for candidate in curve if candidate.good]
+    best = max(candidate.right_at_end for candidate in good)
+    as_good = [candidate for candidate in good if candidate.right_at_end >= best - AS_GOOD]
+    return max(as_good, key=lambda p: (p.told_early, -p.revise_margin))
+
+
+def point(said: Sequence[Said], labels: tuple[str, ...], speak_above: float, revise_margin: float) -> Point:
+    """Return what the robot would have heard under one pair of settings."""
+    settings = DecisionSettings(speak_above=speak_above, revise_margin=revise_margin)
+    told = [decide(touch, settings, labels) for touch in said]
+    early = [t.right[0] for t in told if t.stages and t.stages[0] == "early"]
+    settled = [t.settled_s for t in told if t.settled_s is not None]
+    return Point(
+        speak_above=speak_above,
+        revise_margin=revise_margin,
+        told_early=len(early) / len(told),
+        right_when_told_early=float(np.mean(early)) if early else 1.0,
+        right_at_end=len(settled) / len(told),
+        changed=float(np.mean([len(t.right) > 1 for t in told])),
+        harmed=float(np.mean([t.harmed for t in told])),
+        median_settled_s=float(np.median(settled)) if settled else float("nan"),
+    )
+
+
+def stage_figures(said: Sequence[Said], labels: tuple[str, ...], stage: Stage) -> StageFigures:
+    """Return how right, and how rightly confident, the network is at one stage."""
+    rows = [(p, labels.index(t.gesture)) for t in said for name, _, p in t.answers if name == stage]
+    probabilities = np.stack([p for p, _ in rows])
+    truth = np.array([label for _, label in rows], dtype=np.int64)
+    return StageFigures(
+        stage=stage,
+        touches=len(rows),
+        accuracy=float((probabilities.argmax(axis=1) == truth).mean()),
+        calibration_error=expected_calibration_error(probabilities, truth),
+    )
+
+
+def write(figures: StreamReport, folder: Path) -> None:
+    """Write decision.md, decision.json and the curve's picture into a folder."""
+    (folder / "decision.json").write_bytes(msgspec.json.format(msgspec.json.encode(figures)) + b"\n")
+    draw(figures, folder / "figures" / "decision.png")
+    (folder / "decision.md").write_text("\n".join(_lines(figures)) + "\n", encoding="utf-8")
+
+
+def draw(figures: StreamReport, path: Path) -> None:
+    """Draw how often the early answer is told against how often it is then right."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    chosen = figures.default
+    along = [p for p in figures.curve if p.revise_margin == min(REVISE_MARGIN)]
+    figure, axes = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
+    axes.plot([100 * p.told_early for p in along], [100 * p.right_when_told_early for p in along], marker="o")
+    for p in along:
+        at = (100 * p.told_early, 100 * p.right_when_told_early)
+        axes.annotate(f"{p.speak_above:.2f}", at, textcoords="offset points", xytext=(4, 5), fontsize=8)
+    axes.plot(
+        100 * chosen.told_early, 100 * chosen.right_when_told_early, "r*", markersize=14, label="default"
+    )
+    axes.axhline(100 * LEAST_RIGHT_EARLY, color="grey", linewidth=0.8, linestyle=":")
+    axes.set(xlabel="touches told after 1 s, %", ylabel="right when told, %")
+    axes.legend(loc="lower left")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def _lines(figures: StreamReport) -> Iterable[str]:
+    yield "# Saying it early, changing one's mind"
+    yield ""
+    yield f"{figures.touches} touches of HAART's training participants, each spliced between notouch of the"
+    yield "same participant and condition and played through the daemon's own pipeline; each participant is"
+    yield f"answered by a network that never saw them. {figures.noticed} touches were noticed. Rebuild with"
+    yield "`python -m docs.studies decision FOLDER`, FOLDER being HAART's. notouch is no touch and so not"
+    yield "counted here; [accuracy.md](accuracy.md) has it."
+    yield ""
+    yield "## What the network thinks"
+    yield ""
+    yield "| stage | touches | right | calibration error |"
+    yield "|---|---|---|---|"
+    for row in figures.stages:
+        yield f"| {row.stage} | {row.touches} | {_percent(row.accuracy)} | {row.calibration_error:.3f} |"
+    yield ""
+    yield "## What the robot hears"
+    yield ""
+    yield "The star is the default. Along the curve `speak_above` changes, as written beside each point."
+    yield "The default is the point that tells early most often, and changes its mind most readily, among"
+    yield f"those at which at least {LEAST_RIGHT_EARLY:.0%} of early answers told are right, at most"
+    yield f"{MOST_CHANGED:.0%} of touches change their label, {MOST_HARMED:.0%} harmfully, and which are"
+    yield "right at the end as often as the best, within half a point."
+    yield ""
+    yield "![How often the early answer is told, and right](figures/decision.png)"
+    yield ""
+    yield (
+        "| speak_above | revise_margin | told early | right when told early "
+        "| right at the end | changed | harmed | right for good after |"
+    )
+    yield "|---|---|---|---|---|---|---|---|"
+    for p in (figures.default, *figures.curve):
+        mark = " (default)" if p is figures.default else ""
+        yield (
+            f"| {p.speak_above:.2f}{mark} | {p.revise_margin:.2f} | {_percent(p.told_early)} "
+            f"| {_percent(p.right_when_told_early)} | {_percent(p.right_at_end)} | {_percent(p.changed)} "
+            f"| {_percent(p.harmed)} | {p.median_settled_s:.2f} s |"
+        )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure, write the page, and say which point the rule picks."""
+    docs = Path(arguments[1]) if len(arguments) > 1 else Path("docs")
+    figures = report(Path(arguments[0]))
+    write(figures, docs)
+    sys.stdout.write(f"{docs / 'decision.md'}; the rule picks {choose(figures.curve)}\n")
+    return 0

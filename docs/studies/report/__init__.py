@@ -1,0 +1,1 @@
+"""The paper's tables, the challenge's systems, speed against error, what windows and pads cost."""

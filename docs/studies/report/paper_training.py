@@ -1,0 +1,209 @@
+"""Training the paper's networks as its public code does: Adam, batches of 64, a constant rate.
+
+Source: github.com/Yuanbo2020/TGC, processing.py and 1_run_frames.py. That code keeps the epoch that does best
+on the test participants. Here every epoch's test accuracy is kept, so that one training yields both that
+figure and the honest one, of the last epoch of a number fixed beforehand.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+from tqdm import tqdm
+
+from docs.studies.report.paper_cells import Grid, PaperCell, predictions_path
+from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
+from docs.studies.report.study import Study
+from model.training import haart, metrics
+from model.training.checkpoint import CheckpointError
+from model.training.haart import GESTURES, Windows
+
+log = logging.getLogger(__name__)
+
+CHECKPOINT_NAME = "checkpoint.pt"
+TEST_BATCH = 256
+
+
+class PaperTraining:
+    """One network of the paper's on its way: weights, optimizer, random states, and what each epoch gave."""
+
+    def __init__(self, cell: PaperCell, grid: Grid, training: Windows, test: Windows, device: str) -> None:
+        self.batch = grid.batch
+        self.device = device
+        self.inputs = torch.from_numpy(training.counts.astype(np.float32))
+        self.targets = torch.from_numpy(training.labels)
+        self.test = test
+        torch.manual_seed(cell.seed)
+        self.rng = torch.Generator().manual_seed(cell.seed)
+        settings = PaperSettings(cell.variant, cell.frames, cell.blocks)
+        self.network = PaperTGC(settings, len(GESTURES)).to(device)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=grid.learning_rate)
+        self.losses: list[float] = []
+        self.accuracies: list[float] = []
+        self.seconds = 0.0
+
+    @property
+    def epoch(self) -> int:
+        """How many epochs are done."""
+        return len(self.accuracies)
+
+    def run_epoch(self) -> NDArray[np.float64]:
+        """Train on every window once, then return the probabilities (N, 7) of the test windows."""
+        began = time.perf_counter()
+        self.network.train()
+        total = 0.0
+        for chosen in torch.split(torch.randperm(len(self.targets), generator=self.rng), self.batch):
+            logits = self.network(self.inputs[chosen].to(self.device))
+            loss = functional.cross_entropy(logits, self.targets[chosen].to(self.device))
+            self.optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self.optimizer.step()
+            total += float(loss.item()) * len(chosen)
+        probabilities = answer(self.network, self.test.counts, self.device)
+        self.losses.append(total / len(self.targets))
+        self.accuracies.append(macro_accuracy(probabilities, self.test.labels))
+        self.seconds += time.perf_counter() - began
+        return probabilities
+
+    def save(self, path: Path) -> None:
+        """Write everything that resuming needs, whole or not at all."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_suffix(".partial")
+        state = {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "rng": self.rng.get_state(),
+            "torch_rng": torch.get_rng_state(),
+            "losses": self.losses,
+            "accuracies": self.accuracies,
+            "seconds": self.seconds,
+        }
+        torch.save(state, partial)
+        os.replace(partial, path)
+
+    def resume(self, path: Path) -> None:
+        """Go on where a saved training stopped; raises CheckpointError."""
+        state = _load(path)
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.rng.set_state(state["rng"])
+        torch.set_rng_state(state["torch_rng"])
+        self.losses, self.accuracies, self.seconds = state["losses"], state["accuracies"], state["seconds"]
+
+
+def train(study: Study, grid: Grid, cell: PaperCell) -> None:
+    """Train the cell to its last epoch, from its checkpoint where there is one, and keep what came of it.
+
+    A training that another process is busy with is left to that process. One that has gone on for longer than
+    the cell asks says more than the cell would, and is left as it is.
+    """
+    folder = study.checkpoints / cell.training
+    folder.mkdir(parents=True, exist_ok=True)
+    with claim(folder) as claimed:
+        if not claimed:
+            log.warning("%s: another process is training it; left to that one", cell.training)
+            return
+        torch.set_num_threads(study.threads)
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        training = haart.cut(haart.read_training(study.haart), cell.frames)
+        test = haart.cut(haart.read_test(study.haart), cell.frames)
+        paper = PaperTraining(cell, grid, training, test, device)
+        if (folder / CHECKPOINT_NAME).exists():
+            paper.resume(folder / CHECKPOINT_NAME)
+        if paper.epoch > cell.epochs:
+            log.warning("%s: trained for %d epochs already; left as it is", cell.training, paper.epoch)
+            return
+        _finish(study, grid, cell, paper, folder / CHECKPOINT_NAME)
+
+
+def _finish(study: Study, grid: Grid, cell: PaperCell, paper: PaperTraining, path: Path) -> None:
+    with tqdm(total=cell.epochs, initial=paper.epoch, unit="epoch", desc=cell.training) as progress:
+        while paper.epoch < cell.epochs:
+            paper.run_epoch()
+            paper.save(path)
+            progress.set_postfix(loss=f"{paper.losses[-1]:.3f}", test=f"{paper.accuracies[-1]:.3f}")
+            progress.update()
+    probabilities = answer(paper.network, paper.test.counts, paper.device)
+    stored = predictions_path(study.docs, cell)
+    stored.parent.mkdir(parents=True, exist_ok=True)
+    np.savez_compressed(
+        stored, probabilities=probabilities.astype(np.float16), labels=paper.test.labels.astype(np.uint8)
+    )
+    values = {
+        "windows": len(paper.test.labels),
+        "parameters": sum(parameter.numel() for parameter in paper.network.parameters()),
+        "learning_rate": grid.learning_rate,
+        "batch": grid.batch,
+        "framing": "published",
+        "device": paper.device,
+        "losses": [round(loss, 4) for loss in paper.losses],
+        "accuracies": [round(accuracy, 5) for accuracy in paper.accuracies],
+    }
+    study.results.put(cell.key, values, paper.seconds)
+
+
+def is_at(study: Study, cell: PaperCell) -> bool:
+    """Return whether the training's checkpoint is at hand and of the cell's last epoch."""
+    path = study.checkpoints / cell.training / CHECKPOINT_NAME
+    return path.exists() and len(_load(path)["accuracies"]) == cell.epochs
+
+
+def trained(study: Study, cell: PaperCell) -> PaperTGC:
+    """Return the network of a training that is at this cell, ready to answer; raises CheckpointError."""
+    state = _load(study.checkpoints / cell.training / CHECKPOINT_NAME)
+    network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
+    network.load_state_dict(state["network"])
+    return network.eval()
+
+
+def answer(network: PaperTGC, counts: NDArray[np.uint16], device: str = "cpu") -> NDArray[np.float64]:
+    """Return probabilities (N, 7) for windows of counts (N, L, 8, 8)."""
+    network.eval()
+    with torch.no_grad():
+        batches = [
+            torch.softmax(network(batch.to(device)), dim=-1).cpu()
+            for batch in torch.split(_float(counts), TEST_BATCH)
+        ]
+    probabilities: NDArray[np.float64] = torch.cat(batches).numpy().astype(np.float64)
+    return probabilities
+
+
+def macro_accuracy(probabilities: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    """Return the accuracy averaged over the gestures, as the paper scores."""
+    return metrics.macro_accuracy(probabilities.argmax(axis=1).astype(np.int64), labels, len(GESTURES))
+
+
+def _float(counts: NDArray[np.uint16]) -> Tensor:
+    return torch.from_numpy(counts.astype(np.float32))
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        return state
+    except Exception as error:  # torch raises many types for a damaged file, some with pages of advice
+        raise CheckpointError(f"{path}: not a checkpoint of the report; move it away") from error
+
+
+@contextmanager
+def claim(folder: Path) -> Iterator[bool]:
+    """Give whether this process alone may train in the folder, as long as this lasts."""
+    with open(folder / "lock", "w", encoding="utf-8") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        yield True

@@ -1,0 +1,150 @@
+"""The study's results: one JSON file of cells, each with the command, commit and machine that made it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from drivers.errors import TouchdError
+
+LIBRARIES = ("numpy", "onnxruntime", "torch", "scikit-learn")
+
+
+class ResultsError(TouchdError):
+    """The file of results cannot be read; the message says what to do."""
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True):
+    """One measured cell. seconds: how long measuring it took; commit: the code's, "+" when it was changed."""
+
+    values: dict[str, Any]
+    seconds: float
+    command: str
+    commit: str
+    machine: str
+    date: str
+
+
+class Results:
+    """The cells in one file, by keys such as "table3/public/frames54/seed0"; processes may add at once."""
+
+    def __init__(self, path: Path) -> None:
+        """Take the file's path; the file need not be there yet."""
+        self.path = path
+        # Of when the process began: that code runs, whatever is committed meanwhile.
+        self.commit = commit()
+
+    def has(self, key: str) -> bool:
+        """Return whether the cell is there."""
+        return key in self._read()
+
+    def get(self, key: str) -> dict[str, Any]:
+        """Return a cell's values; raises KeyError when it is not there."""
+        return self.cell(key).values
+
+    def cell(self, key: str) -> Cell:
+        """Return a cell with all that is known of its making; raises KeyError when it is not there."""
+        return self._read()[key]
+
+    def keys(self, prefix: str = "") -> list[str]:
+        """Return the keys that begin with `prefix`, sorted."""
+        return sorted(key for key in self._read() if key.startswith(prefix))
+
+    def put(self, key: str, values: dict[str, Any], seconds: float) -> None:
+        """Add a cell, or replace it, and write the file whole or not at all; the others' cells stay."""
+        cell = Cell(
+            values=values,
+            seconds=round(seconds, 3),
+            command=command(),
+            commit=self.commit,
+            machine=machine(),
+            date=datetime.now(timezone.utc).strftime("%Y-%m-%d"),
+        )
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self._alone():
+            cells = {**self._read(), key: cell}
+            ordered = {name: cells[name] for name in sorted(cells)}
+            partial = self.path.with_suffix(".partial")
+            partial.write_bytes(_one_line_a_cell(ordered))
+            os.replace(partial, self.path)
+
+    def _read(self) -> dict[str, Cell]:
+        try:
+            return msgspec.json.decode(self.path.read_bytes(), type=dict[str, Cell])
+        except FileNotFoundError:
+            return {}
+        except (OSError, msgspec.DecodeError) as error:
+            raise ResultsError(f"{self.path}: no file of results ({error}); move it away") from error
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        # The folder itself is locked: the file is replaced, and a lock on it would be lost with it.
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(folder)
+
+
+def _one_line_a_cell(cells: dict[str, Cell]) -> bytes:
+    # So that a change to one cell is a change to one line.
+    lines = [msgspec.json.encode(name) + b": " + msgspec.json.encode(cell) for name, cell in cells.items()]
+    return b"{\n" + b",\n".join(lines) + b"\n}\n"
+
+
+def command() -> str:
+    """Return the command line that this process was started with, folders by their last names only."""
+    program = Path(sys.argv[0])
+    name = program.parent.name if program.name == "__main__.py" else program.name
+    return " ".join([name, *(Path(word).name if "/" in word else word for word in sys.argv[1:])])
+
+
+def commit() -> str:
+    """Return the short hash of the code's commit, "+" after it when a source file differs; "" without git."""
+    root = Path(__file__).parents[3]
+
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True, check=True)
+        return done.stdout.strip()
+
+    try:
+        changed = git(
+            "status", "--porcelain", "--untracked-files=no", "--", "model", "drivers", "docs/studies"
+        )
+        return git("rev-parse", "--short=8", "HEAD") + ("+" if changed else "")
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
+def machine() -> str:
+    """Return the processor, its cores and the versions of what computed."""
+    versions = []
+    for name in LIBRARIES:
+        try:
+            versions.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:
+            continue
+    python = f"Python {platform.python_version()}"
+    return ", ".join([f"{processor()}, {os.cpu_count()} cores", python, *versions])
+
+
+def processor() -> str:
+    """Return the processor's name, as Linux tells it, else the architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())

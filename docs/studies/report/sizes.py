@@ -1,0 +1,80 @@
+"""Our network in other sizes than the shipped one, by the shipped recipe: speed weighed against error.
+
+The sizes were fixed before any of them was trained, and nothing is chosen from their scores: that is why each
+may be shown on the test participants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from drivers.frame import FRAME_RATE_HZ
+from model.classifier import ModelMetadata
+from model.settings import LENGTHS, NetworkSettings
+from model.training.checkpoint import Checkpoint
+from model.training.export import export
+from model.training.recipe import Job, Recipe, final_jobs, read_recipe
+from model.training.ship import MAX_LENGTH
+from model.training.train import train_haart
+
+# The small ones, kept with the code; a large one is trained anew where it is wanted.
+SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "sizes"
+# The shipped network is 96 wide, with a stem of 16.
+SHAPES: Mapping[str, Mapping[str, int]] = {
+    "touchd-24-wide": {"stem_width": 8, "width": 24, "feed_forward": 48, "dense": 24},
+    "touchd-40-wide": {"stem_width": 8, "width": 40, "feed_forward": 80, "dense": 40},
+    "touchd-64-wide": {"stem_width": 12, "width": 64, "feed_forward": 128, "dense": 64},
+    "touchd-160-wide": {"stem_width": 24, "width": 160, "feed_forward": 320, "dense": 160},
+}
+
+
+def jobs(recipe: Recipe, runs: Path) -> list[Job]:
+    """Return one training a size: the shipped network's own, but for the widths."""
+    shipped = final_jobs(recipe, runs)[0].settings
+    return [
+        Job(name, msgspec.structs.replace(shipped, name=name, network=widened(shipped.network, shape)))
+        for name, shape in SHAPES.items()
+    ]
+
+
+def widened(network: NetworkSettings, shape: Mapping[str, int]) -> NetworkSettings:
+    """Return the network's settings with other widths, all else alike."""
+    return msgspec.structs.replace(network, **shape)
+
+
+def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOLDER) -> dict[str, Path]:
+    """Return each size's ONNX file, the stored one or the one in `runs`; trains and exports what is missing.
+
+    A training goes on from its last checkpoint.
+    """
+    files = {}
+    for job in jobs(read_recipe(), runs):
+        name = f"{job.name}.onnx"
+        path = stored / name
+        if not path.exists():
+            path = runs / job.name / name
+        if not path.exists():
+            export_size(train_haart(haart_folder, job.settings, runs / job.name, threads), path)
+        files[job.name] = path
+    return files
+
+
+def export_size(saved: Checkpoint, path: Path) -> None:
+    """Write a trained size as the shipped network is written, but uncalibrated: its answers alone count."""
+    metadata = ModelMetadata(
+        name=saved.settings.name,
+        labels=saved.labels,
+        frame_rate_hz=FRAME_RATE_HZ,
+        framing="live",
+        lengths=LENGTHS,
+        max_length=MAX_LENGTH,
+        temperatures={str(length): 1.0 for length in LENGTHS},
+        training=msgspec.to_builtins(saved.settings),
+        code_version=saved.code_version,
+        data_sha256=saved.data_sha256,
+        scores={},
+    )
+    export(saved.build(), metadata, path)

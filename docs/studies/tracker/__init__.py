@@ -1,0 +1,1 @@
+"""How well touches are noticed (docs/touch.md)."""

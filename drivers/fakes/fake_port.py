@@ -1,0 +1,196 @@
+"""A pad without a pad: a pseudo-terminal that plays a stream to whoever opens it as a serial port."""
+
+from __future__ import annotations
+
+import array
+import fcntl
+import os
+import pty
+import select
+import termios
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.fakes.line_faults import NO_FAULTS, Faults
+from drivers.frame import FRAME_RATE_HZ, Counts
+from drivers.recording import Stream
+
+POLL_S = 0.002
+# pyserial discards what waits in a port just after opening it; a reader that does not is given this long.
+SETTLE_S = 0.5
+# The kernel hands bytes over in the background: empty once is not yet empty.
+EMPTY_FOR_S = 0.02
+
+
+class FakePort:
+    """Plays `stream` through a pty from the moment a reader opens `path`.
+
+    encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own
+    pace by an absolute schedule, N is N times faster, None is flat out. loop: begins again at the end, and
+    the clock runs on. At a pace, frames due while nobody reads are lost, as a pad's are; flat out, it waits.
+    sent_s: (T,) float64, `time.monotonic()` just before a frame's last byte was written, NaN until then.
+    """
+
+    def __init__(
+        self,
+        stream: Stream,
+        encode: Callable[[Counts, int], bytes],
+        *,
+        speed: float | None = 1.0,
+        loop: bool = False,
+        faults: Faults = NO_FAULTS,
+    ) -> None:
+        self._stream = stream
+        self._encode = encode
+        self._speed = speed
+        self._loop = loop
+        self._faults = faults
+        self.sent_s: NDArray[np.float64] = np.full(len(stream.counts), np.nan)
+        self._stop = threading.Event()
+        self._finished = threading.Event()
+        self._drained = False
+        self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        # With the slave closed here, the master hangs up whenever no reader has it open.
+        os.close(slave)
+        os.set_blocking(self._master, False)
+        # Packet mode tells when the reader discards its input.
+        fcntl.ioctl(self._master, termios.TIOCPKT, array.array("i", [1]))
+        self._hangup = select.poll()
+        self._hangup.register(self._master, 0)
+
+    def start(self) -> None:
+        """Begin to wait for a reader and play."""
+        self._thread.start()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Return True once all was played and the reader took it; False after `timeout_s` or when it left."""
+        return self._finished.wait(timeout_s) and self._drained
+
+    def stop(self) -> None:
+        """Hang up: the reader sees the device go, `path` is gone. Safe to call twice."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1
+
+    def __enter__(self) -> FakePort:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def _run(self) -> None:
+        try:
+            if self._await_reader():
+                self._play()
+                self._drained = self._await_empty()
+        finally:
+            self._finished.set()
+
+    def _play(self) -> None:
+        begin_s = time.monotonic()
+        for number, index, sensor_ms, elapsed_ms in self._schedule():
+            packet = self._encode(self._stream.counts[index], sensor_ms)
+            packet = self._faults.on_line(number, packet)
+            if self._speed is not None:
+                due_s = begin_s + elapsed_ms / 1000 / self._speed
+                self._stop.wait(max(0.0, due_s - time.monotonic()))
+            if self._stop.is_set():
+                return
+            self._send(index, packet)
+
+    def _schedule(self) -> Iterator[tuple[int, int, int, int]]:
+        """Yield each frame's number from 0, its index in the stream, its clock, and when it is due, in ms."""
+        period_ms = round(1000 / FRAME_RATE_HZ)
+        steps_ms = np.diff(self._stream.sensor_ms)
+        # A clock that starts anew goes back, time does not.
+        due_ms = np.concatenate([[0], np.cumsum(np.where(steps_ms < 0, period_ms, steps_ms))])
+        frames = len(due_ms)
+        length_ms = int(due_ms[-1]) + period_ms
+        number = 0
+        while number < frames or self._loop:
+            turn, index = divmod(number, frames)
+            later_ms = turn * length_ms
+            yield number, index, int(self._stream.sensor_ms[index]) + later_ms, int(due_ms[index]) + later_ms
+            number += 1
+
+    def _send(self, index: int, packet: bytes) -> None:
+        sent = 0
+        while sent < len(packet) and not self._stop.is_set():
+            if not self._has_reader():
+                if self._speed is not None:
+                    return
+                self._await_reader()
+                sent = 0
+                continue
+            piece = packet[sent : sent + (self._faults.chunk_bytes or len(packet))]
+            now_s = time.monotonic()
+            try:
+                sent += os.write(self._master, piece)
+            except BlockingIOError:
+                self._stop.wait(POLL_S)
+            else:
+                self.sent_s[index] = now_s
+
+    def _has_reader(self) -> bool:
+        return not self._hangup.poll(0)
+
+    def _await_reader(self) -> bool:
+        """Wait until a reader has opened the port and discarded what waited in it; False when stopped."""
+        has_discarded = self._discards_input()
+        while not self._has_reader():
+            if self._stop.wait(POLL_S):
+                return False
+            # Asked before looking for a reader, so that what an earlier one did is forgotten.
+            has_discarded = self._discards_input()
+        settled_s = time.monotonic() + SETTLE_S
+        while not has_discarded and time.monotonic() < settled_s:
+            if self._stop.wait(POLL_S):
+                return False
+            has_discarded = self._discards_input()
+        return True
+
+    def _discards_input(self) -> bool:
+        """Whether the reader has discarded its input since this was last asked."""
+        try:
+            return bool(os.read(self._master, 1024)[0] & termios.TIOCPKT_FLUSHREAD)
+        except OSError:
+            return False
+
+    def _await_empty(self) -> bool:
+        """Wait until the reader has taken every byte; False when it left or the port was stopped."""
+        empty_since_s: float | None = None
+        while not self._stop.is_set() and self._has_reader():
+            now_s = time.monotonic()
+            if self._waiting_bytes():
+                empty_since_s = None
+            elif empty_since_s is None:
+                empty_since_s = now_s
+            elif now_s - empty_since_s >= EMPTY_FOR_S:
+                return True
+            self._stop.wait(POLL_S)
+        return False
+
+    def _waiting_bytes(self) -> int:
+        """Bytes in the port that the reader has not taken yet."""
+        slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            waiting = array.array("i", [0])
+            fcntl.ioctl(slave, termios.FIONREAD, waiting)
+            return waiting[0]
+        finally:
+            os.close(slave)

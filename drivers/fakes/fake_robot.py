@@ -1,0 +1,139 @@
+"""Stand-ins for a Nao, and the command that shows what one would do.
+
+`StubRobot` lives in this process and needs nothing. `LoopbackRobot` is real qi services in a process of its
+own, `python -m drivers.fakes.fake_robot`, which prints a JSON object a line: its address, then every call.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import sys
+import tempfile
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import BinaryIO, NoReturn
+
+import msgspec
+
+from drivers.fakes.loopback_gate import Gate
+from drivers.fakes.loopback_robot import LoopbackRobot
+from drivers.fakes.services import SERVICE_NAMES, Call, fake_services
+from drivers.fakes.stub_robot import StubRobot
+from drivers.robot.link import RobotSettings, read_login
+from drivers.robot.session import Login, RobotError, load_qi
+
+__all__ = ["LoopbackRobot", "StubRobot", "add_arguments", "main", "run", "serve"]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the stand-in robot to a command."""
+    parser.add_argument("--port", type=_port, default=9559, help="on 127.0.0.1; 0 for any that is free")
+    parser.add_argument("--user", help="ask for a login and speak TLS, like NAOqi 2.9")
+    parser.add_argument("--token-file", help="a file that holds the token of --user")
+    parser.add_argument("--token-env", help="an environment variable that holds the token of --user")
+    parser.add_argument("--call-s", type=_seconds, default=0.0, help="how long every call takes")
+    parser.add_argument("--say-s", type=_seconds, default=0.0, help="how long speech takes")
+    parser.add_argument(
+        "--without", action="append", default=[], choices=SERVICE_NAMES, help="a service to leave out"
+    )
+    parser.add_argument("--follow-stdin", action="store_true", help="end when standard input does")
+
+
+def run(options: argparse.Namespace) -> NoReturn:
+    """Be a robot until SIGINT or SIGTERM, then end the process with exit code 0.
+
+    Raises RobotError with one line for what the user must change.
+    """
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    if options.follow_stdin:
+        threading.Thread(target=_stop_at_end_of_stdin, args=(stop,), daemon=True).start()
+    login = read_login(
+        RobotSettings(
+            url=f"tcps://127.0.0.1:{options.port}",
+            user=options.user,
+            token_file=options.token_file,
+            token_env=options.token_env,
+        )
+    )
+    serve(options, login, sys.stdout.buffer, stop)
+    # Everything is closed and flushed, but libqi's threads may still be letting go of our services, and a
+    # Python that ends meanwhile aborts (3 times in 80 when a client had just left).
+    os._exit(0)
+
+
+def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop: threading.Event) -> None:
+    """Be a robot on 127.0.0.1 until told to stop; raises RobotError when it cannot listen.
+
+    out: gets {"listening": url} once all services are there, and every Call, as one JSON object a line.
+    """
+    qi = load_qi()
+    writing = threading.Lock()
+
+    def report(thing: Call | dict[str, str]) -> None:
+        with writing:
+            out.write(msgspec.json.encode(thing) + b"\n")
+            out.flush()
+
+    services = fake_services(report, call_s=options.call_s, say_s=options.say_s, without=options.without)
+    with ExitStack() as closing:
+        session = qi.Session()
+        closing.callback(session.close)
+        try:
+            session.listenStandalone(f"tcp://127.0.0.1:{0 if login else options.port}")
+            url: str = session.endpoints()[0]
+            if login is not None:
+                # Read once: a robot that is killed leaves no key behind.
+                with tempfile.TemporaryDirectory(prefix="touchd-fake-robot-") as folder:
+                    gate = Gate(options.port, int(url.rsplit(":", 1)[1]), login, Path(folder))
+                closing.callback(gate.close)
+                url = f"tcps://127.0.0.1:{gate.port}"
+        except (RuntimeError, OSError, OverflowError) as error:
+            why = str(error).splitlines()[-1]
+            raise RobotError(f"cannot listen on port {options.port} ({why}); choose another") from error
+        for name, service in services.items():
+            # Else a speech would hold up every other call.
+            qi.multiThreaded()(type(service))
+            session.registerService(name, service)
+        report({"listening": url})
+        stop.wait()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the stand-in robot as a command; returns the exit code."""
+    parser = argparse.ArgumentParser(description="A robot that reports what it is asked, on 127.0.0.1.")
+    add_arguments(parser)
+    try:
+        run(parser.parse_args(arguments))
+    except RobotError as error:
+        sys.stderr.write(f"fake-robot: {error}\n")
+        return 2
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and int(text) < 2**16):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    if not re.fullmatch(r"\d{1,4}(\.\d+)?", text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds from 0 to 9999")
+    return float(text)
+
+
+def _stop_at_end_of_stdin(stop: threading.Event) -> None:
+    # The descriptor itself: a thread that still waits in sys.stdin when Python ends makes it abort.
+    while os.read(0, 4096):
+        pass
+    stop.set()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,141 @@
+"""The door of a NAOqi 2.9: TLS in front of a plain qi server, and a user and token asked of who comes in.
+
+Python's qi can be a client of such a robot but not the server, so this does what the server would: it ends
+the TLS, looks into the first message for the login, and from then on passes bytes through.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import socket
+import ssl
+import struct
+import subprocess
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from drivers.robot.session import Login, RobotError
+
+log = logging.getLogger(__name__)
+
+# libqi, messaging/message.hpp: magic, id, bytes that follow, version, type, flags, service, object, action.
+HEADER = struct.Struct("<IIIHBBIII")
+MAGIC = 0x42ADDE42
+TYPE_ERROR = 3
+MAX_FIRST_MESSAGE_BYTES = 64 * 1024
+
+
+class Gate:
+    """Lets clients with the right login through to a server on this machine.
+
+    port: where to listen on 127.0.0.1, 0 for any that is free. inner_port: the server's.
+    folder: a private one for certificate and key, which are made here; raises RobotError without openssl.
+    """
+
+    def __init__(self, port: int, inner_port: int, login: Login, folder: Path) -> None:
+        self._inner_port = inner_port
+        self._login = login
+        self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        self._tls.load_cert_chain(*make_certificate(folder))
+        self._listener = socket.create_server(("127.0.0.1", port))
+        self.port: int = self._listener.getsockname()[1]
+        threading.Thread(target=self._accept, name="loopback-gate", daemon=True).start()
+
+    def close(self) -> None:
+        """Let nobody in any more."""
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                threading.Thread(
+                    target=self._serve, args=(client,), name="loopback-gate", daemon=True
+                ).start()
+
+    def _serve(self, plain: socket.socket) -> None:
+        try:
+            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            with self._tls.wrap_socket(plain, server_side=True) as client:
+                first = _first_message(client)
+                if not _holds(first, self._login):
+                    client.sendall(_refusal(first))
+                    return
+                with socket.create_connection(("127.0.0.1", self._inner_port)) as server:
+                    server.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    server.sendall(first)
+                    threading.Thread(target=_pump, args=(server, client), daemon=True).start()
+                    _pump(client, server)
+        except (OSError, ValueError) as error:
+            log.debug("a client was not let in, or left: %s", error)
+
+
+def make_certificate(folder: Path) -> tuple[Path, Path]:
+    """Make a certificate for one day and its key in a folder; returns their paths. Raises RobotError."""
+    certificate, key = folder / "certificate.pem", folder / "key.pem"
+    if shutil.which("openssl") is None:
+        raise RobotError("a stand-in robot with TLS needs the command openssl; install it")
+    command = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+    ]
+    command += ["-days", "1", "-subj", "/CN=loopback", "-keyout", str(key), "-out", str(certificate)]
+    made = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+    if made.returncode != 0:
+        raise RobotError(f"openssl made no certificate: {made.stderr.strip().splitlines()[-1:]}")
+    return certificate, key
+
+
+def _first_message(client: socket.socket) -> bytes:
+    header = _read(client, HEADER.size)
+    magic, _, size, *_ = HEADER.unpack(header)
+    if magic != MAGIC or size > MAX_FIRST_MESSAGE_BYTES:
+        raise ValueError("not a qi message")
+    return header + _read(client, size)
+
+
+def _read(client: socket.socket, size: int) -> bytes:
+    parts = b""
+    while len(parts) < size:
+        part = client.recv(size - len(parts))
+        if not part:
+            raise ValueError("the client left")
+        parts += part
+    return parts
+
+
+def _text(text: str) -> bytes:
+    """Return a string as qi writes it: its length as uint32, then UTF-8."""
+    encoded = text.encode()
+    return struct.pack("<I", len(encoded)) + encoded
+
+
+def _holds(message: bytes, login: Login) -> bool:
+    """Return whether the map of capabilities in a message has this login, as dynamic strings."""
+    return all(
+        _text(key) + _text("m") + _text("s") + _text(value) in message
+        for key, value in (("auth_user", login.user), ("auth_token", login.token))
+    )
+
+
+def _refusal(message: bytes) -> bytes:
+    magic, number, _, version, _, flags, service, of, action = HEADER.unpack(message[: HEADER.size])
+    reason = _text("s") + _text("Authentication failed: wrong user or token")
+    return HEADER.pack(magic, number, len(reason), version, TYPE_ERROR, flags, service, of, action) + reason
+
+
+def _pump(source: socket.socket, sink: socket.socket) -> None:
+    with suppress(OSError, ValueError):
+        while data := source.recv(65536):
+            sink.sendall(data)
+    for end in (source, sink):
+        with suppress(OSError, ValueError):
+            end.shutdown(socket.SHUT_RDWR)

@@ -1,0 +1,76 @@
+"""Which frames agree with the sensor's clock, and how a reset of that clock is told from a damaged frame.
+
+A frame is on time when its clock is 1 to 250 ms after that of the last one taken (modulo 2^32, so the wrap
+after 49.7 days is nothing special). One that repeats the last clock is a duplicate. Any other is held: it may
+be damaged in a way the checksum does not see, or be the first after a reboot, a long gap or the start. A
+later frame decides:
+
+- the next frame is on time for the clock followed so far: what is held was damage, and is refused;
+- a later frame is 1 to 250 ms after a held one: those two (and held ones that lead up to them in the same
+  steps) are the sensor's new clock; they are delivered in order, and the rest of what is held is refused.
+
+So no frame is taken on its own word when its clock jumps, and after a real reset the first frame is late by
+one frame time and none is lost, even when damaged frames fall between. The single exception: a pad that
+restarts within 250 ms of its last start cannot be told from one that did not.
+"""
+
+from __future__ import annotations
+
+from drivers.pad.framing import CLOCK_MODULUS, ProtocolCounts, Reading
+
+# Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
+MAX_STEP_MS = 250
+MAX_HELD = 8
+
+
+class ClockCheck:
+    """Judges each well-formed frame by its clock; counts what it refuses in `counts`."""
+
+    def __init__(self, counts: ProtocolCounts) -> None:
+        self._counts = counts
+        self._last_ms: int | None = None
+        self._held: list[Reading] = []
+
+    def reset(self) -> None:
+        """Forget the clock: the port was reopened, and the sensor may have restarted."""
+        self._last_ms = None
+        self._refuse_held()
+
+    def is_on_time(self, sensor_ms: int) -> bool:
+        """Whether a frame of that time agrees with the clock followed so far."""
+        return self._last_ms is not None and _steps_on(self._last_ms, sensor_ms)
+
+    def judge(self, reading: Reading) -> list[Reading]:
+        """Return what can be delivered now: nothing, this reading, or it after the held ones it confirms."""
+        now_ms = reading.sensor_ms
+        if self.is_on_time(now_ms):
+            self._last_ms = now_ms
+            self._refuse_held()
+            return [reading]
+        if now_ms == self._last_ms or any(now_ms == held.sensor_ms for held in self._held):
+            self._counts.duplicates += 1
+            return []
+        run, others = [reading], []
+        for held in reversed(self._held):
+            if _steps_on(held.sensor_ms, run[0].sensor_ms):
+                run.insert(0, held)
+            else:
+                others.append(held)
+        if len(run) > 1:
+            self._last_ms = now_ms
+            self._held = others
+            self._refuse_held()
+            return run
+        self._held.append(reading)
+        if len(self._held) > MAX_HELD:
+            del self._held[0]
+            self._counts.bad_time += 1
+        return []
+
+    def _refuse_held(self) -> None:
+        self._counts.bad_time += len(self._held)
+        self._held.clear()
+
+
+def _steps_on(earlier_ms: int, later_ms: int) -> bool:
+    return 0 < (later_ms - earlier_ms) % CLOCK_MODULUS <= MAX_STEP_MS

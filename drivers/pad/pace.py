@@ -1,0 +1,40 @@
+"""How fast and how evenly frames came, by the pad's own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import Frame
+from drivers.pad.framing import CLOCK_MODULUS
+
+# Two frames so much further apart than usual have lost one between them.
+LOST_STEP = 1.75
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Frames a second and how much the time between two strays, lost ones left out; how many were lost."""
+
+    rate_hz: float
+    jitter_ms: float
+    lost: int
+
+
+def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
+    """Return the times between T frames by the pad's clock, (T - 1,), over its wrap."""
+    stamps = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
+    steps: NDArray[np.int64] = np.diff(stamps) % CLOCK_MODULUS
+    return steps
+
+
+def pace_of(frames: Sequence[Frame]) -> Pace:
+    """Return the pace of two frames or more."""
+    steps = steps_ms(frames)
+    usual_ms = float(np.median(steps))
+    is_whole = steps < LOST_STEP * usual_ms
+    lost = int(np.rint(steps[~is_whole] / usual_ms - 1).sum())
+    return Pace(1000.0 / float(steps[is_whole].mean()), float(steps[is_whole].std()), lost)

@@ -1,0 +1,122 @@
+"""The pad on its serial port: a thread that reads frames, notices when they stop, and finds the pad again."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+
+import serial
+
+from drivers.frame import Frame
+from drivers.pad.diagnosis import diagnose
+from drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from drivers.pad.protocol import Protocol
+from drivers.pad.queue import FrameQueue
+from drivers.pad.sensor_state import Announcer, SensorState
+
+__all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
+
+log = logging.getLogger(__name__)
+
+# Enough for a diagnosis: many frames of any geometry.
+RECENT_BYTES = 8192
+
+
+class Sensor:
+    """Reads `port` (a device or any `serial_for_url` address); puts frames and changes of state into `queue`.
+
+    The port is reopened whenever it fails, after first_retry_s and then ever longer up to longest_retry_s.
+    Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
+    too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int,
+        protocol: Protocol,
+        queue: FrameQueue,
+        *,
+        first_retry_s: float = 0.1,
+        longest_retry_s: float = 1.0,
+        silence_s: float = 2.0,
+        reopen_after_s: float = 10.0,
+    ) -> None:
+        self._port = port
+        self._baud = baud
+        self._protocol = protocol
+        self._queue = queue
+        self._first_retry_s = first_retry_s
+        self._longest_retry_s = longest_retry_s
+        self._silence_s = silence_s
+        self._reopen_after_s = reopen_after_s
+        self._announcer = Announcer(queue.put)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read; returns at once."""
+        self._thread.start()
+
+    def stop(self, timeout_s: float = 1.0) -> None:
+        """End reading and close the port; safe to call twice, and before `start`.
+
+        A network address that does not answer may keep the thread some seconds longer, not this call.
+        """
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+
+    def _run(self) -> None:
+        retry_s = self._first_retry_s
+        while not self._stop.is_set():
+            begun_s = time.monotonic()
+            try:
+                with open_port(self._port, self._baud) as opened:
+                    self._read(opened)
+            except SensorError as error:
+                self._announcer.down(error.kind, str(error))
+            except Exception as error:
+                # Whatever it is, the next attempt may do better; a reader that died would be down for ever.
+                log.debug("the reader of %s failed", self._port, exc_info=True)
+                self._announcer.down("internal", f"internal error while reading {self._port}: {error!r}")
+            if time.monotonic() - begun_s > self._longest_retry_s:
+                retry_s = self._first_retry_s
+            self._stop.wait(retry_s)
+            retry_s = min(2 * retry_s, self._longest_retry_s)
+
+    def _read(self, opened: serial.Serial) -> None:
+        """Read until stopped, or until silence makes it worth opening the port anew."""
+        self._protocol.reset()
+        recent = b""
+        byte_s = frame_s = looked_s = time.monotonic()
+        while not self._stop.is_set():
+            data = read_waiting(opened)
+            now_s = time.monotonic()
+            if data:
+                byte_s = now_s
+                recent = (recent + data)[-RECENT_BYTES:]
+                if frames := self._protocol.feed(data, now_s):
+                    frame_s = looked_s = now_s
+                    recent = b""
+                    self._hand_over(frames)
+            if now_s - byte_s > self._reopen_after_s:
+                return
+            if now_s - looked_s > self._silence_s:
+                looked_s = now_s
+                self._explain(recent, frame_s, is_silent=now_s - byte_s > self._silence_s)
+
+    def _hand_over(self, frames: list[Frame]) -> None:
+        self._announcer.up(self._port)
+        for frame in frames:
+            self._queue.put(frame)
+
+    def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
+        """Say why no frame has come since `since_s`."""
+        if is_silent:
+            kind = "silent"
+            reason = f"no data for {self._silence_s:g} s: is it the pad's port, and does the pad run?"
+        else:
+            kind, reason = diagnose(recent, self._protocol.description)
+        self._announcer.down(kind, f"{self._port} at {self._baud} baud: {reason}", since_s)

@@ -1,0 +1,50 @@
+"""A pad that breaks, told to a person: a warning when it begins, a line when it is over, and no flood."""
+
+from __future__ import annotations
+
+import logging
+
+from drivers.frame import Frame
+from drivers.pad.health import Finding, Kind, PadHealth
+
+log = logging.getLogger(__name__)
+
+# A trouble that is back so soon is the same one, a loose wire: told again only when it lasts.
+SAME_TROUBLE_S = 600.0
+LASTS_S = 60.0
+
+
+class PadWatch:
+    """Watches the frames for a pad that is broken (see `drivers.pad.health`) and logs what it finds."""
+
+    def __init__(self) -> None:
+        self._health = PadHealth()
+        self._warned_s: dict[Kind, float] = {}
+        self._unsaid: dict[Kind, tuple[float, str]] = {}
+
+    def update(self, frame: Frame) -> None:
+        """Take the next frame."""
+        finding = self._health.update(frame)
+        if finding is not None and finding.began:
+            self._begin(finding, frame.host_s)
+        elif finding is not None:
+            self._end(finding)
+        for kind, (since_s, what) in list(self._unsaid.items()):
+            if frame.host_s - since_s > LASTS_S:
+                del self._unsaid[kind]
+                self._warn(kind, what, frame.host_s)
+
+    def _begin(self, finding: Finding, now_s: float) -> None:
+        warned_s = self._warned_s.get(finding.kind)
+        if warned_s is not None and now_s - warned_s < SAME_TROUBLE_S:
+            self._unsaid[finding.kind] = (now_s, finding.what)
+        else:
+            self._warn(finding.kind, finding.what, now_s)
+
+    def _end(self, finding: Finding) -> None:
+        if self._unsaid.pop(finding.kind, None) is None:
+            log.info("no longer: %s", finding.what)
+
+    def _warn(self, kind: Kind, what: str, now_s: float) -> None:
+        self._warned_s[kind] = now_s
+        log.warning("%s", what)

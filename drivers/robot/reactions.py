@@ -1,0 +1,93 @@
+"""From an answer to what the robot does about it, and the doing of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from drivers.robot.actions import UNCERTAIN, Action, ActionRule, spoken
+from drivers.robot.limits import RobotLimits
+from drivers.robot.message import RobotMessage
+from drivers.robot.session import RobotRefused, RobotSession
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """Actions to carry out in order, for one answer."""
+
+    message: RobotMessage
+    actions: tuple[Action, ...]
+
+
+class Reactions:
+    """Chooses the rules that an answer sets off; remembers the touch's last answer and which rules rest."""
+
+    def __init__(self, rules: Sequence[ActionRule]) -> None:
+        self._rules = tuple(rules)
+        self._ready_s = [float("-inf")] * len(self._rules)
+        self._touch: int | None = None
+        self._gesture: str | None = None
+
+    def choose(self, message: RobotMessage, now_s: float) -> Reaction | None:
+        """Return what to do about an answer, None for nothing. now_s: any clock that never goes back."""
+        before = self._gesture if message.touch == self._touch else None
+        self._touch, self._gesture = message.touch, message.gesture
+        news = message.gesture != before
+        changed = news and before is not None
+        fitting = [index for index, rule in enumerate(self._rules) if _fits(rule, message, news)]
+        particular = [index for index in fitting if self._rules[index].changed]
+        plain = [index for index in fitting if not self._rules[index].changed]
+        chosen = particular if changed and particular else plain
+        ready = [index for index in chosen if now_s >= self._ready_s[index]]
+        for index in ready:
+            self._ready_s[index] = now_s + self._rules[index].refractory_s
+        actions = tuple(action for index in ready for action in self._rules[index].do)
+        return Reaction(message, actions) if actions else None
+
+
+class ReactionDuty:
+    """Carries reactions out, one action after the other, each to its end."""
+
+    def __init__(self, limits: RobotLimits) -> None:
+        self._limits = limits
+
+    def begin(self, session: RobotSession) -> None:
+        """Nothing is told when the robot comes."""
+
+    def handle(self, session: RobotSession, item: Reaction) -> None:
+        """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""
+        refused: list[RobotRefused] = []
+        for action in item.actions:
+            try:
+                perform(session, action, item.message, self._limits.action_s)
+            except RobotRefused as error:
+                refused.append(error)
+        if refused:
+            raise RobotRefused("; ".join(map(str, refused)))
+
+    def tend(self, session: RobotSession) -> bool:
+        """Nothing is due by itself."""
+        return False
+
+    def end(self, session: RobotSession) -> None:
+        """Nothing is left behind."""
+
+
+def perform(session: RobotSession, action: Action, message: RobotMessage, limit_s: float) -> None:
+    """Have the robot do one action and wait for its end; raises RobotLost or RobotRefused."""
+    if action.say is not None:
+        words = spoken(action.say, message.gesture, message.confidence)
+        session.call("ALTextToSpeech", "say", words, limit_s=limit_s)
+    elif action.animated_say is not None:
+        words = spoken(action.animated_say, message.gesture, message.confidence)
+        session.call("ALAnimatedSpeech", "say", words, limit_s=limit_s)
+    elif action.behavior is not None:
+        session.call("ALBehaviorManager", "runBehavior", action.behavior, limit_s=limit_s)
+    elif action.leds is not None:
+        leds = action.leds
+        session.call("ALLeds", "fadeRGB", leds.group, leds.rgb, leds.fade_s, limit_s=limit_s)
+
+
+def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:
+    named = message.gesture in rule.gestures if rule.gestures else message.gesture != UNCERTAIN
+    return named and (message.stage in rule.stages if rule.stages else news)

@@ -1,0 +1,174 @@
+"""One connection to NAOqi over qi, on which every call has a limit."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from threading import Event
+from typing import Any, Protocol
+
+from drivers.errors import TouchdError
+from drivers.robot.limits import RobotLimits
+
+# While waiting, how often the wish to stop is looked for.
+SLICE_MS = 50
+# What a call may take in all once the daemon stops; three of them fit into the two seconds it has for that.
+HURRY_S = 0.25
+
+
+class RobotError(TouchdError):
+    """The robot cannot be used as configured: the user must change something. The message is one line."""
+
+
+class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
+    """The robot is gone or answers too late (what was asked may still run); only a new session helps."""
+
+
+class RobotRefused(Exception):  # noqa: N818 - as above
+    """The robot answered with an error, or has no such service or method; the session goes on."""
+
+
+@dataclass(frozen=True)
+class Login:
+    """Who touchd is for a robot that asks (NAOqi 2.9). The token is kept out of every text made of this."""
+
+    user: str
+    token: str = field(repr=False)
+
+
+class RobotSession(Protocol):
+    """What the link asks of a connection. One thread uses it; after RobotLost it is closed and done with."""
+
+    def connect(self) -> None:
+        """Connect and log in; raises RobotLost."""
+        ...
+
+    def connected(self) -> bool:
+        """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
+        ...
+
+    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+        """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
+        ...
+
+    def close(self) -> None:
+        """Give the connection up, at once and whatever state it is in."""
+        ...
+
+
+# Takes the URL, the login, the limits, and an event that says no call may take longer than HURRY_S any more.
+OpenSession = Callable[[str, Login | None, RobotLimits, Event], RobotSession]
+
+
+def qi_installed() -> bool:
+    """Return whether qi, the library that speaks to NAOqi, is there. It is not loaded."""
+    return importlib.util.find_spec("qi") is not None
+
+
+def load_qi() -> Any:
+    """Return the module qi, silenced; raises RobotError with one line when it cannot be had."""
+    # Read once, when libqi is loaded: a network that drops everything is noticed after 10 s, not 30.
+    os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
+    try:
+        qi = importlib.import_module("qi")
+    except ImportError as error:
+        why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
+        raise RobotError(
+            f"qi, the library that speaks to NAOqi, {why}; "
+            "pip install 'touchd[nao]' (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
+        ) from error
+    # libqi logs to stdout, which is the daemon's stream of events.
+    qi.logging.setLevel(qi.logging.SILENT)
+    return qi
+
+
+class QiSession:
+    """A RobotSession over real qi.
+
+    Every operation is asynchronous and waited for with a limit: a synchronous one on a hung robot blocks for
+    ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
+    """
+
+    def __init__(self, url: str, login: Login | None, limits: RobotLimits, hurry: Event) -> None:
+        self._url = url
+        self._limits = limits
+        self._hurry = hurry
+        self._qi = load_qi()
+        self._session = self._qi.Session()
+        self._proxies: dict[str, Any] = {}
+        if login is not None:
+            self._session.setClientAuthenticatorFactory(_AuthenticatorFactory(login))
+
+    def connect(self) -> None:
+        """Connect and log in; raises RobotLost."""
+        connecting = self._session.connect(self._url, _async=True)
+        try:
+            self._value(connecting, self._limits.connect_s, "connecting")
+        except RobotRefused as refused:
+            raise RobotLost(str(refused)) from refused
+        except RobotLost as lost:
+            raise RobotLost(_with_advice(str(lost))) from lost
+
+    def connected(self) -> bool:
+        """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
+        return bool(self._session.isConnected())
+
+    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+        """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
+        if service not in self._proxies:
+            found = self._session.service(service, _async=True)
+            self._proxies[service] = self._value(found, self._limits.service_s, f"looking for {service}")
+        try:
+            answer = getattr(self._proxies[service], method)(*arguments, _async=True)
+        except AttributeError as error:
+            raise RobotRefused(f"{service} has no {method}") from error
+        return self._value(answer, limit_s, f"{service}.{method}")
+
+    def close(self) -> None:
+        """Give the connection up, at once and whatever state it is in."""
+        self._proxies.clear()
+        self._session.close(_async=True).wait(round(1000 * HURRY_S))
+
+    def _value(self, future: Any, limit_s: float, what: str) -> object:
+        started_s = time.monotonic()
+        while future.wait(SLICE_MS) == self._qi.FutureState.Running:
+            waited_s = time.monotonic() - started_s
+            if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
+                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s")
+        try:
+            return future.value()
+        except RuntimeError as error:
+            # qi raises the same for a lost link and for an error of the robot's.
+            because = f"{what}: {_first_line(error)}"
+            raise (RobotRefused if self.connected() else RobotLost)(because) from error
+
+
+class _Authenticator:
+    def __init__(self, login: Login) -> None:
+        self._login = login
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802 - the name that libqi calls
+        return {"user": self._login.user, "token": self._login.token}
+
+
+class _AuthenticatorFactory:
+    def __init__(self, login: Login) -> None:
+        self._login = login
+
+    def newAuthenticator(self) -> _Authenticator:  # noqa: N802 - the name that libqi calls
+        return _Authenticator(self._login)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _with_advice(reason: str) -> str:
+    # No robot, a wrong token, tcp:// where TLS is wanted, and the reverse all end so; libqi says no more.
+    if reason.endswith(("disconnected", "stream truncated")):
+        return f"{reason}; if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
+    return reason

@@ -1,0 +1,238 @@
+"""A thread that keeps a session with the robot and works off a bounded queue, whatever the robot does."""
+
+from __future__ import annotations
+
+import logging
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from typing import Generic, Literal, Protocol, TypeVar
+
+from drivers.robot.limits import RobotLimits
+from drivers.robot.session import RobotLost, RobotRefused, RobotSession
+
+log = logging.getLogger(__name__)
+
+Item_contra = TypeVar("Item_contra", contravariant=True)
+Item = TypeVar("Item")
+State = Literal["up", "down"]
+
+# How often a quiet connection is looked at, which bounds how long a killed robot goes unnoticed.
+LOOK_S = 0.05
+# Of the two seconds that stopping may take, what is left for answers that were given just before.
+LAST_WORDS_S = 0.5
+
+
+class Duty(Protocol[Item_contra]):
+    """What a worker does with the session it keeps. Every method may raise RobotLost or RobotRefused."""
+
+    def begin(self, session: RobotSession) -> None:
+        """Make the first calls on a new session, if any."""
+        ...
+
+    def handle(self, session: RobotSession, item: Item_contra) -> None:
+        """Do what a queued item asks for."""
+        ...
+
+    def tend(self, session: RobotSession) -> bool:
+        """Do what is due by itself; returns whether the robot was asked anything."""
+        ...
+
+    def end(self, session: RobotSession) -> None:
+        """Leave the robot tidy before the session is given up."""
+        ...
+
+
+@dataclass(frozen=True)
+class RobotCounts:
+    """What became of the items since the start.
+
+    queued = sent + dropped (the queue was full) + stale (waited too long) + failed (refused, or the robot was
+    lost during the call; not repeated, since it may have been carried out) + those still waiting.
+    """
+
+    queued: int = 0
+    sent: int = 0
+    dropped: int = 0
+    stale: int = 0
+    failed: int = 0
+
+
+class Backoff:
+    """Pauses that double from the first to the cap, each shortened at random by up to half."""
+
+    def __init__(self, first_s: float, cap_s: float) -> None:
+        self._first_s = first_s
+        self._cap_s = cap_s
+        self._next_s = first_s
+
+    def pause_s(self) -> float:
+        """Return how long to wait now, in seconds."""
+        pause_s = self._next_s
+        self._next_s = min(2 * pause_s, self._cap_s)
+        return pause_s * random.uniform(0.5, 1.0)
+
+    def reset(self) -> None:
+        """Begin again with the first pause."""
+        self._next_s = self._first_s
+
+
+class RobotWorker(Generic[Item]):
+    """Owns one session and nothing else touches it; `put` never waits for the robot.
+
+    open_session: returns a new, unconnected session, given the event that says to hurry.
+    on_state: called from the worker's thread when the robot comes or goes, with a reason when it goes.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_session: Callable[[threading.Event], RobotSession],
+        duty: Duty[Item],
+        limits: RobotLimits,
+        on_state: Callable[[State, str], None],
+    ) -> None:
+        self._open_session = open_session
+        self._duty = duty
+        self._limits = limits
+        self._on_state = on_state
+        self._state: State | None = None
+        self._refused_before = False
+        self._queue: deque[tuple[float, Item]] = deque()
+        self._lock = threading.Lock()
+        self._counts = RobotCounts()
+        self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @property
+    def counts(self) -> RobotCounts:
+        """What became of the items so far."""
+        with self._lock:
+            return self._counts
+
+    def start(self) -> None:
+        """Begin to connect; returns at once."""
+        self._thread.start()
+
+    def put(self, item: Item) -> None:
+        """Queue an item and return at once; when the queue is full the oldest is dropped and counted."""
+        with self._lock:
+            full = len(self._queue) >= self._limits.capacity
+            if full:
+                self._queue.popleft()
+            self._queue.append((time.monotonic(), item))
+            self._counts = replace(
+                self._counts, queued=self._counts.queued + 1, dropped=self._counts.dropped + full
+            )
+        self._wake.set()
+
+    def wake(self) -> None:
+        """Have the duty look now at what is due."""
+        self._wake.set()
+
+    def ask_to_stop(self) -> None:
+        """Tell the worker to end; returns at once."""
+        self._stopping.set()
+        self._wake.set()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the worker's end; returns whether it has ended."""
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                with closing(self._open_session(self._stopping)) as session:
+                    session.connect()
+                    self._duty.begin(session)
+                    # The first one looks its service up, which may take longer than noticing a hang may.
+                    self._heartbeat(session)
+                    self._backoff.reset()
+                    self._tell("up", "")
+                    self._serve(session)
+                    self._handle_what_waits(session)
+                    self._duty.end(session)
+            except (RobotLost, RobotRefused) as error:
+                self._tell("down", str(error))
+            except Exception as error:
+                # A link that dies in silence is what users complain of most, so it outlives our own mistakes.
+                log.exception("the link to the robot failed in a way not foreseen")
+                self._tell("down", f"{type(error).__name__}: {error}")
+            self._stopping.wait(self._backoff.pause_s())
+
+    def _serve(self, session: RobotSession) -> None:
+        """Work until asked to stop; raises RobotLost when the robot is gone."""
+        answered_s = time.monotonic()
+        while not self._stopping.is_set():
+            self._wake.clear()
+            if not session.connected():
+                raise RobotLost("the connection was closed by the robot")
+            if self._duty.tend(session) or self._handle_next(session):
+                answered_s = time.monotonic()
+            elif time.monotonic() - answered_s >= self._limits.heartbeat_s:
+                self._heartbeat(session)
+                answered_s = time.monotonic()
+            else:
+                self._wake.wait(LOOK_S)
+
+    def _handle_what_waits(self, session: RobotSession) -> None:
+        """On the way out, handle what was queued before, for as long as there is time."""
+        deadline_s = time.monotonic() + LAST_WORDS_S
+        while time.monotonic() < deadline_s and self._handle_next(session):
+            pass
+
+    def _heartbeat(self, session: RobotSession) -> None:
+        # An error is an answer too: only silence means that the robot hangs.
+        with suppress(RobotRefused):
+            session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
+
+    def _handle_next(self, session: RobotSession) -> bool:
+        """Handle the oldest item that is not stale; returns whether the robot was asked anything."""
+        with self._lock:
+            oldest_s = time.monotonic() - self._limits.stale_s
+            while self._queue and self._queue[0][0] < oldest_s:
+                self._queue.popleft()
+                self._counts = replace(self._counts, stale=self._counts.stale + 1)
+            if not self._queue:
+                return False
+            _, item = self._queue.popleft()
+        try:
+            self._duty.handle(session, item)
+        except RobotRefused as refused:
+            self._count_failed()
+            log.log(
+                logging.DEBUG if self._refused_before else logging.WARNING, "the robot refused %s", refused
+            )
+            self._refused_before = True
+        except RobotLost:
+            self._count_failed()
+            raise
+        else:
+            with self._lock:
+                self._counts = replace(self._counts, sent=self._counts.sent + 1)
+            self._refused_before = False
+        return True
+
+    def _count_failed(self) -> None:
+        with self._lock:
+            self._counts = replace(self._counts, failed=self._counts.failed + 1)
+
+    def _tell(self, state: State, reason: str) -> None:
+        if self._stopping.is_set():
+            return
+        if state == self._state:
+            log.debug("robot still %s: %s", state, reason)
+            return
+        self._state = state
+        try:
+            self._on_state(state, reason)
+        except Exception:
+            log.exception("whoever wanted to know that the robot is %s failed", state)

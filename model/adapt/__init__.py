@@ -1,0 +1,1 @@
+"""Adapts the shipped model to a lab's own recordings (`touchd train --extra`)."""

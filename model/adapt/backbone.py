@@ -1,0 +1,126 @@
+"""What the part of a network that stays as it is makes of recordings, worked out once for all heads after it.
+
+Adapting changes only the head: the dense layers behind the summary of a touch. So each crop passes the rest
+of the network once, however many heads are tried on it afterwards.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from drivers.recording import NO_TOUCH, Recording
+from model.settings import LENGTHS, AugmentationSettings
+from model.tgc import TGC
+from model.training.augment import begin_from_rest, crop, vary
+
+LEARNT_LENGTHS = (54, 81, 108, 144)
+BATCH = 64
+# A recording shorter than a crop begins where it begins, at its own pace; its last frame is then repeated.
+AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Crops:
+    """Summaries of varied crops: values (N, crops, 4, features), at each of LEARNT_LENGTHS.
+
+    within: (N, 4) bool, whether the recording is that long. gestures: (N,) names.
+    """
+
+    values: Tensor
+    within: Tensor
+    gestures: tuple[str, ...]
+
+    def of(self, recordings: Sequence[int]) -> Crops:
+        """Return those of some recordings."""
+        chosen = torch.tensor(recordings, dtype=torch.long)
+        return Crops(self.values[chosen], self.within[chosen], tuple(self.gestures[i] for i in recordings))
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Summaries of the windows of one length: values (W, features), recordings (W,) they are cut from."""
+
+    values: Tensor
+    recordings: NDArray[np.int64]
+
+
+def split(network: TGC) -> tuple[TGC, nn.Sequential]:
+    """Return the network without its head, which then gives summaries for logits, and the head."""
+    front = copy.deepcopy(network)
+    front.dense = nn.Sequential()
+    return front.eval().requires_grad_(False), copy.deepcopy(network.dense)
+
+
+def crops(
+    front: TGC, recordings: Sequence[Recording], settings: AugmentationSettings, each: int, seed: int
+) -> Crops:
+    """Return summaries of `each` random crops of every recording, varied as in training."""
+    rng = torch.Generator().manual_seed(seed)
+    counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
+    resting = _resting(recordings)
+    length = LEARNT_LENGTHS[-1]
+    values = []
+    for i, recording in enumerate(recordings):
+        own = settings
+        if len(counts[i]) <= length:
+            own = msgspec.structs.replace(settings, **AS_IT_IS)
+        windows = torch.stack([crop(_filled(counts[i], length), length, own, rng) for _ in range(each)])
+        if rests := resting.get(recording.participant, resting.get(None, [])):
+            rest = counts[rests[int(torch.randint(len(rests), (1,), generator=rng))]]
+            still = crop(_filled(rest, length + 1), length, msgspec.structs.replace(own, **AS_IT_IS), rng)
+            windows = torch.stack([begin_from_rest(window, still, own, rng) for window in windows])
+        values.append(front.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
+    lengths = torch.tensor([len(frames) for frames in counts])
+    within = lengths[:, None] >= torch.tensor(LEARNT_LENGTHS)
+    return Crops(torch.stack(values), within, tuple(recording.gesture for recording in recordings))
+
+
+def windows(front: TGC, recordings: Sequence[Recording]) -> dict[int, Windows]:
+    """Return, for each length that is answered, summaries of its windows one after the other, as HAART's."""
+    return {length: _windows(front, recordings, length) for length in LENGTHS}
+
+
+def _windows(front: TGC, recordings: Sequence[Recording], length: int) -> Windows:
+    cut = [
+        (recording.counts[start : start + length], owner)
+        for owner, recording in enumerate(recordings)
+        for start in _starts(len(recording.counts), length)
+    ]
+    owners = np.array([owner for _, owner in cut], dtype=np.int64)
+    batches = [
+        front(torch.from_numpy(np.stack([window for window, _ in cut[i : i + BATCH]]).astype(np.float32)))
+        for i in range(0, len(cut), BATCH)
+    ]
+    features = 3 * front.settings.width
+    return Windows(torch.cat(batches) if batches else torch.zeros(0, features), owners)
+
+
+def _starts(frames: int, length: int) -> list[int]:
+    """Return where windows begin; of a realigned recording, one frame short, the last begins one early."""
+    if frames < length:
+        return []
+    return [min(window * length, frames - length) for window in range((frames + 1) // length)]
+
+
+def _resting(recordings: Sequence[Recording]) -> dict[str | None, list[int]]:
+    """Return the recordings at rest of each participant, and under None those of everybody."""
+    resting: dict[str | None, list[int]] = {}
+    for i, recording in enumerate(recordings):
+        if recording.gesture == NO_TOUCH:
+            for name in (recording.participant, None):
+                resting.setdefault(name, []).append(i)
+    return resting
+
+
+def _filled(counts: Tensor, length: int) -> Tensor:
+    """Return at least `length` frames, the last one repeated where there are fewer."""
+    missing = max(0, length - len(counts))
+    return torch.cat([counts, counts[-1:].expand(missing, -1, -1)]) if missing else counts

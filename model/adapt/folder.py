@@ -1,0 +1,103 @@
+"""A lab's own recordings, as `touchd record` leaves them in a folder: read, checked, ready to learn from."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+from drivers.errors import TouchdError
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import NO_TOUCH, UNLABELLED, Recording, read_recordings, realign
+from model.training.grid import on_grid
+
+SUFFIXES = (".csv", ".csv.gz")
+# Shorter, there is not even an early answer to learn from.
+SHORTEST_FRAMES = 54
+# Ten hours at 54 Hz, a quarter of a gigabyte: far beyond what a lab records, and what fits any machine.
+MOST_FRAMES = 2_000_000
+MOST_GESTURES = 50
+GESTURE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+# What events say instead of a gesture.
+RESERVED = "uncertain"
+
+
+class ExtraError(TouchdError):
+    """A folder of recordings cannot be learned from; the message says which, why and what to do."""
+
+
+def read_folder(folder: Path, known: Sequence[str]) -> list[Recording]:
+    """Return every recording of the folder's files, in the order of their names: whole scans at 54 Hz.
+
+    known: gestures of the model that is to be adapted. Raises ExtraError, or RecordingError for a file that
+    is none.
+    """
+    recordings: list[Recording] = []
+    first_of: dict[bytes, Path] = {}
+    frames = 0
+    for path in _files(folder):
+        for recording in map(on_grid, map(realign, read_recordings(path))):
+            frames += len(recording.counts)
+            if frames > MOST_FRAMES:
+                raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
+            _check(path, recording)
+            # On both sides of a left-out comparison, a recording that is there twice would answer for itself.
+            digest = hashlib.sha256(recording.counts.tobytes()).digest()
+            if digest in first_of:
+                raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
+            first_of[digest] = path
+            recordings.append(recording)
+    _check_gestures(folder, {recording.gesture for recording in recordings}, known)
+    return recordings
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the recording files, not those that a session was writing when it was cut off."""
+    try:
+        found = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
+    except NotADirectoryError as error:
+        raise ExtraError(f"{folder}: is a file; name the folder that it is in") from error
+    except OSError as error:
+        raise ExtraError(f"{folder}: cannot be read ({error.strerror}); check the path") from error
+    files = [path for path in found if not path.name.startswith(".")]
+    if not files:
+        raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
+    return files
+
+
+def _check(path: Path, recording: Recording) -> None:
+    gesture = recording.gesture
+    if gesture == UNLABELLED:
+        raise ExtraError(f"{path}: nobody has said what it shows; do, with `touchd record --from-journal`")
+    if gesture == RESERVED or not GESTURE.fullmatch(gesture):
+        raise ExtraError(
+            f"{path}: {gesture!r} cannot name a gesture; letters, digits, - and _ can, 32 at most, "
+            f"but not {RESERVED!r}"
+        )
+    if not recording.participant.strip():
+        raise ExtraError(f"{path}: does not say who touches; put a name into its first column")
+    if len(recording.counts) < SHORTEST_FRAMES:
+        raise ExtraError(
+            f"{path}: {len(recording.counts) / FRAME_RATE_HZ:.2f} s of {gesture} without a gap, and at least "
+            f"{SHORTEST_FRAMES / FRAME_RATE_HZ:g} s is needed; record it again, or delete the file"
+        )
+
+
+def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str]) -> None:
+    for one, other in combinations(sorted(gestures | set(known)), 2):
+        if _folded(one) == _folded(other):
+            raise ExtraError(f"{folder}: {one} and {other} differ in writing only; name them alike")
+    if not gestures - {NO_TOUCH}:
+        raise ExtraError(f"{folder}: nothing but {NO_TOUCH}; record gestures too")
+    if len(gestures) < 2:
+        raise ExtraError(
+            f"{folder}: nothing but {', '.join(gestures)}; telling apart takes two, so record {NO_TOUCH} too"
+        )
+    if len(gestures) > MOST_GESTURES:
+        raise ExtraError(f"{folder}: {len(gestures)} gestures; at most {MOST_GESTURES} can be told apart")
+
+
+def _folded(gesture: str) -> str:
+    return re.sub(r"[-_]", "", gesture).lower()

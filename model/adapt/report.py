@@ -1,0 +1,142 @@
+"""What adapting did, in words and a table of 80 characters, and what of it cannot be told."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+from drivers.recording import NO_TOUCH
+from model.adapt.adapt import Adapted
+from model.adapt.measure import Comparison, LengthFigures
+
+# Of three recordings all right, the Wilson interval still reaches down to 44 %; of four, to 51 %.
+FEW_RECORDINGS = 4
+# Two who happen to change alike have an interval of no width at all.
+FEW_PARTICIPANTS = 3
+WIDTH = 80
+NAME_WIDTH = 20
+
+
+def report_lines(adapted: Adapted) -> Iterable[str]:
+    """Yield the report: what was there, before and after, what to beware of."""
+    recordings = adapted.recordings
+    gestures = Counter(recording.gesture for recording in recordings)
+    participants = {recording.participant for recording in recordings}
+    new = [gesture for gesture in gestures if gesture not in adapted.known]
+    yield (
+        f"{_count(len(recordings), 'recording')} of {_count(len(gestures), 'gesture')} "
+        f"by {_count(len(participants), 'participant')}"
+    )
+    if new:
+        yield f"New to the model: {', '.join(sorted(new))}"
+    comparison = adapted.comparison
+    yield ""
+    yield from textwrap.wrap(_how(comparison), WIDTH)
+    if comparison.lengths:
+        yield ""
+        yield from _table(comparison.lengths)
+    yield ""
+    for warning in warnings(adapted):
+        yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
+
+
+def warnings(adapted: Adapted) -> Iterable[str]:
+    """Yield what a lab has to know before it uses the adapted model, a line each."""
+    comparison = adapted.comparison
+    gestures = Counter(recording.gesture for recording in adapted.recordings)
+    yield from _doubts(comparison)
+    if few := sorted(gesture for gesture, count in gestures.items() if count < FEW_RECORDINGS):
+        yield (
+            f"Fewer than {FEW_RECORDINGS} recordings of {', '.join(few)}: too few to tell how well they are "
+            "known."
+        )
+    people: dict[str, set[str]] = {}
+    for recording in adapted.recordings:
+        people.setdefault(recording.gesture, set()).add(recording.participant)
+    alone = sorted(gesture for gesture, who in people.items() if len(who) == 1)
+    if comparison.left_out == "participants" and alone:
+        yield f"Only one participant did {', '.join(alone)}: whether others' is known cannot be told."
+    if gone := sorted(set(adapted.known) - set(adapted.labels)):
+        yield f"The new model no longer knows {', '.join(gone)}: record them too, or give --haart."
+    if NO_TOUCH not in gestures and not adapted.rehearsed:
+        yield f"No recording of {NO_TOUCH}: what a pad at rest looks like is taken from the shipped model."
+
+
+def _doubts(comparison: Comparison) -> Iterable[str]:
+    """Yield whether adapting can be said to have helped."""
+    if comparison.left_out == "nothing":
+        yield (
+            "Too few recordings to leave any out: whether this is better than the shipped model cannot be "
+            "told."
+        )
+    elif comparison.left_out == "recordings":
+        yield "One participant: how well others are known cannot be told, and may have become worse."
+    if not comparison.lengths or comparison.lengths[-1].difference is None:
+        return
+    last = comparison.lengths[-1]
+    if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
+        yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others are better served."
+    elif last.interval is None or last.interval[0] <= 0.0 <= last.interval[1]:
+        yield "Too little to tell whether this is better or worse: chance alone makes such a difference."
+    elif last.interval[1] < 0.0:
+        yield "This is worse than the shipped model: keep that, or record more."
+
+
+def _how(comparison: Comparison) -> str:
+    match comparison.left_out:
+        case "participants":
+            return (
+                "Right answers in percent. Each participant is answered by a model adapted to the others: "
+                "this is how well it will do on people it was not adapted to."
+            )
+        case "recordings":
+            return (
+                "Right answers in percent. Each recording is answered by a model adapted to others of the "
+                "same participant: this is how well it will do on this person."
+            )
+        case "nothing":
+            return "Adapted to all of them. No figures: there is too little to leave any out."
+
+
+def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
+    """Yield before and after at each answer, a line a gesture; the interval is of the last one's."""
+    yield f"{'':<{NAME_WIDTH}}{'':>6}" + "".join(f"  {f'{at.frames / 54:.2f} s':>13}" for at in lengths)
+    yield (
+        f"{'gesture':<{NAME_WIDTH}}{'left':>6}"
+        + "".join(f"  {'before':>6} {'after':>6}" for _ in lengths)
+        + "  95 %"
+    )
+    for gesture in dict.fromkeys(name for at in lengths for name in at.gestures):
+        own = [at.gestures.get(gesture) for at in lengths]
+        counted = max(figures.recordings for figures in own if figures is not None)
+        cells = "".join(
+            f"  {'-' if figures is None else _percent(figures.before):>6} "
+            f"{'-' if figures is None else _percent(figures.after):>6}"
+            for figures in own
+        )
+        last = own[-1]
+        interval = "" if last is None else f"  {_percent(last.interval[0])}-{_percent(last.interval[1])}"
+        yield f"{gesture[: NAME_WIDTH - 1]:<{NAME_WIDTH}}{counted:>6}{cells}{interval}"
+    if lengths[-1].before is not None:
+        cells = "".join(f"  {_percent(at.before):>6} {_percent(at.after):>6}" for at in lengths)
+        yield f"{'mean of those known':<{NAME_WIDTH}}{'':>6}{cells}"
+    if any(figures.before is None for figures in lengths[-1].gestures.values()):
+        cells = "".join(f"  {'':>6} {_percent(at.all_after):>6}" for at in lengths)
+        yield f"{'mean of all':<{NAME_WIDTH}}{'':>6}{cells}"
+    for at in lengths:
+        if at.difference is not None:
+            reach = (
+                "no interval: too few"
+                if at.interval is None
+                else f"95 % interval {100 * at.interval[0]:+.1f} to {100 * at.interval[1]:+.1f}"
+            )
+            yield f"after {at.frames / 54:.2f} s: {100 * at.difference:+.1f} points, {reach}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.0f}"
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"

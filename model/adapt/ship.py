@@ -1,0 +1,103 @@
+"""An adapted network as a file that the daemon loads; what is there already is never written over."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import tempfile
+from pathlib import Path
+
+import msgspec
+import torch
+
+from docs.studies.speed import one_torch_thread
+from drivers.errors import TouchdError
+from drivers.frame import FRAME_RATE_HZ
+from model.adapt.adapt import Adapted, Start, adapt, learnable, prepare
+from model.adapt.folder import read_folder
+from model.adapt.head import AdaptSettings
+from model.classifier import SHIPPED_MODEL, ModelMetadata
+from model.settings import LENGTHS
+from model.tgc import TGC
+from model.training import haart
+from model.training.checkpoint import code_version
+from model.training.export import export
+from model.training.ship import MAX_LENGTH
+
+SUFFIX = ".onnx"
+
+
+class OutputError(TouchdError):
+    """The adapted model cannot be written where it shall go; the message says why and what to do."""
+
+
+def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings: AdaptSettings) -> Adapted:
+    """Adapt the shipped network to a folder of recordings and write it to `output`, a new .onnx file.
+
+    haart_folder: HAART's recordings, rehearsed where they are given. Raises ExtraError, RecordingError, and
+    OutputError before any work where `output` cannot be written.
+    """
+    check_output(output)
+    start = Start.shipped()
+    recordings = read_folder(extra, start.saved.labels)
+    rehearsed = None
+    # On one thread sums are the same on every run, and a head is too small to gain by more.
+    with one_torch_thread():
+        if haart_folder is not None:
+            rehearsed = learnable(start, haart.realigned(haart.read_training(haart_folder)), settings)
+        adapted = adapt(start, prepare(start, recordings, settings), rehearsed, settings)
+    write(start, adapted, output, settings)
+    return adapted
+
+
+def check_output(output: Path) -> None:
+    """Raise OutputError unless a new .onnx file can be written there."""
+    if output.suffix != SUFFIX:
+        raise OutputError(f"{output}: a model's name ends with {SUFFIX}; give one with --output")
+    if output.exists():
+        raise OutputError(f"{output}: is there already, and is never written over; give another --output")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{output.parent}: nothing can be written there; give another --output")
+
+
+def write(start: Start, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
+    """Write the network, with what it is and how good it is, whole or not at all. Raises OutputError."""
+    network = TGC(start.saved.settings.network, len(adapted.labels))
+    network.load_state_dict({**start.front.state_dict(), **_named("dense", adapted.head)})
+    metadata = ModelMetadata(
+        name=output.stem,
+        labels=adapted.labels,
+        frame_rate_hz=FRAME_RATE_HZ,
+        framing="live",
+        lengths=LENGTHS,
+        max_length=MAX_LENGTH,
+        temperatures={str(length): round(value, 4) for length, value in adapted.temperatures.items()},
+        training={
+            **msgspec.to_builtins(start.saved.settings),
+            "adapted": {
+                "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
+                "settings": msgspec.to_builtins(settings),
+                "rehearsed_haart": adapted.rehearsed,
+                "participants": len({recording.participant for recording in adapted.recordings}),
+                "recordings": len(adapted.recordings),
+            },
+        },
+        code_version=code_version(),
+        data_sha256=haart.data_hash(adapted.recordings),
+        scores={"adapted": msgspec.to_builtins(adapted.comparison)},
+    )
+    # It tells at length what it would do for a library that is not there.
+    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    try:
+        with tempfile.TemporaryDirectory(prefix=".touchd-", dir=output.parent) as folder:
+            partial = Path(folder) / output.name
+            export(network.eval(), metadata, partial)
+            # Unlike a renaming, a link fails where a file is there already.
+            os.link(partial, output)
+    except OSError as error:
+        raise OutputError(f"{output}: cannot be written ({error.strerror})") from error
+
+
+def _named(name: str, head: torch.nn.Sequential) -> dict[str, torch.Tensor]:
+    return {f"{name}.{key}": value for key, value in head.state_dict().items()}

@@ -1,0 +1,1 @@
+"""Measures a model file: scores, arithmetic on hard cases, timing."""

@@ -1,0 +1,167 @@
+"""The classifier's scores on HAART windows: by length, class, participant, framing and disturbance.
+
+Windows are the paper's: 432 // L non-overlapping windows a recording, accuracy averaged over classes. "Test"
+is the challenge's test participants, whom nothing was chosen on. "Left out" is the training participants,
+each answered by a network of the same settings that never saw them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.recording import Recording
+from model.checks.disturb import DISTURBANCES, Disturb
+from model.classifier import Classifier
+from model.settings import LENGTHS
+from model.training import haart, metrics
+
+REPORTED_LENGTHS = (9, 27, 54, 72, 81, 108, 144, 216)
+SCENE = ("constant", "pat", "stroke")
+BATCH = 64
+
+
+class Score(msgspec.Struct, frozen=True, kw_only=True):
+    """Scores over the windows of one length. Accuracies are macro averages, shares from 0 to 1."""
+
+    frames: int
+    windows: int
+    accuracy: float
+    interval: tuple[float, float]
+    """95 % bootstrap interval of the mean over participants."""
+    per_class: dict[str, float]
+    per_participant: dict[str, float]
+    negative_log_likelihood: float
+    calibration_error: float
+    confusion: list[list[int]]
+    """Row: true class; column: answer; both in the order of the labels."""
+    scene_accuracy: float
+    """Windows of SCENE's gestures alone, probabilities renormalised over them."""
+    scene_unrestricted_accuracy: float
+    """The same windows, with all gestures left possible."""
+
+
+class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything scored on one set of participants."""
+
+    realigned: list[Score]
+    published: list[Score]
+    disturbed: dict[str, float]
+    """Accuracy at the longest answer, realigned, after each disturbance; "none" is without."""
+
+
+class Scores(msgspec.Struct, frozen=True, kw_only=True):
+    """The machine-written file of scores that stands beside the shipped model."""
+
+    model: str
+    model_sha256: str
+    command: str
+    machine: str
+    labels: tuple[str, ...]
+    seeds: dict[str, dict[str, float]]
+    """Of the recipe's every seed, the shipped one too: accuracy on test by frames, realigned."""
+    test: Evaluation
+    left_out: Evaluation
+
+
+Split = Sequence[tuple[Classifier, Sequence[Recording]]]
+"""Classifiers, each with the published recordings that it is asked about."""
+
+
+def evaluate(split: Split) -> Evaluation:
+    """Score every length in both framings, and the longest answer under every disturbance."""
+    live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
+    return Evaluation(
+        realigned=[score(live, length) for length in REPORTED_LENGTHS],
+        published=[score(split, length) for length in REPORTED_LENGTHS],
+        disturbed={
+            name: score(live, LENGTHS[-1], disturb).accuracy for name, disturb in DISTURBANCES.items()
+        },
+    )
+
+
+def accuracies(split: Split, lengths: Sequence[int]) -> dict[str, float]:
+    """Return the macro accuracy at each length, realigned, by the number of frames."""
+    live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
+    return {str(length): score(live, length).accuracy for length in lengths}
+
+
+def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
+    """Score all windows of one length, each by the classifier it is paired with."""
+    labels = split[0][0].labels
+    windows = [haart.cut(recordings, length) for _, recordings in split]
+    probabilities = np.concatenate(
+        [answer(classifier, w.counts, disturb) for (classifier, _), w in zip(split, windows, strict=True)]
+    )
+    truth = np.concatenate([w.labels for w in windows])
+    participants = np.concatenate([w.participants for w in windows])
+    return _score(labels, length, probabilities, truth, participants)
+
+
+def answer(
+    classifier: Classifier, counts: NDArray[np.uint16], disturb: Disturb | None = None
+) -> NDArray[np.float64]:
+    """Return probabilities (N, 7) for windows (N, L, 8, 8), disturbed first where asked."""
+    batches = []
+    for start in range(0, len(counts), BATCH):
+        batch = counts[start : start + BATCH].astype(np.float32)
+        batches.append(classifier.batch_probabilities(disturb(batch) if disturb else batch))
+    return np.concatenate(batches)
+
+
+def _score(
+    labels: tuple[str, ...],
+    length: int,
+    probabilities: NDArray[np.float64],
+    truth: NDArray[np.int64],
+    participants: NDArray[np.str_],
+) -> Score:
+    classes = len(labels)
+    predicted = probabilities.argmax(axis=1).astype(np.int64)
+
+    def accuracy(chosen: NDArray[np.bool_]) -> float:
+        return metrics.macro_accuracy(predicted[chosen], truth[chosen], classes)
+
+    everyone = np.ones(len(truth), dtype=bool)
+    kept = np.array([labels.index(gesture) for gesture in SCENE])
+    scene = np.isin(truth, kept)
+    in_scene = metrics.restrict(probabilities, kept).argmax(axis=1).astype(np.int64)
+    per_class = metrics.class_accuracies(predicted, truth, classes)
+    return Score(
+        frames=length,
+        windows=len(truth),
+        accuracy=accuracy(everyone),
+        interval=metrics.participant_interval(accuracy, participants),
+        per_class=dict(zip(labels, per_class.tolist(), strict=True)),
+        per_participant={str(name): accuracy(participants == name) for name in np.unique(participants)},
+        negative_log_likelihood=metrics.negative_log_likelihood(probabilities, truth),
+        calibration_error=metrics.expected_calibration_error(probabilities, truth),
+        confusion=metrics.confusion(predicted, truth, classes).tolist(),
+        scene_accuracy=metrics.macro_accuracy(in_scene[scene], truth[scene], classes),
+        scene_unrestricted_accuracy=accuracy(scene),
+    )
+
+
+def read_scores(path: Path) -> Scores:
+    """Read a file of scores."""
+    return msgspec.json.decode(path.read_bytes(), type=Scores)
+
+
+def write_scores(scores: Scores, path: Path) -> None:
+    """Write a file of scores, one figure a line, rounded to five digits."""
+    rounded = _rounded(msgspec.to_builtins(scores))
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")
+
+
+def _rounded(value: object) -> object:
+    if isinstance(value, float):
+        return round(value, 5)
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(entry) for entry in value]
+    return value

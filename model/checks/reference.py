@@ -1,0 +1,54 @@
+"""What a model file is compared with: the network it was exported from, in PyTorch and float64."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from model.classifier import ModelMetadata
+from model.training import checkpoint
+from model.training.export import CalibratedTGC
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A trained network in PyTorch and float64: counts (T, 8, 8) to what it says of them."""
+
+    calibrated: CalibratedTGC
+
+    @classmethod
+    def load(cls, path: Path, metadata: ModelMetadata) -> Reference:
+        """Read the network from a checkpoint, its temperatures from the exported file's metadata.
+
+        Raises CheckpointError.
+        """
+        temperatures = {int(length): value for length, value in metadata.temperatures.items()}
+        return cls(CalibratedTGC(checkpoint.load(path).build(), temperatures).double().eval())
+
+    @torch.no_grad()
+    def probabilities(self, counts: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Return calibrated probabilities (7,)."""
+        return _array(self.calibrated(_batch(counts))[0])
+
+    @torch.no_grad()
+    def logits(self, counts: NDArray[np.generic]) -> NDArray[np.float64]:
+        """Return logits (7,) over the whole window."""
+        return _array(self.calibrated.network(_batch(counts))[0])
+
+    @torch.no_grad()
+    def logits_at(self, counts: NDArray[np.generic], length: int) -> NDArray[np.float64]:
+        """Return logits (7,) over the first `length` frames, from one pass over all of them."""
+        return _array(self.calibrated.network.at_lengths(_batch(counts), (length,))[0, 0])
+
+
+def _batch(counts: NDArray[np.generic]) -> torch.Tensor:
+    return torch.from_numpy(counts[np.newaxis].astype(np.float64))
+
+
+def _array(tensor: torch.Tensor) -> NDArray[np.float64]:
+    array: NDArray[np.float64] = tensor.numpy()
+    return array

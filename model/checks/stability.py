@@ -1,0 +1,203 @@
+"""Numerical stability of a model file, case by case: `touchd stability`.
+
+Probabilities must be finite and sum to 1, agree with the same network in float64, and depend on nothing but
+the frames that they are about: not on the batch, on later frames, on threads, on the counts' type, on chance.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from model.checks.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
+from model.checks.timing import time_in_turn
+from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
+
+if TYPE_CHECKING:
+    from model.checks.reference import Reference
+
+EXTREME_FACTORS = (1e4, -1e4, 1e30, -1e30)
+TIMED_ANSWERS = 60
+REPEATS = 3
+EMPTY = "Empty: does not apply, or needs the extra `train` and the checkpoint beside the model."
+TITLE = "Worst deviation seen; what is allowed is in the heading"
+LATER_FRAMES = 54
+
+SUMS_TO_1 = "sums to 1"
+FLOAT64 = "float64"
+BATCH = "batch"
+LATER = "later frames"
+THREADS = "2 threads"
+REPEATED = "repeated"
+TYPES = "uint16"
+REFUSED = "refused"
+SLOWDOWN = "slowdown"
+TOLERANCES = {
+    SUMS_TO_1: 1e-6,
+    FLOAT64: 1e-4,
+    BATCH: 1e-6,
+    LATER: 1e-6,
+    THREADS: 1e-6,
+    REPEATED: 0.0,
+    TYPES: 0.0,
+    REFUSED: 0.0,
+    SLOWDOWN: 1.5,
+}
+
+
+@dataclass(frozen=True)
+class Check:
+    """One property in one case: the worst deviation seen, and what is allowed.
+
+    Deviations are of probabilities (of logits for "later frames"), infinite where an answer is not finite;
+    "refused" counts the windows that were answered; "slowdown" is a ratio of median times.
+    """
+
+    case: str
+    measure: str
+    worst: float
+    tolerance: float
+    passed: bool
+
+
+def run(model: Path = SHIPPED_MODEL) -> list[Check]:
+    """Check a model file in every case; raises ModelError when it cannot be loaded.
+
+    What needs the extra `train` is left out without it; what needs the checkpoint that the file was exported
+    from, beside it as .pt, is left out where there is none. A damaged checkpoint raises CheckpointError.
+    """
+    classifier = Classifier.load(model)
+    two_threads = Classifier.load(model, threads=2)
+    reference = _reference(model, classifier)
+    checks: list[Check] = []
+    for case in hard_cases(classifier.metadata.max_length):
+        checks += _check_case(case, classifier, two_threads, reference)
+    checks.append(_check_refusals(classifier))
+    checks.append(_judge("tiny values", SLOWDOWN, [slowdown(classifier, tiny(), hand(FRAMES))]))
+    if has_train_extra():
+        checks.append(_check_extreme_logits(model))
+    return checks
+
+
+def has_train_extra() -> bool:
+    """Whether PyTorch and onnx are installed, which comparing with float64 and extreme logits need."""
+    return all(find_spec(name) for name in ("torch", "onnx"))
+
+
+def _reference(model: Path, classifier: Classifier) -> Reference | None:
+    weights = model.with_suffix(".pt")
+    if not (has_train_extra() and weights.exists()):
+        return None
+    from model.checks.reference import Reference
+
+    return Reference.load(weights, classifier.metadata)
+
+
+def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
+    """Return how many times longer an answer takes on `window` than on `usual`, in processor time."""
+    slow, normal = time_in_turn(
+        [lambda: classifier.probabilities(window), lambda: classifier.probabilities(usual)], TIMED_ANSWERS
+    )
+    return slow.processor_ms / normal.processor_ms
+
+
+def table(checks: Sequence[Check]) -> Table:
+    """Return the checks as a table for the terminal: a case a row, a property a column."""
+    shown = Table(title=TITLE, caption=EMPTY, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    shown.add_column("case", min_width=16)
+    for measure, tolerance in TOLERANCES.items():
+        shown.add_column(f"{measure}\n≤{tolerance:.2g}", justify="right", overflow="fold")
+    cells = {(check.case, check.measure): check for check in checks}
+    for case in dict.fromkeys(check.case for check in checks):
+        shown.add_row(case, *(_cell(cells.get((case, measure))) for measure in TOLERANCES))
+    return shown
+
+
+def _check_case(
+    case: HardCase, classifier: Classifier, two_threads: Classifier, reference: Reference | None
+) -> list[Check]:
+    deviations: dict[str, list[float]] = {}
+    for window in case.windows:
+        for measure, deviation in _deviations(window, classifier, two_threads, reference).items():
+            deviations.setdefault(measure, []).append(deviation)
+    return [_judge(case.name, measure, seen) for measure, seen in deviations.items()]
+
+
+def _deviations(
+    window: NDArray[np.float32], classifier: Classifier, two_threads: Classifier, reference: Reference | None
+) -> dict[str, float]:
+    answer = classifier.probabilities(window)
+    others = np.stack([hand(len(window)), window, checkerboard(len(window))])
+    again = [classifier.probabilities(window) for _ in range(REPEATS)]
+    deviations = {
+        SUMS_TO_1: _off_one(answer),
+        BATCH: _distance(answer, classifier.batch_probabilities(others)[1]),
+        THREADS: _distance(answer, two_threads.probabilities(window)),
+        REPEATED: max(_distance(answer, repeat) for repeat in again),
+    }
+    if np.array_equal(window, np.rint(window)):
+        deviations[TYPES] = _distance(answer, classifier.probabilities(window.astype(np.uint16)))
+    if reference is not None:
+        deviations[FLOAT64] = _distance(answer, reference.probabilities(window))
+        longer = np.concatenate([window, checkerboard(LATER_FRAMES)])
+        deviations[LATER] = _distance(reference.logits(window), reference.logits_at(longer, len(window)))
+    return deviations
+
+
+def _check_refusals(classifier: Classifier) -> Check:
+    answered = 0
+    for bad in (np.nan, np.inf, -np.inf, -1.0, 1024.0):
+        window = hand(FRAMES)
+        window[-1, -1, -1] = bad
+        try:
+            classifier.probabilities(window)
+            answered += 1
+        except ModelInputError:
+            pass
+    return _judge("NaN, infinite, negative, > 1023", REFUSED, [float(answered)])
+
+
+def _check_extreme_logits(model: Path) -> Check:
+    """Ask copies of the file whose logits are multiplied until the softmax is as steep as it can be."""
+    from model.checks.scale_logits import steeper
+
+    deviations: list[float] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for factor in EXTREME_FACTORS:
+            copy = Path(folder) / "extreme.onnx"
+            steeper(model, factor, copy)
+            extreme = Classifier.load(copy)
+            deviations += [_off_one(extreme.probabilities(w)) for w in (hand(FRAMES), checkerboard(FRAMES))]
+    return _judge("extreme logits", SUMS_TO_1, deviations)
+
+
+def _judge(case: str, measure: str, deviations: Sequence[float]) -> Check:
+    worst = max(deviations)
+    return Check(case, measure, worst, TOLERANCES[measure], worst <= TOLERANCES[measure])
+
+
+def _off_one(probabilities: NDArray[np.float64]) -> float:
+    if not np.isfinite(probabilities).all() or probabilities.min() < 0:
+        return float("inf")
+    return abs(float(probabilities.sum()) - 1.0)
+
+
+def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
+    distance = float(np.abs(one - other).max())
+    return distance if np.isfinite(distance) else float("inf")
+
+
+def _cell(check: Check | None) -> str:
+    if check is None:
+        return ""
+    worst = f"{check.worst:.0e}" if 0 < check.worst < 1e-2 else f"{check.worst:.2g}"
+    return f"[green]{worst}[/]" if check.passed else f"[bold red]{worst} FAILS[/]"

@@ -1,1 +1,0 @@
-"""The study behind `touchd report`: the paper's tables beside ours, one part a module."""

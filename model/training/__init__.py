@@ -1,0 +1,1 @@
+"""From recordings to the shipped files: data, augmentation, training, calibration, export."""

@@ -1,0 +1,83 @@
+"""Temperatures, so that a confidence of 0.8 is right 8 times in 10 for people the network never saw.
+
+Temperature scaling (Guo et al. 2017), one temperature a length, fitted on left-out participants: each
+training recording is answered by the network that was trained without its participant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from drivers.recording import Recording
+from model.settings import LENGTHS
+from model.tgc import TGC
+from model.training import haart, metrics
+from model.training.checkpoint import Checkpoint
+
+TEMPERATURES = np.geomspace(0.3, 5.0, 200)
+BATCH = 64
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """What one network says of participants it never saw: length to logits (N, classes) and labels (N,)."""
+
+    participants: tuple[str, ...]
+    logits: Mapping[int, NDArray[np.float64]]
+    labels: Mapping[int, NDArray[np.int64]]
+
+
+def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> LeftOut:
+    """Ask a network about the participants that its training left out, at every length that is answered."""
+    participants = saved.settings.left_out
+    held = haart.realigned(haart.only(recordings, participants))
+    windows = {length: haart.cut(held, length) for length in LENGTHS}
+    network = saved.build()
+    return LeftOut(
+        participants,
+        {length: _logits(network, cut.counts) for length, cut in windows.items()},
+        {length: cut.labels for length, cut in windows.items()},
+    )
+
+
+def fit_temperatures(answers: Sequence[LeftOut]) -> dict[int, float]:
+    """Return, for each length, the temperature under which the left-out labels are likeliest."""
+    return {
+        length: fit_temperature(
+            np.concatenate([answer.logits[length] for answer in answers]),
+            np.concatenate([answer.labels[length] for answer in answers]),
+        )
+        for length in LENGTHS
+    }
+
+
+def accuracies(answers: Sequence[LeftOut]) -> dict[str, float]:
+    """Return the macro accuracy over left-out participants at each length."""
+    scores = {}
+    for length in LENGTHS:
+        logits = np.concatenate([answer.logits[length] for answer in answers])
+        labels = np.concatenate([answer.labels[length] for answer in answers])
+        predicted = logits.argmax(axis=1).astype(np.int64)
+        scores[str(length)] = round(metrics.macro_accuracy(predicted, labels, logits.shape[1]), 4)
+    return scores
+
+
+def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+    """Return the temperature from TEMPERATURES with the least negative log likelihood."""
+    return float(
+        min(TEMPERATURES, key=lambda temperature: metrics.cross_entropy(logits / temperature, labels))
+    )
+
+
+def _logits(network: TGC, counts: NDArray[np.uint16]) -> NDArray[np.float64]:
+    with torch.no_grad():
+        batches = [
+            network(torch.from_numpy(counts[start : start + BATCH].astype(np.float32)))
+            for start in range(0, len(counts), BATCH)
+        ]
+    return torch.cat(batches).numpy().astype(np.float64)

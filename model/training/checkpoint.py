@@ -1,0 +1,104 @@
+"""Checkpoints: a network with everything that says where it came from, and what resuming needs."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zipfile
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+from torch import Tensor
+
+from drivers.errors import TouchdError
+from model.settings import TrainSettings
+from model.tgc import TGC
+
+# Our widest network's, with all that resuming needs, is 17 MB.
+MAX_FILE_BYTES = 128 * 1024 * 1024
+SOURCES = ("training/haart.py", "training/augment.py", "tgc.py", "settings.py", "training/train.py")
+
+
+class CheckpointError(TouchdError):
+    """A checkpoint is missing, damaged, or belongs to another training."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """One training's state after `epoch` epochs.
+
+    network: the averaged weights, the ones to use.
+    training: raw weights, optimizer and random states, to resume.
+    """
+
+    settings: TrainSettings
+    labels: tuple[str, ...]
+    epoch: int
+    network: dict[str, Tensor]
+    training: dict[str, Any]
+    code_version: str
+    data_sha256: str
+
+    def build(self) -> TGC:
+        """Return the averaged network, ready to answer."""
+        network = TGC(self.settings.network, len(self.labels))
+        network.load_state_dict(self.network)
+        return network.eval()
+
+
+def save(checkpoint: Checkpoint, path: Path) -> None:
+    """Write the checkpoint whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".partial")
+    torch.save(
+        {
+            "settings": msgspec.json.encode(checkpoint.settings).decode(),
+            "labels": list(checkpoint.labels),
+            "epoch": checkpoint.epoch,
+            "network": checkpoint.network,
+            "training": checkpoint.training,
+            "code_version": checkpoint.code_version,
+            "data_sha256": checkpoint.data_sha256,
+        },
+        partial,
+    )
+    os.replace(partial, path)
+
+
+def load(path: Path) -> Checkpoint:
+    """Read a checkpoint; no code in it is ever run. Raises CheckpointError."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if max(unpacked, path.stat().st_size) > MAX_FILE_BYTES:
+            raise CheckpointError(
+                f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no checkpoint of touchd"
+            )
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+        return Checkpoint(
+            settings=msgspec.json.decode(stored["settings"], type=TrainSettings),
+            labels=tuple(stored["labels"]),
+            epoch=stored["epoch"],
+            network=stored["network"],
+            training=stored["training"],
+            code_version=stored["code_version"],
+            data_sha256=stored["data_sha256"],
+        )
+    except CheckpointError:
+        raise
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path}: there is no checkpoint; make one with `touchd train`") from error
+    except Exception as error:  # torch raises many types for a damaged file, some with pages of advice
+        raise CheckpointError(f"{path}: not a checkpoint of touchd; make one with `touchd train`") from error
+
+
+def code_version() -> str:
+    """Return the installed version and a digest of the sources that decide what a training yields."""
+    digest = hashlib.sha256()
+    for name in SOURCES:
+        digest.update((Path(__file__).parents[1] / name).read_bytes())
+    return f"{metadata.version('touchd')}+{digest.hexdigest()[:12]}"

@@ -1,0 +1,140 @@
+"""From a recipe to the shipped files: train what is missing, calibrate, export, score."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import Recording
+from model.checks import evaluate
+from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
+from model.settings import LENGTHS
+from model.training import calibrate, checkpoint, haart
+from model.training.checkpoint import Checkpoint
+from model.training.export import export
+from model.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name, plan
+from model.training.train import CHECKPOINT_NAME, train_haart
+
+MAX_LENGTH = 432
+LEFT_OUT_FOLDER = "left_out"
+SEEDS_FOLDER = "seeds"
+SCORES_NAME = "scores.json"
+
+
+def train_recipe(recipe: Recipe, haart_folder: Path, runs: Path, threads: int) -> None:
+    """Train every network of the recipe that is not finished in `runs` yet."""
+    for job in plan(recipe, runs):
+        if not _finished(job, runs):
+            train_haart(haart_folder, job.settings, runs / job.name, threads)
+
+
+def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path) -> list[Path]:
+    """Export the shipped network, one file a further seed and one file a fold; return the paths.
+
+    The shipped network's checkpoint is laid beside it, for comparing with PyTorch and for adapting it.
+    Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
+    """
+    recordings = haart.read_training(haart_folder)
+    folds = [_load(job, runs) for job in fold_jobs(recipe, runs)]
+    answers = [calibrate.ask_left_out(fold, recordings) for fold in folds]
+    written: list[Path] = []
+    for fold, own in zip(folds, answers, strict=True):
+        temperatures = calibrate.fit_temperatures([answer for answer in answers if answer is not own])
+        path = fold_path(weights, own.participants)
+        name = f"{recipe.name}-{fold_name(own.participants)}"
+        _export(fold, name, temperatures, calibrate.accuracies([own]), path)
+        written.append(path)
+    temperatures = calibrate.fit_temperatures(answers)
+    for job in final_jobs(recipe, runs):
+        saved = _load(job, runs)
+        shipped = job.settings.seed == recipe.seeds[0]
+        path = weights / SHIPPED_MODEL.name if shipped else seed_path(weights, job.settings.seed)
+        _export(saved, recipe.name, temperatures, calibrate.accuracies(answers), path)
+        written.append(path)
+        if shipped:
+            beside = path.with_suffix(".pt")
+            checkpoint.save(replace(saved, training={}), beside)
+            written.append(beside)
+    return written
+
+
+def evaluate_shipped(haart_folder: Path, weights: Path, command: str) -> evaluate.Scores:
+    """Score the shipped file on the test participants, and the fold files on the ones they never saw."""
+    model = weights / SHIPPED_MODEL.name
+    classifier = Classifier.load(model)
+    test = haart.read_test(haart_folder)
+    seeds = [model, *sorted((weights / SEEDS_FOLDER).glob("*.onnx"))]
+    return evaluate.Scores(
+        model=classifier.name,
+        model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
+        command=command,
+        machine=f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
+        labels=classifier.labels,
+        seeds={
+            str(seed.metadata.training["seed"]): evaluate.accuracies([(seed, test)], LENGTHS)
+            for seed in map(Classifier.load, seeds)
+        },
+        test=evaluate.evaluate([(classifier, test)]),
+        left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(haart_folder))),
+    )
+
+
+def left_out_split(weights: Path, recordings: Sequence[Recording]) -> evaluate.Split:
+    """Return each fold's classifier with the recordings of the participants that it never saw."""
+    split = []
+    for path in sorted((weights / LEFT_OUT_FOLDER).glob("*.onnx")):
+        participants = path.stem.split("-")
+        split.append((Classifier.load(path), haart.only(recordings, participants)))
+    return split
+
+
+def fold_path(weights: Path, participants: Sequence[str]) -> Path:
+    """Return where the network lies that never saw these participants."""
+    return weights / LEFT_OUT_FOLDER / f"{'-'.join(participants)}.onnx"
+
+
+def seed_path(weights: Path, seed: int) -> Path:
+    """Return where the network of a further seed lies."""
+    return weights / SEEDS_FOLDER / f"seed{seed}.onnx"
+
+
+def _export(
+    saved: Checkpoint, name: str, temperatures: dict[int, float], accuracies: dict[str, float], path: Path
+) -> None:
+    metadata = ModelMetadata(
+        name=name,
+        labels=saved.labels,
+        frame_rate_hz=FRAME_RATE_HZ,
+        framing="live",
+        lengths=LENGTHS,
+        max_length=MAX_LENGTH,
+        temperatures={str(length): round(value, 4) for length, value in temperatures.items()},
+        training=msgspec.to_builtins(saved.settings),
+        code_version=saved.code_version,
+        data_sha256=saved.data_sha256,
+        scores={"left_out_accuracy": accuracies},
+    )
+    export(saved.build(), metadata, path)
+
+
+def _finished(job: Job, runs: Path) -> bool:
+    path = runs / job.name / CHECKPOINT_NAME
+    if not path.exists():
+        return False
+    saved = checkpoint.load(path)
+    return saved.settings == job.settings and saved.epoch == job.settings.epochs
+
+
+def _load(job: Job, runs: Path) -> Checkpoint:
+    saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
+    if saved.epoch < job.settings.epochs:
+        raise checkpoint.CheckpointError(
+            f"{runs / job.name}: stopped after epoch {saved.epoch}; run `touchd train`"
+        )
+    return saved

@@ -1,0 +1,190 @@
+"""Training: one command, resumable, deterministic for a seed."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+from tqdm import tqdm
+
+from drivers.recording import NO_TOUCH, Recording
+from model.settings import TrainSettings
+from model.tgc import TGC
+from model.training import checkpoint, haart
+from model.training.augment import begin_from_rest, crop, mix, vary
+from model.training.checkpoint import Checkpoint, CheckpointError
+
+CHECKPOINT_NAME = "checkpoint.pt"
+GRADIENT_LIMIT = 1.0
+
+
+class Training:
+    """One network on its way: weights, their moving average, optimizer and random states."""
+
+    def __init__(self, recordings: Sequence[Recording], settings: TrainSettings, device: str) -> None:
+        self.settings = settings
+        self.device = device
+        self.data_sha256 = haart.data_hash(recordings)
+        self.labels = tuple(sorted({recording.gesture for recording in recordings}))
+        self.counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
+        self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
+        self.participants = [recording.participant for recording in recordings]
+        self.resting = {
+            participant: [
+                i
+                for i, recording in enumerate(recordings)
+                if (recording.participant, recording.gesture) == (participant, NO_TOUCH)
+            ]
+            for participant in self.participants
+        }
+        self.teachers = [checkpoint.load(Path(path)).build().to(device) for path in settings.teachers]
+        torch.manual_seed(settings.seed)
+        self.rng = torch.Generator().manual_seed(settings.seed)
+        self.network = TGC(settings.network, len(self.labels)).to(device)
+        self.average = copy.deepcopy(self.network)
+        self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
+        self.epoch = 0
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """How many batches of random crops make an epoch."""
+        return len(self.counts) * self.settings.crops_per_recording // self.settings.batch
+
+    def run_epoch(self) -> float:
+        """Train one epoch; return the mean loss."""
+        settings = self.settings
+        passes = [
+            torch.randperm(len(self.counts), generator=self.rng) for _ in range(settings.crops_per_recording)
+        ]
+        order = torch.cat(passes)
+        total = 0.0
+        for batch in range(self.steps_per_epoch):
+            chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
+            windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
+            windows = vary(windows, settings.augmentation, self.rng)
+            windows, targets = self._mix(
+                windows, functional.one_hot(self.classes[chosen], len(self.labels)).float()
+            )
+            step = self.epoch * self.steps_per_epoch + batch
+            total += self._step(windows.to(self.device), targets.to(self.device), step)
+        self.epoch += 1
+        return total / self.steps_per_epoch
+
+    def _window(self, recording: int) -> Tensor:
+        settings = self.settings
+        window = crop(self.counts[recording], settings.window, settings.augmentation, self.rng)
+        resting = self.resting[self.participants[recording]]
+        if not resting:
+            return window
+        rest = self.counts[resting[int(torch.randint(len(resting), (1,), generator=self.rng))]]
+        still = crop(rest, settings.window, settings.augmentation, self.rng)
+        return begin_from_rest(window, still, settings.augmentation, self.rng)
+
+    def _mix(self, windows: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        B = len(windows)
+        share = 0.5 * torch.rand(B, generator=self.rng)
+        share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
+        other = torch.randperm(B, generator=self.rng)
+        part = share[:, None]
+        return mix(windows, windows[other], share), targets * (1.0 - part) + targets[other] * part
+
+    def _step(self, windows: Tensor, targets: Tensor, step: int) -> float:
+        settings = self.settings
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate_at(
+                step, settings.epochs * self.steps_per_epoch, settings.learning_rate
+            )
+        self.network.train()
+        logits = self.network.at_lengths(windows, settings.lengths).flatten(0, 1)
+        expected = targets.repeat_interleave(len(settings.lengths), dim=0)
+        loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
+        if self.teachers:
+            taught = functional.cross_entropy(logits, self._teach(windows))
+            loss = (1.0 - settings.teacher_weight) * loss + settings.teacher_weight * taught
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_LIMIT)
+        self.optimizer.step()
+        self._follow(step)
+        return float(loss.item())
+
+    def _teach(self, windows: Tensor) -> Tensor:
+        with torch.no_grad():
+            answers = [torch.softmax(t.at_lengths(windows, self.settings.lengths), -1) for t in self.teachers]
+            return torch.stack(answers).mean(dim=0).flatten(0, 1)
+
+    @torch.no_grad()
+    def _follow(self, step: int) -> None:
+        # A young average would remember the random start, so it follows fast at first.
+        decay = min(self.settings.average_decay, (step + 1) / (step + 10))
+        for slow, fast in zip(self.average.parameters(), self.network.parameters(), strict=True):
+            slow.lerp_(fast, 1.0 - decay)
+
+    def snapshot(self) -> Checkpoint:
+        """Return the state as a checkpoint."""
+        training: dict[str, Any] = {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "rng": self.rng.get_state(),
+            "torch_rng": torch.get_rng_state(),
+        }
+        return Checkpoint(
+            settings=self.settings,
+            labels=self.labels,
+            epoch=self.epoch,
+            network={name: value.cpu() for name, value in self.average.state_dict().items()},
+            training=training,
+            code_version=checkpoint.code_version(),
+            data_sha256=self.data_sha256,
+        )
+
+    def resume(self, saved: Checkpoint) -> None:
+        """Go on where `saved` stopped; raises CheckpointError when it is of another training."""
+        if saved.settings != self.settings or saved.data_sha256 != self.data_sha256:
+            raise CheckpointError(
+                "the checkpoint there was made with other settings or data; choose another folder"
+            )
+        self.average.load_state_dict(saved.network)
+        self.network.load_state_dict(saved.training["network"])
+        self.optimizer.load_state_dict(saved.training["optimizer"])
+        self.rng.set_state(saved.training["rng"])
+        torch.set_rng_state(saved.training["torch_rng"])
+        self.epoch = saved.epoch
+
+
+def learning_rate_at(step: int, steps: int, peak: float) -> float:
+    """Return the one-cycle rate: a linear rise over the first tenth, then a cosine to zero (Smith 2018)."""
+    rise = max(1, steps // 10)
+    if step < rise:
+        return peak * (step + 1) / rise
+    return 0.5 * peak * (1.0 + math.cos(math.pi * (step - rise) / max(1, steps - rise)))
+
+
+def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:
+    """Train on realigned recordings; each epoch is saved in `folder` and resumed from; the last counts."""
+    path = folder / CHECKPOINT_NAME
+    training = Training(recordings, settings, device)
+    if path.exists():
+        training.resume(checkpoint.load(path))
+    with tqdm(total=settings.epochs, initial=training.epoch, unit="epoch", desc=folder.name) as progress:
+        while training.epoch < settings.epochs:
+            loss = training.run_epoch()
+            checkpoint.save(training.snapshot(), path)
+            progress.set_postfix(loss=f"{loss:.3f}")
+            progress.update()
+    return training.snapshot()
+
+
+def train_haart(haart_folder: Path, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
+    """Train on the HAART training participants that `settings` does not leave out."""
+    torch.set_num_threads(threads)
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    recordings = haart.without(haart.read_training(haart_folder), settings.left_out)
+    return train(haart.realigned(recordings), settings, folder, device)

@@ -1,0 +1,335 @@
+"""The service under a real systemd, on a Debian machine of its own, installed by `make install`.
+
+    make test-systemd                          in a container; needs root and systemd-container
+    make test-systemd TOUCHD_LAB=emulated      with a kernel, USB and power of its own; needs qemu-system-x86
+
+The emulated machine is too slow for a pad's pace: there a pad sends in slow motion, systemd waits longer, and
+only what needs a kernel, devices and power is tried.
+Its name keeps it out of the suite, where it would take too long.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+from by_hand.debian_machine import KINDS, Emulated, Machine, booted, what_is_missing
+from rigs.expectations import RECORDINGS
+
+from daemon.events import Prediction, TouchBegan, TouchEnded, decode
+
+KIND = KINDS[os.environ.get("TOUCHD_LAB", "container")]
+SLOW_MOTION = 25.0 if KIND is Emulated else 1.0
+LENGTHS = next(path.name for path in RECORDINGS if path.name == "lengths.csv.gz")
+INSTALL = "cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels make install"
+CONFIGURATION = """
+robot: {url: "tcp://127.0.0.1:9559"}
+journal: {path: /var/lib/touchd/events.jsonl}
+"""
+# The container has no USB of its own, so its pad is a pty.
+FOR_THE_PTY = "[Service]\nDeviceAllow=char-pts rw\n"
+FOR_THE_SLOW = "[Service]\nTimeoutStartSec=600\nTimeoutStopSec=60\nWatchdogSec=600\n"
+DROP_INS = "/etc/systemd/system/touchd.service.d"
+EVENTS = "/var/lib/touchd/events.jsonl"
+
+PAD = f"""[Service]
+ExecStart=/opt/touchd/bin/python /mnt/helpers/pad.py /mnt/recordings/{LENGTHS} {SLOW_MOTION}
+"""
+ROBOT = """[Service]
+DynamicUser=yes
+ExecStart=/opt/touchd/bin/touchd fake-robot
+"""
+PROBE = """[Service]
+Type=oneshot
+Restart=no
+StandardOutput=truncate:/run/probe
+ExecStart=
+ExecStart=/opt/touchd/bin/python /opt/touchd/probe.py
+"""
+LOG = "journalctl -o cat --since $(cat /run/since)"
+
+pytestmark = [
+    pytest.mark.timeout(3600),
+    pytest.mark.skipif(bool(why := what_is_missing(KIND)), reason=why),
+]
+needs_pace = pytest.mark.skipif(KIND is Emulated, reason="the emulated machine is too slow for this")
+needs_hardware = pytest.mark.skipif(
+    KIND is not Emulated, reason="only the emulated machine has devices, accounts and power of its own"
+)
+
+
+@pytest.fixture(scope="session")
+def lab() -> Iterator[Machine]:
+    """A machine with touchd installed."""
+    with booted(KIND) as machine:
+        machine.run("cp -r /mnt/touchd /root/touchd")
+        # A careful root's umask must not keep the service from its own program.
+        machine.run(f"umask 077; {INSTALL}", 1800)
+        machine.run(f"mkdir -p {DROP_INS}")
+        machine.write(f"{DROP_INS}/lab.conf", FOR_THE_SLOW if KIND is Emulated else FOR_THE_PTY)
+        machine.write("/etc/systemd/system/pad.service", PAD)
+        machine.write("/etc/systemd/system/robot.service", ROBOT)
+        machine.run("systemctl daemon-reload")
+        yield machine
+
+
+@pytest.fixture
+def touchd(lab: Machine) -> Iterator[Machine]:
+    """The machine with pad and robot there and the service running."""
+    lab.run("date +@%s.%6N > /run/since")
+    plug_in(lab)
+    lab.run("systemctl start robot")
+    lab.wait_until(f"{LOG} -u robot | grep -q listening")
+    lab.write("/etc/touchd/touchd.yaml", CONFIGURATION)
+    lab.run("systemctl start touchd", 900)
+    yield lab
+    lab.run("systemctl stop touchd robot; systemctl reset-failed; rm -rf /var/lib/touchd/*", 900)
+    unplug(lab)
+
+
+def plug_in(lab: Machine) -> None:
+    lab.run("systemctl start pad")
+    lab.wait_until("test -e /dev/touchd-pad")
+
+
+def unplug(lab: Machine) -> None:
+    lab.run("systemctl stop pad")
+    lab.wait_until("test ! -e /dev/touchd-pad")
+
+
+def shown(lab: Machine, *names: str) -> list[str]:
+    """Return properties of the service as systemd has them."""
+    lines = lab.run(f"systemctl show touchd -p {','.join(names)}").splitlines()
+    told = dict(line.split("=", 1) for line in lines)
+    return [told[name] for name in names]
+
+
+def await_events(lab: Machine, count: int) -> None:
+    """Wait until the journal of events has so many lines."""
+    lab.wait_until(f"test $(wc -l < {EVENTS}) -ge {count}", 60)
+
+
+def await_status(lab: Machine, pattern: str) -> str:
+    """Wait until the status matches; returns it."""
+    lab.wait_until(f"systemctl show touchd -p StatusText | grep -Eq '{pattern}'")
+    return shown(lab, "StatusText")[0]
+
+
+def test_it_is_ready_only_when_the_model_is_loaded_and_the_pad_was_found(touchd: Machine) -> None:
+    assert shown(touchd, "Type", "ActiveState", "NRestarts") == ["notify", "active", "0"]
+    lines = touchd.run(f"{LOG} -u touchd").splitlines()
+    found = next(number for number, line in enumerate(lines) if "frames arrive from" in line)
+    started = next(number for number, line in enumerate(lines) if line.startswith("Started "))
+    assert found < started
+
+
+@needs_pace
+def test_it_is_ready_without_a_pad_says_so_and_finds_it(touchd: Machine) -> None:
+    touchd.run("systemctl stop touchd", 300)
+    unplug(touchd)
+    touchd.run("systemctl start touchd", 900)
+    await_status(touchd, "pad away")
+    plug_in(touchd)
+    await_status(touchd, "^StatusText=[0-9.]+ frames/s")
+
+
+@needs_pace
+def test_its_status_shows_rate_touches_and_drops(touchd: Machine) -> None:
+    status = await_status(touchd, "frames/s, [1-9]")
+    rate, touches, dropped = (float(part.split()[0].strip()) for part in status.split(","))
+    assert rate == pytest.approx(54 / SLOW_MOTION, rel=0.2)
+    assert touches >= 1
+    assert dropped == 0
+
+
+@needs_pace
+def test_events_are_in_its_journal_in_systemds_and_in_the_robots_memory(touchd: Machine) -> None:
+    await_events(touchd, 8)
+    events = [decode(line) for line in touchd.run(f"head -n 8 {EVENTS}").splitlines()]
+    assert {TouchBegan, Prediction, TouchEnded} <= {type(event) for event in events}
+    assert '"type":"prediction"' in touchd.run(f"{LOG} -u touchd")
+    assert "TouchGesture/Gesture" in touchd.run(f"{LOG} -u robot")
+    assert touchd.run(f"stat -c '%U %a' {EVENTS}") == "touchd 600"
+
+
+@needs_pace
+def test_a_reload_changes_the_settings_and_keeps_process_stream_and_numbers(touchd: Machine) -> None:
+    before = shown(touchd, "MainPID")
+    await_events(touchd, 6)
+    touchd.write("/etc/touchd/touchd.yaml", CONFIGURATION + "scene: {gestures: [pat, stroke]}\n")
+    touchd.run("systemctl reload touchd")
+    touchd.wait_until(f"{LOG} -u touchd | grep -q 'changed: scene'")
+    await_events(touchd, 16)
+    assert shown(touchd, "MainPID", "NRestarts") == [*before, "0"]
+    events = [decode(line) for line in touchd.run(f"cat {EVENTS}").splitlines()]
+    assert {"sensor"} == {
+        event.__struct_config__.tag for event in events if "sensor" in str(type(event)).lower()
+    }
+    began = [event.touch for event in events if isinstance(event, TouchBegan)]
+    assert began == list(range(1, len(began) + 1))
+    assert "0 frames dropped" in await_status(touchd, "frames/s")
+
+
+@needs_pace
+def test_a_wrong_configuration_is_refused_on_reload_and_the_old_one_stays(touchd: Machine) -> None:
+    before = shown(touchd, "MainPID")
+    touchd.write("/etc/touchd/touchd.yaml", "sensr: {}\n")
+    touchd.run("systemctl reload touchd")
+    touchd.wait_until(f"{LOG} -u touchd | grep -q 'refused and the old one stays: .*sensr'")
+    assert shown(touchd, "MainPID", "ActiveState") == [*before, "active"]
+
+
+@needs_pace
+def test_a_wrong_configuration_at_start_ends_it_with_2_and_it_is_not_tried_again(touchd: Machine) -> None:
+    touchd.run("systemctl stop touchd", 300)
+    touchd.write("/etc/touchd/touchd.yaml", "sensr: {}\n")
+    assert not touchd.succeeds("systemctl start touchd")
+    time.sleep(3.0)
+    assert shown(touchd, "ActiveState", "ExecMainStatus", "NRestarts") == ["failed", "2", "0"]
+    assert "did you mean sensor?" in touchd.run(f"{LOG} -u touchd | grep sensr")
+
+
+@needs_pace
+def test_the_watchdog_restarts_it_when_it_hangs(touchd: Machine) -> None:
+    await_events(touchd, 2)
+    before = shown(touchd, "MainPID")
+    touchd.run("kill -STOP $(systemctl show touchd -P MainPID)")
+    took_s = touchd.wait_until("test $(systemctl show touchd -P NRestarts) = 1", 40)
+    touchd.wait_until("systemctl is-active -q touchd")
+    assert "Watchdog timeout" in touchd.run(f"{LOG} -u touchd")
+    assert shown(touchd, "MainPID") != before
+    sys.stdout.write(f"restarted {took_s:.0f} s after it hung\n")
+
+
+@needs_pace
+def test_the_watchdog_lets_it_be_while_the_pad_is_away(touchd: Machine) -> None:
+    unplug(touchd)
+    await_status(touchd, "pad away")
+    # Longer than the watchdog's ten seconds.
+    time.sleep(15.0)
+    plug_in(touchd)
+    await_status(touchd, "^StatusText=[0-9.]+ frames/s")
+    assert shown(touchd, "NRestarts") == ["0"]
+
+
+@needs_pace
+def test_killed_it_comes_back_and_its_journal_holds_whole_lines(touchd: Machine) -> None:
+    await_events(touchd, 4)
+    touchd.run("systemctl kill -s KILL touchd")
+    touchd.wait_until("test $(systemctl show touchd -P NRestarts) = 1")
+    touchd.wait_until("systemctl is-active -q touchd")
+    count = int(touchd.run(f"wc -l < {EVENTS}"))
+    await_events(touchd, count + 4)
+    assert all(decode(line) for line in touchd.run(f"head -n {count + 4} {EVENTS}").splitlines())
+
+
+def test_it_runs_as_its_own_user_without_any_privilege(touchd: Machine) -> None:
+    pid = shown(touchd, "MainPID")[0]
+    status = dict(line.split(":", 1) for line in touchd.run(f"cat /proc/{pid}/status").splitlines())
+    user = touchd.run("id -u touchd")
+    assert set(status["Uid"].split()) == {user}
+    assert [status[name].strip() for name in ("NoNewPrivs", "Seccomp")] == ["1", "2"]
+    assert {int(status[f"Cap{name}"], 16) for name in ("Inh", "Prm", "Eff", "Bnd", "Amb")} == {0}
+
+
+def test_the_sandbox_lets_it_do_its_work_and_nothing_else(touchd: Machine) -> None:
+    await_status(touchd, "frames/s")
+    touchd.run("mkdir -p /home/somebody; mknod -m 666 /dev/touchd-probe c 1 11 2>/dev/null || true")
+    touchd.run("cp /mnt/helpers/probe.py /opt/touchd/probe.py; systemctl stop touchd", 300)
+    # In the program's place, under all the unit's rules.
+    touchd.write(f"{DROP_INS}/probe.conf", PROBE)
+    touchd.run("systemctl daemon-reload; systemctl start touchd", 900)
+    touchd.run(f"rm {DROP_INS}/probe.conf; systemctl daemon-reload")
+    outcome = json.loads(touchd.run("cat /run/probe"))
+    could = {attempt for attempt, how in outcome.items() if how == "done"}
+    assert could == {"write its state", "read its configuration", "open the pad", "reach the robot"}
+    if KIND is Emulated:
+        assert outcome["open another device"] == "Operation not permitted"
+
+
+def test_systemd_rates_its_exposure_at_most_2(lab: Machine) -> None:
+    said = lab.run("systemd-analyze security touchd | tail -n 1")
+    assert float(said.split(":")[1].split()[0]) <= 2.0
+    sys.stdout.write(f"{said}\n")
+
+
+@needs_pace
+def test_it_stops_within_two_seconds_and_cleanly(touchd: Machine) -> None:
+    await_events(touchd, 3)
+    before_s, after_s = touchd.run("date +%s.%N; systemctl stop touchd; date +%s.%N", 300).splitlines()
+    assert float(after_s) - float(before_s) < 2.0 * touchd.slower
+    assert shown(touchd, "Result", "ExecMainStatus") == ["success", "0"]
+
+
+@needs_hardware
+def test_systemd_accounts_for_its_memory(touchd: Machine) -> None:
+    await_events(touchd, 3)
+    used_mb = int(shown(touchd, "MemoryCurrent")[0]) / 1e6
+    assert used_mb < 200
+    sys.stdout.write(f"{used_mb:.0f} MB\n")
+
+
+@needs_hardware
+def test_the_pad_has_its_name_and_group_by_the_udev_rule(touchd: Machine) -> None:
+    assert touchd.run("readlink -f /dev/touchd-pad").startswith("/dev/ttyACM")
+    assert touchd.run("stat -L -c '%G %a' /dev/touchd-pad") == "dialout 660"
+    assert "ID_MM_DEVICE_IGNORE=1" in touchd.run("udevadm info /dev/touchd-pad")
+
+
+@needs_hardware
+def test_after_a_reboot_it_is_there_and_may_open_a_pad_that_is_plugged_in_only_then(touchd: Machine) -> None:
+    touchd.run("systemctl enable --quiet touchd")
+    touchd.reboot()
+    touchd.wait_until("systemctl is-active -q touchd")
+    plug_in(touchd)
+    await_status(touchd, "^StatusText=[0-9.]+ frames/s")
+    touchd.run("systemctl disable --quiet touchd")
+
+
+@needs_hardware
+def test_after_a_power_cut_its_journal_holds_whole_lines_and_goes_on(touchd: Machine) -> None:
+    assert isinstance(touchd, Emulated)
+    await_events(touchd, 3)
+    touchd.run("systemctl enable --quiet touchd; sync")
+    touchd.cut_power()
+    plug_in(touchd)
+    touchd.wait_until("systemctl is-active -q touchd")
+    count = int(touchd.run(f"wc -l < {EVENTS}"))
+    await_events(touchd, count + 2)
+    assert all(decode(line) for line in touchd.run(f"head -n {count + 2} {EVENTS}").splitlines())
+    touchd.run("systemctl disable --quiet touchd")
+
+
+@needs_pace
+def test_an_upgrade_that_fails_leaves_the_old_program_running(touchd: Machine) -> None:
+    before = shown(touchd, "MainPID")
+    assert not touchd.succeeds("cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/nowhere make install")
+    assert shown(touchd, "MainPID", "ActiveState") == [*before, "active"]
+    touchd.run("systemctl restart touchd", 900)
+    assert touchd.run("ls /opt") == "touchd"
+
+
+@needs_pace
+def test_an_upgrade_keeps_the_configuration_and_runs_the_new_program(touchd: Machine) -> None:
+    before = shown(touchd, "MainPID")
+    touchd.run(INSTALL, 1800)
+    touchd.wait_until("systemctl is-active -q touchd")
+    assert shown(touchd, "MainPID") != before
+    assert touchd.run("cat /etc/touchd/touchd.yaml") == CONFIGURATION.strip()
+
+
+@needs_pace
+def test_uninstalling_ends_it_and_keeps_configuration_and_journal(touchd: Machine) -> None:
+    await_events(touchd, 3)
+    touchd.run("systemctl enable --quiet touchd")
+    touchd.run("cd /root/touchd && make uninstall && make uninstall", 300)
+    assert not touchd.succeeds("systemctl is-active -q touchd")
+    assert touchd.run("ls /opt /etc/touchd").split() == ["/etc/touchd:", "touchd.yaml", "/opt:"]
+    assert touchd.succeeds(f"test -s {EVENTS}")
+    left = touchd.run("find /etc /usr/local -name '*touchd*' ! -path '/etc/touchd*' ! -path '*.service.d*'")
+    assert left == ""
+    touchd.run(INSTALL, 1800)

@@ -1,0 +1,249 @@
+"""A day of sensor time, flat out: nothing grows, nothing is lost. By hand: make soak, or
+
+    MALLOC_MMAP_THRESHOLD_=131072 python tests/soak.py --hours 24 --out docs/soak.json
+
+with the memory settings of the service.
+
+Bytes go through parser, ring, touch tracker, classifier, decision, pad watch, journal, kept touches, the link
+to a stand-in robot that is switched off and on, and the live page, at which somebody looks now and then; the
+pad is unplugged at times, and its line has bursts of garbage. The pad is a program of its own, its line a
+pipe, which waits for the daemon's parts; a serial port does not wait, and frames would be given up, as they
+should. Ends with exit code 1 when anything grew or was lost; a run that --minutes cut short says how many
+hours it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+
+from rigs.soak_audit import Audit, Viewer
+from rigs.soak_line import pad
+
+from daemon.config import LiveSettings, Settings
+from daemon.events import Event, TouchEnded, encode
+from daemon.kept.journal import Journal
+from daemon.kept.touch_frames import FeltTouch
+from daemon.kept.touch_sink import TouchSink
+from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from daemon.live.sink import LiveSink
+from daemon.pipeline import Pipeline
+from daemon.service import load_model
+from daemon.sinks import JournalSink, RobotSink, Sink
+from daemon.wire import description_of, parser_for
+from drivers.fakes.fake_robot import StubRobot
+from drivers.frame import FRAME_RATE_HZ
+from drivers.pad.sensor import SensorState
+from drivers.pad.watch import PadWatch
+from drivers.robot.link import RobotLink, RobotSettings
+
+HOUR_FRAMES = round(3600 * FRAME_RATE_HZ)
+ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8
+UNPLUGGED_EVERY_FRAMES = HOUR_FRAMES // 3
+MAX_GROWTH_MB = 5.0
+JOURNAL_BYTES = 1_000_000
+JOURNAL_KEEP = 2
+TOUCHES_KEPT = 50
+WRITTEN_S = 10.0
+# Of the eight spans between two switches of the robot that make an hour, the one in which somebody looks.
+LOOKED_AT = 3
+
+
+def memory_mb() -> float:
+    """What of this process is resident now (see proc(5))."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+class PromptStore(TouchStore):
+    """Tells when a touch is written: in life there is time before the next one ends, here it is given."""
+
+    def __init__(self, folder: Path, most: int, sensor: str) -> None:
+        self._written = threading.Semaphore(0)
+        super().__init__(folder, most, sensor)
+
+    def add(self, touch: FeltTouch) -> None:
+        """Write a touch, and tell."""
+        super().add(touch)
+        self._written.release()
+
+    def wait(self) -> None:
+        """Wait until one more touch is written."""
+        self._written.acquire(timeout=WRITTEN_S)
+
+
+class Soak:
+    """The daemon's parts joined as in the daemon, and what was measured of them every hour."""
+
+    def __init__(self, folder: Path) -> None:
+        self.audit = Audit()
+        self.robot = StubRobot()
+        self.robot_switched = 0
+        self.hours: list[dict[str, float]] = []
+        self._path = folder / "events.jsonl"
+        self._latest: deque[bytes] = deque(maxlen=1000)
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            settings = Settings(live=LiveSettings(port=free.getsockname()[1]))
+        assert settings.live is not None
+        model = load_model(settings)
+        self._parser = parser_for(settings.sensor)
+        self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
+        self._journal_sink = JournalSink(self._journal)
+        self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
+        self._robot_sink = RobotSink(self._link)
+        self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
+        self._touch_sink = TouchSink(self._store)
+        self._live_sink = LiveSink()
+        self._live_sink.use(settings, model)
+        self._sinks: tuple[Sink, ...] = (
+            self._journal_sink,
+            self._robot_sink,
+            self._touch_sink,
+            self._live_sink,
+        )
+        self.viewer = Viewer(settings.live.port)
+        self._pipeline = Pipeline(settings.pipeline, model, self._emit)
+        self._pad_watch = PadWatch()
+
+    def run(self, line: Iterable[bytes], hours: float, until_s: float) -> dict[str, object]:
+        """Read so many hours of sensor time from a pad, or until that monotonic time; returns the figures."""
+        began_s, began_cpu_s, frames = time.monotonic(), time.process_time(), 0
+        self._measure()
+        for data in line:
+            before = frames
+            for frame in self._parser.feed(data, time.monotonic()):
+                self._touch_sink.take(frame)
+                self._pipeline.on_frame(frame)
+                self._pad_watch.update(frame)
+                self._live_sink.put_frame(frame, 0)
+                frames += 1
+            if frames // ROBOT_EVERY_FRAMES != before // ROBOT_EVERY_FRAMES:
+                self._switch_the_robot()
+            if frames // UNPLUGGED_EVERY_FRAMES != before // UNPLUGGED_EVERY_FRAMES:
+                self._unplug()
+            if frames // HOUR_FRAMES != before // HOUR_FRAMES:
+                self._measure()
+            if frames >= hours * HOUR_FRAMES or time.monotonic() >= until_s:
+                break
+        self._pipeline.flush()
+        took_s, took_cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
+        self.viewer.leave()
+        for sink in self._sinks:
+            sink.stop(10.0)
+        return self._figures(frames, took_s, took_cpu_s)
+
+    def _emit(self, event: Event) -> None:
+        self.audit.see(event)
+        self._latest.append(encode(event))
+        for sink in self._sinks:
+            sink.put(event)
+        if isinstance(event, TouchEnded):
+            self._store.wait()
+
+    def _switch_the_robot(self) -> None:
+        self.robot_switched += 1
+        # What the stand-in remembers is no memory of the daemon's.
+        self.robot.calls.clear()
+        if self.robot_switched % 2:
+            self.robot.start()
+        else:
+            self.robot.kill()
+        if self.robot_switched % 8 == LOOKED_AT:
+            self.viewer.come()
+        else:
+            self.viewer.leave()
+
+    def _unplug(self) -> None:
+        self._pipeline.on_sensor_state(SensorState("down", "unplugged"))
+        self._parser.reset()
+        self._pipeline.on_sensor_state(SensorState("up", "plugged in"))
+
+    def _measure(self) -> None:
+        self.hours.append(
+            {
+                "memory_mb": round(memory_mb(), 2),
+                "threads": len(os.listdir("/proc/self/task")),
+                "descriptors": len(os.listdir("/proc/self/fd")),
+            }
+        )
+
+    def _figures(self, frames: int, took_s: float, took_cpu_s: float) -> dict[str, object]:
+        counts = self._link.counts
+        settled = self.hours[1:] or self.hours
+        growth_mb = max(hour["memory_mb"] for hour in settled) - settled[0]["memory_mb"]
+        files = [self._path.with_name(f"{self._path.name}.{number}") for number in range(JOURNAL_KEEP, 0, -1)]
+        written = b"".join(file.read_bytes() for file in [*files, self._path] if file.exists())
+        latest = list(self._latest)
+        kept = kept_touches(folder_of(self._path))
+        holds = {
+            "every touch has its answers, none twice": not self.audit.wrong and self.audit.touches > 0,
+            "memory grows at most 5 MB after the first hour": growth_mb <= MAX_GROWTH_MB,
+            "threads and descriptors are constant": all(
+                hour["threads"] == settled[0]["threads"] and hour["descriptors"] == settled[0]["descriptors"]
+                for hour in settled
+            ),
+            "the journal holds the latest events and stays within its bound": (
+                [entry.rstrip() for entry in written.splitlines()[-len(latest) :]] == latest
+                and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
+                and self._journal.lost + self._journal_sink.dropped == 0
+            ),
+            "the last touches are kept, no more than asked for, and can be read": (
+                len(kept) == min(TOUCHES_KEPT, self.audit.touches)
+                and self._store.lost + self._touch_sink.dropped == 0
+                and all(read_frames(touch).touch.counts.size for touch in kept)
+            ),
+            "what became of each message to the robot is known": counts.queued
+            >= counts.sent + counts.dropped + counts.stale + counts.failed,
+        }
+        return {
+            "malloc_mmap_threshold": os.environ.get("MALLOC_MMAP_THRESHOLD_", "glibc's own"),
+            "sensor_hours": round(frames / HOUR_FRAMES, 3),
+            "frames": frames,
+            "bytes_dropped_as_garbage": self._parser.counts.bytes_dropped,
+            "touches": self.audit.touches,
+            "predictions": self.audit.predictions,
+            "events": self.audit.events,
+            "wall_s": round(took_s, 1),
+            "cpu_s": round(took_cpu_s, 1),
+            "memory_growth_after_first_hour_mb": round(growth_mb, 2) if len(self.hours) > 2 else None,
+            "hours": self.hours,
+            "robot": {
+                "switched_on_or_off": self.robot_switched,
+                **{name: getattr(counts, name) for name in ("queued", "sent", "dropped", "stale", "failed")},
+            },
+            "live_page": {"messages_seen": self.viewer.seen, "frames_skipped": self._live_sink.dropped},
+            "touches_kept": len(kept),
+            "wrong": list(self.audit.wrong),
+            "holds": holds,
+        }
+
+
+def main() -> int:
+    """Soak, and write the figures; returns 1 when something does not hold."""
+    parser = argparse.ArgumentParser(description="A day of sensor time, flat out: nothing grows or is lost.")
+    parser.add_argument("--hours", type=float, default=24.0, help="of sensor time (default 24)")
+    parser.add_argument("--minutes", type=float, default=1e6, help="end after so many minutes of real time")
+    parser.add_argument("--out", type=Path, help="write the figures there too, as JSON")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="touchd-soak-") as folder, pad() as line:
+        figures = Soak(Path(folder)).run(line, options.hours, time.monotonic() + 60 * options.minutes)
+    text = json.dumps(figures, indent=1) + "\n"
+    sys.stdout.write(text)
+    if options.out:
+        options.out.write_text(text)
+    holds = figures["holds"]
+    assert isinstance(holds, dict)
+    return 0 if all(holds.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,275 @@
+"""The command: what it offers, and one clear line with the right exit code for whatever goes wrong."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rich.console import Console
+from rigs.expectations import RECORDINGS, expected
+
+from daemon import cli
+from daemon.commands import demo
+from daemon.config import ConfigError, SceneSettings
+from daemon.events import Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from daemon.playback.rig import outline
+from daemon.service import check_fit
+from daemon.terminal.describe import describe
+from daemon.terminal.view import View
+from drivers.fakes.hand import record
+from drivers.recording import Selection, read_recordings
+from drivers.robot.session import qi_installed
+from model.classifier import Classifier
+
+GESTURES = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
+
+
+Refusal = Callable[..., str]
+
+
+def touchd(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "daemon", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=25,
+    )
+
+
+@pytest.fixture
+def refusal(capfd: pytest.CaptureFixture[str]) -> Refusal:
+    """The one line on standard error of a command line that the user has to change."""
+
+    def refusal(*arguments: str) -> str:
+        assert cli.main(arguments) == 2
+        shown = capfd.readouterr()
+        assert shown.out == ""
+        assert shown.err.startswith("touchd: ")
+        assert len(shown.err.splitlines()) == 1, shown.err
+        return shown.err
+
+    return refusal
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS, ids=lambda command: command.name)
+def test_every_command_has_a_main_and_a_help(command: cli.Command) -> None:
+    module = importlib.import_module(command.module)
+    with pytest.raises(SystemExit) as ended:
+        module.main(["--help"])
+    assert ended.value.code == 0
+
+
+def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"touchd {command.name}" in shown for command in cli.COMMANDS)
+
+
+def test_no_command_shows_the_help_and_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main([]) == 2
+    assert "touchd run" in capsys.readouterr().out
+
+
+def test_an_unknown_command_is_named(refusal: Refusal) -> None:
+    assert "rnu is no command; there are run," in refusal("rnu")
+
+
+def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("touchd 0.")
+
+
+def test_our_own_mistake_is_one_line_exit_1_and_debug_shows_the_trace(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(cli, "COMMANDS", (cli.Command("fail", "test_cli", "fails"),))
+    assert cli.main(["fail"]) == 1
+    assert capsys.readouterr().err == "touchd: a mistake of ours, KeyError: 'oops'; --debug shows the trace\n"
+    with pytest.raises(KeyError):
+        cli.main(["fail", "--debug"])
+
+
+def main(arguments: Sequence[str]) -> int:
+    """What the command "fail" of the test above runs."""
+    raise KeyError("oops")
+
+
+def test_a_missing_configuration_is_one_line(refusal: Refusal) -> None:
+    assert "nowhere.yaml: cannot be read" in refusal("run", "-c", "nowhere.yaml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sensor: {prot: csv}", "sensor.prot is not a setting; did you mean port?"),
+        ("model: nowhere.onnx", "nowhere.onnx: the model cannot be read"),
+        ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
+        ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is no gesture"),
+        ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
+        ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
+        ("journal: {path: /nowhere/events.jsonl}", "journal /nowhere/events.jsonl: cannot be written"),
+        ("robot: {url: nao.local}", "not an address such as tcp://nao.local:9559"),
+    ],
+)
+def test_whatever_run_cannot_use_is_one_line(
+    tmp_path: Path, refusal: Refusal, text: str, message: str
+) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(text)
+    threads = set(threading.enumerate())
+    assert message in refusal("run", "-c", str(path))
+    assert set(threading.enumerate()) == threads
+
+
+def test_answers_later_than_the_model_can_take_are_refused() -> None:
+    classifier = Classifier.load()
+    short = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, max_length=100))
+    with pytest.raises(ConfigError, match="144 is more than the 100 frames that the model"):
+        check_fit(SceneSettings(), short)
+
+
+def test_a_recording_that_is_missing_or_not_chosen_is_one_line(refusal: Refusal) -> None:
+    assert "nowhere.csv" in refusal("classify", "nowhere.csv")
+    assert "no recording matches" in refusal("replay", str(GESTURES), "--participant", "nobody")
+
+
+def test_a_pace_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["replay", str(GESTURES), "--speed", "backwards"])
+    assert ended.value.code == 2
+    assert "--speed" in capsys.readouterr().err
+
+
+def test_classify_writes_the_events_as_json_lines() -> None:
+    done = touchd("classify", str(GESTURES))
+    assert done.returncode == 0, done.stderr
+    assert outline(decode(line) for line in done.stdout.splitlines()) == expected(GESTURES)
+
+
+def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
+    done = touchd("classify", str(GESTURES), "--gesture", "rub", "--gesture", "pat")
+    events = [decode(line) for line in done.stdout.splitlines()]
+    began = [event.sensor_ms for event in events if isinstance(event, TouchBegan)]
+    rub, pat = read_recordings(GESTURES, Selection(gestures=("rub", "pat")))
+    quiet_ms = next(iter(began))
+    assert quiet_ms == pytest.approx(2500, abs=300)
+    assert began[1] == pytest.approx(2 * 2500 + 3200, abs=400)
+    assert len(began) == 2
+    assert (rub.gesture, pat.gesture) == ("rub", "pat")
+
+
+def test_a_reader_that_has_seen_enough_of_classify_is_no_error() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon", "classify", str(GESTURES)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(20) == 0
+
+
+def test_replay_and_run_work_together_as_two_commands(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon", "replay", str(GESTURES), "--gesture", "rub", "--speed", "8"],
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as replay:
+        assert replay.stdout is not None
+        port = replay.stdout.readline().strip()
+        with subprocess.Popen(
+            [sys.executable, "-m", "daemon", "run", "--port", port], stdout=subprocess.PIPE, text=True
+        ) as run:
+            assert run.stdout is not None
+            for line in run.stdout:
+                if json.loads(line)["type"] == "touch_ended":
+                    break
+            run.terminate()
+            assert run.wait(10) == 0
+        assert replay.wait(10) == 0
+
+
+@pytest.mark.parametrize(
+    "with_qi", [pytest.param(True, marks=pytest.mark.skipif(not qi_installed(), reason="no qi")), False]
+)
+def test_the_demo_shows_touch_answers_and_robot_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], with_qi: bool
+) -> None:
+    recording = tmp_path / "demo.csv.gz"
+    record(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
+    monkeypatch.setattr(demo, "RECORDING", recording)
+    monkeypatch.setattr(demo, "PACE", 5.0)
+    monkeypatch.setattr(demo, "qi_installed", lambda: with_qi)
+    assert cli.main(["demo", "--plain"]) == 0
+    shown = capfd.readouterr()
+    assert shown.err == ""
+    steps = [
+        "the simulated hand: pat\n",
+        "touch 1 begins\n",
+        "  early ",
+        "  revised ",
+        "  final ",
+        "touch 1 ends: ",
+        "The simulated hand did:  pat\n",
+        "What to try next:\n",
+    ]
+    places = [shown.out.find(step) for step in steps]
+    assert -1 not in places
+    assert places == sorted(places)
+    assert "robot hears Gesture: " in shown.out
+    assert 'robot says "' in shown.out
+
+
+def test_the_view_fits_80_by_24_whatever_it_shows() -> None:
+    screen = io.StringIO()
+    console = Console(file=screen, width=80, height=24, color_system=None)
+    view = View("a title", console)
+    view.show_frame(np.full((8, 8), 1023, dtype=np.uint16))
+    view.put(SensorEvent(state="up", time="", reason="x" * 200))
+    view.put(TouchBegan(touch=1, time="", sensor_ms=0))
+    view.put(prediction())
+    for _ in range(30):
+        view.note("y" * 200)
+    console.print(view.render(), end="")
+    lines = screen.getvalue().splitlines()
+    assert len(lines) <= 23
+    assert all(len(line) == 80 for line in lines if line)
+    assert any("stroke" in line and "81%" in line for line in lines)
+
+
+def test_events_are_told_in_words() -> None:
+    assert describe(TouchBegan(touch=7, time="", sensor_ms=1)) == "touch 7 begins"
+    assert describe(prediction()) == "  early     after  1.0 s: stroke     81%  in 1.9 ms  told"
+    ended = TouchEnded(touch=7, gesture="stroke", frames=216, reason="gap", time="")
+    assert describe(ended) == "touch 7 ends: stroke, 4.0 s, too many frames were lost"
+
+
+def prediction() -> Prediction:
+    return Prediction(
+        touch=7,
+        stage="early",
+        frames=54,
+        elapsed_s=1.0,
+        gesture="stroke",
+        confidence=0.81,
+        probabilities={"pat": 0.19, "stroke": 0.81},
+        changed=True,
+        told=True,
+        degraded=False,
+        latency_ms=1.9,
+        model="touchd-1",
+        time="",
+    )

@@ -1,0 +1,124 @@
+"""The configuration: everything that is wrong with it is one line that names it and says what to do."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from daemon.config import MAX_BYTES, ConfigError, Settings, load
+
+EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
+
+
+def refusal(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as raised:
+        load(path)
+    message = str(raised.value)
+    assert message.startswith(f"{path}: ")
+    assert "\n" not in message
+    return message.removeprefix(f"{path}: ")
+
+
+def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("# nothing set\n")
+    settings = load(path)
+    assert settings == Settings()
+    assert settings.sensor.port == "/dev/touchd-pad"
+    assert settings.robot is None
+    assert settings.journal is None
+
+
+def test_every_line_of_the_example_can_be_used(tmp_path: Path) -> None:
+    text = EXAMPLE.read_text()
+    load(EXAMPLE)
+    text = re.sub(r"^robot: null\n", "", text, flags=re.M)
+    text = re.sub(r"^( *)#(- )?(\w+:)", r"\1\2\3", text, flags=re.M)
+    text = re.sub(r"^ *token_env:.*\n", "", text, flags=re.M)
+    path = tmp_path / "touchd.yaml"
+    path.write_text(text)
+    settings = load(path)
+    assert settings.robot is not None
+    assert settings.robot.token_file == "/etc/touchd/token"
+
+
+def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
+    text = re.sub(
+        r"^( *)#(- )?(\w+:)", r"\1\2\3", EXAMPLE.read_text().split("# null: no robot")[0], flags=re.M
+    )
+    path = tmp_path / "touchd.yaml"
+    path.write_text(text)
+    shown, default = load(path), Settings()
+    assert (shown.sensor, shown.ring, shown.touch) == (default.sensor, default.ring, default.touch)
+    assert shown.scene.answer_at_frames == default.scene.answer_at_frames
+    assert shown.scene.speak_above == default.scene.speak_above
+    assert shown.scene.revise_margin == default.scene.revise_margin
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sensr: {}", "sensr is not a setting; did you mean sensor?"),
+        ("sensor: {prt: /dev/x}", "sensor.prt is not a setting; did you mean port?"),
+        ("scene: {zzz: 1}", "scene.zzz is not a setting; known here: gestures"),
+        ("sensor: {baud: fast}", "sensor.baud must be a whole number, not 'fast'"),
+        ("sensor: {baud: 3}", "sensor.baud must be a whole number >= 1200, not 3"),
+        ("sensor: {invert: maybe}", "sensor.invert must be true or false, not 'maybe'"),
+        ("sensor: {protocol: cvs}", "sensor.protocol must be fabric-grid or csv, not 'cvs'"),
+        ("sensor: {crop: 2}", "10x10 with crop 2 leaves 6x6, and the model feels 8x8"),
+        ("sensor:", "sensor must be a section of settings, not None"),
+        ("touch: {onset_level: .nan}", "touch.onset_level must be a number > 0.0, not nan"),
+        ("scene: {speak_above: 1.5}", "scene.speak_above must be a number <= 1.0, not 1.5"),
+        ("scene: {gestures: [3]}", "scene.gestures must be text, not [3]"),
+        ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
+        ("robot: {}", "robot.url is missing and has no default"),
+        (
+            "scene: {actions: [{do: [{sai: hello}]}]}",
+            "scene.actions.do.sai is not a setting; did you mean say?",
+        ),
+        ("scene: {actions: [{stages: [end], do: []}]}", "scene.actions.stages must be early or revised or"),
+        ("scene: {actions: [{do: [{say: '{who}'}]}]}", "may hold {gesture} and {confidence}"),
+        ("robot: {url: 'tcp://nao:9559', prefix: ALTouch}", "does not begin with AL"),
+        ("robot: {url: 'tcp://n:1', token_file: a, token_env: B}", "token_file and token_env are both set"),
+        ("journal: {}", "journal.path is missing and has no default"),
+        ("journal: {path: x, max_mb: .inf}", "journal.max_mb must be a number <= 10000.0, not inf"),
+        ("log_level: loud", "log_level must be debug or info or warning or error, not 'loud'"),
+        ("model: null\nmodel: x.onnx", "line 2: model is set twice"),
+        ("sensor: [", "line 1: "),
+        ("[" * 20_000, "not YAML"),
+        ("just words", "the file must be a section of settings, not 'just words'"),
+        ("? [1, 2]\n: 3", "line 1: found unhashable key"),
+        ("sensor: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
+        ("model: 2020-99-99", "not YAML"),
+        ("a: \x00", "not YAML"),
+    ],
+)
+def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    assert message in refusal(tmp_path, text)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere\.yaml: cannot be read \(No such file or directory\)"):
+        load(tmp_path / "nowhere.yaml")
+
+
+def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load(tmp_path)
+
+
+def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
+    assert "larger than 64 KiB" in refusal(tmp_path, "#" * (MAX_BYTES + 1))
+
+
+def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
+    levels = ["&a [x, x, x, x, x, x, x, x, x]"]
+    for one, two in zip("abcdefgh", "bcdefghi", strict=True):
+        levels.append(f"&{two} [{', '.join([f'*{one}'] * 9)}]")
+    message = refusal(tmp_path, f"model: [{', '.join(levels)}]")
+    assert message.startswith("model must be text or null, not [[")
+    assert len(message) < 1000

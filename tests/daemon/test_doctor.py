@@ -1,0 +1,69 @@
+"""`touchd doctor`: one line for each thing looked at, and an exit code: is there anything to do?"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import serial
+from rigs.doctor_rig import resting, systemd_says, the
+
+from daemon import cli
+from daemon.commands.doctor import WIDTH
+from daemon.config import SensorSettings, Settings
+from daemon.doctor.examine import examine
+from drivers.fakes.fake_port import FakePort
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.recording import Stream, ideal_clock_ms
+
+
+def test_a_sound_pad_passes_every_check_and_the_exit_code_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    counts = resting(4.0)
+    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid) as port:
+        assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0
+    shown = json.loads(capsys.readouterr().out)
+    assert shown["ok"] is True
+    verdicts = {check["name"]: check["verdict"] for check in shown["checks"]}
+    assert [name for name, verdict in verdicts.items() if verdict == "ok"] == [
+        *("port", "protocol", "line", "rate", "quiet", "rest", "noise", "model", "robot")
+    ]
+    (rate,) = [check for check in shown["checks"] if check["name"] == "rate"]
+    assert rate["figures"]["rate_hz"] == pytest.approx(54, abs=0.3)
+    assert rate["figures"]["lost"] == 0
+
+
+def test_a_port_that_is_not_there_is_something_to_do_in_lines_of_80_columns(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["doctor", "--port", "/dev/ttyNowhere"]) == 1
+    shown = capsys.readouterr().out
+    assert "to do       port" in shown
+    assert "-> plug the pad in, or name its port in sensor.port" in shown
+    assert shown.endswith("1 to do\n")
+    assert all(len(line) <= WIDTH for line in shown.splitlines())
+
+
+def test_a_configuration_or_a_time_that_cannot_be_is_a_mistake_in_the_call(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["doctor", "-c", "nowhere.yaml"]) == 2
+    assert "nowhere.yaml: cannot be read" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["doctor", "--seconds", "0"])
+    assert ended.value.code == 2
+
+
+def test_a_port_that_the_service_reads_is_told_from_one_that_another_program_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = FakePort(Stream(resting(1.0), ideal_clock_ms(54), ()), encode_fabric_grid)
+    settings = Settings(sensor=SensorSettings(port=port.path))
+    with port, serial.Serial(port.path, exclusive=True):
+        other = the("port", examine(settings, 1.0, print))
+        systemd_says("LoadState=loaded\nActiveState=active", tmp_path, monkeypatch)
+        service = the("port", examine(settings, 1.0, print))
+    assert other.verdict == "to do"
+    assert "busy" in other.found
+    assert service.verdict == "not checked"
+    assert "sudo systemctl stop touchd" in service.advice

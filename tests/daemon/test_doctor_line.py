@@ -1,0 +1,111 @@
+"""The doctor at the pad's line: what is on it, how clean, how fast."""
+
+from __future__ import annotations
+
+import os
+import termios
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rigs.doctor_rig import SETTINGS, heard, noise, resting
+from rigs.sensor_rig import Encode
+
+from daemon.doctor.check import Check
+from daemon.doctor.line import check_damage, check_protocol, check_rate
+from daemon.doctor.listening import Heard, listen
+from daemon.wire import parser_for
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.line_faults import Faults
+from drivers.frame import Counts, Frame
+from drivers.pad.port import open_port
+from drivers.pad.protocol import encode_csv_line, encode_fabric_grid
+from drivers.recording import Stream, ideal_clock_ms
+
+
+def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_fabric_grid(counts, sensor_ms, rows=8, columns=8, crop=0)
+
+
+def nothing(counts: Counts, sensor_ms: int) -> bytes:
+    return b""
+
+
+@pytest.mark.parametrize(
+    ("encode", "found", "advice"),
+    [
+        (
+            as_8x8,
+            "looks like fabric-grid 8x8, configured fabric-grid 10x10",
+            "sensor.protocol, rows, columns",
+        ),
+        (encode_csv_line, "looks like csv 10x10", "sensor.protocol, rows, columns"),
+        (nothing, "no data", "reset button"),
+    ],
+)
+def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice: str) -> None:
+    check = protocol_of(encode, start_s=0.4)
+    assert check.verdict == "to do"
+    assert found in check.found
+    assert advice in check.advice
+
+
+def protocol_of(encode: Encode, start_s: float) -> Check:
+    counts = resting(60.0)
+    port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode, speed=10.0)
+    with port, open_port(port.path, 512_000) as opened:
+        unheard = listen(opened, parser_for(SETTINGS.sensor), 1.0, start_s=start_s)
+        return check_protocol(unheard, SETTINGS.sensor, opened)
+
+
+def test_another_baud_rate_is_found_by_trying() -> None:
+    slave: list[str] = []
+
+    def only_at_115200(counts: Counts, sensor_ms: int) -> bytes:
+        line = os.open(slave[0], os.O_RDWR | os.O_NOCTTY)
+        speed = termios.tcgetattr(line)[5]
+        os.close(line)
+        return encode_fabric_grid(counts, sensor_ms) if speed == termios.B115200 else noise(counts, sensor_ms)
+
+    counts = resting(60.0)
+    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), only_at_115200, speed=4.0) as port:
+        slave.append(port.path)
+        with open_port(port.path, 512_000) as opened:
+            unheard = listen(opened, parser_for(SETTINGS.sensor), 1.0, start_s=0.4)
+            check = check_protocol(unheard, SETTINGS.sensor, opened)
+    assert check.advice == "set sensor.baud: 115200"
+
+
+def test_a_pad_unplugged_while_it_is_listened_to_is_told() -> None:
+    counts = resting(4.0)
+    port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid)
+    with port, open_port(port.path, 512_000) as opened:
+        first = listen(opened, parser_for(SETTINGS.sensor), 0.3)
+        port.stop()
+        after = listen(opened, parser_for(SETTINGS.sensor), 0.3)
+    assert len(first.frames) > 5
+    assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened).found
+
+
+def test_a_clean_line_is_told_from_one_that_damages_frames() -> None:
+    assert check_damage(heard(resting())).verdict == "ok"
+    assert check_damage(heard(resting(), faults=Faults(flip_bit_every=100))).verdict == "warning"
+    damaged = check_damage(heard(resting(), faults=Faults(flip_bit_every=10)))
+    assert damaged.verdict == "to do"
+    assert "shorter cable" in damaged.advice
+
+
+def test_lost_frames_are_counted() -> None:
+    check = check_rate(heard(resting(), faults=Faults(drop_frame_every=20)))
+    assert check.figures["lost"] == pytest.approx(21, abs=1)
+
+
+def test_a_clock_that_runs_wrong_is_told_from_a_pad_that_is_slow() -> None:
+    frames = [Frame(i, 18 * i, 0.009 * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
+    late = [replace(frames[-1], host_s=frames[-1].host_s + 0.3)]
+    clock = check_rate(Heard((*frames[:-1], *late), 0, b"", late[0].host_s, ""))
+    assert "its clock runs 2.00 times as fast" in clock.found
+    assert "milliseconds" in clock.advice
+    slow = check_rate(heard(resting(4.0), rate_hz=40.0))
+    assert slow.figures["rate_hz"] == pytest.approx(40, abs=0.5)
+    assert "54 Hz" in slow.advice

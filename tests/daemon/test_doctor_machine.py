@@ -1,0 +1,62 @@
+"""The doctor beside the pad: the model, the robot, the service."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rigs.doctor_rig import SETTINGS, systemd_says
+from rigs.robots import Robot, every_robot
+
+from daemon.config import RobotConfig, Settings
+from daemon.doctor.machine import check_model, check_robot, check_service
+
+
+def test_a_model_that_is_missing_or_does_not_fit_is_told() -> None:
+    assert check_model(SETTINGS).verdict == "ok"
+    missing = check_model(Settings(model="/nowhere/model.onnx"))
+    assert missing.verdict == "to do"
+    assert "cannot be read" in missing.found
+
+
+@every_robot
+def test_the_robot_is_asked_for_its_version(make_robot: type[Robot]) -> None:
+    with make_robot() as robot:
+        check = check_robot(Settings(robot=RobotConfig(url=robot.url)), robot.open_session)
+        assert check.verdict == "ok"
+        assert "NAOqi 2.8.7.4" in check.found
+        robot.kill()
+        gone = check_robot(Settings(robot=RobotConfig(url=robot.url)), robot.open_session)
+    assert gone.verdict == "to do"
+    assert "ping it" in gone.advice
+
+
+def test_a_robot_with_a_user_but_no_token_is_told_before_it_is_called() -> None:
+    check = check_robot(Settings(robot=RobotConfig(url="tcps://nao.local:9503", user="nao")))
+    assert check.verdict == "to do"
+    assert "token" in check.found
+
+
+@pytest.mark.parametrize(
+    ("answer", "verdict", "found"),
+    [
+        ("LoadState=not-found", "ok", "no touchd service is installed"),
+        (
+            "LoadState=loaded\nActiveState=active\nStatusText=54.0 frames/s\nNRestarts=0",
+            "ok",
+            "54.0 frames/s",
+        ),
+        ("LoadState=loaded\nActiveState=active\nNRestarts=3", "warning", "restarted 3 times"),
+        ("LoadState=loaded\nActiveState=active\nUnitFileState=disabled", "warning", "not started at boot"),
+        ("LoadState=loaded\nActiveState=inactive", "warning", "installed, but inactive"),
+        ("LoadState=loaded\nActiveState=failed\nResult=exit-code", "to do", "failed (exit-code)"),
+        ("", "not checked", "no systemd answers"),
+    ],
+)
+def test_the_state_of_the_service_is_told(
+    answer: str, verdict: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    systemd_says(answer, tmp_path, monkeypatch)
+    check = check_service()
+    assert check.verdict == verdict
+    assert found in check.found

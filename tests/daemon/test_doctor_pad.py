@@ -1,0 +1,119 @@
+"""The doctor at the pad itself: rest, noise, broken taxels, which way round it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from rigs.doctor_rig import SETTINGS, heard, resting, the
+
+from daemon.config import SensorSettings, Settings
+from daemon.doctor.examine import examine
+from daemon.doctor.listening import Heard
+from daemon.doctor.pad import (
+    check_noise,
+    check_orientation,
+    check_quiet,
+    check_rest,
+    check_taxels,
+    is_pressed,
+)
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.hand import simulate
+from drivers.frame import Counts
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.recording import Stream, ideal_clock_ms
+
+
+@pytest.fixture(scope="module")
+def sound() -> Heard:
+    return heard(resting())
+
+
+def test_a_sound_pad_at_rest_is_quiet_and_all_its_taxels_are_alive(sound: Heard) -> None:
+    checks = [check_quiet(sound, SETTINGS), check_rest(sound, SETTINGS), check_noise(sound)]
+    assert [check.verdict for check in [*checks, *check_taxels(sound)]] == ["ok"] * 4
+
+
+def dead_row(counts: Counts) -> None:
+    counts[:, 3] = 0
+
+
+def stuck_taxel(counts: Counts) -> None:
+    counts[:, 2, 4] = 7
+
+
+def short(counts: Counts) -> None:
+    counts[:, :, :3] = 1023
+
+
+@pytest.mark.parametrize(
+    ("damage", "found"),
+    [(dead_row, "row 4"), (stuck_taxel, "row 3 column 5"), (short, "a quarter of the pad or more")],
+)
+def test_broken_taxels_are_named(damage: Callable[[Counts], None], found: str) -> None:
+    counts = resting()
+    damage(counts)
+    troubles = check_taxels(heard(counts))
+    assert any(found in trouble.found and trouble.advice for trouble in troubles)
+    assert {trouble.verdict for trouble in troubles} == {"to do"}
+
+
+def test_taxels_are_not_judged_after_too_short_a_time_or_on_a_pad_that_is_silent() -> None:
+    assert check_taxels(heard(resting(3.0)))[0].verdict == "not checked"
+    assert check_taxels(heard(np.zeros_like(resting())))[0].verdict == "warning"
+
+
+def test_a_noisy_taxel_and_a_noisy_pad_are_told_apart() -> None:
+    rng = np.random.default_rng(1)
+    counts = resting()
+    counts[:, 6, 1] += rng.integers(0, 40, len(counts)).astype(np.uint16)
+    one = check_noise(heard(counts))
+    assert "row 7 column 2 is noisy" in one.found
+    everywhere = check_noise(heard(counts + rng.integers(0, 40, counts.shape).astype(np.uint16)))
+    assert "the whole pad is noisy" in everywhere.found
+
+
+def test_a_pad_the_wrong_way_up_and_one_under_a_load_are_told_apart() -> None:
+    upside_down = check_rest(heard(np.uint16(1023) - resting()), SETTINGS)
+    assert upside_down.advice == "set sensor.invert: false"
+    counts = resting()
+    counts[:, 1, 2] += 200
+    assert "something lies on row 2 column 3" in check_rest(heard(counts), SETTINGS).found
+
+
+def test_a_touch_while_the_pad_should_be_left_alone_is_told() -> None:
+    script = (("notouch", 3.0), ("rub", 2.0), ("notouch", 2.0))
+    counts = np.concatenate([recording.counts for recording in simulate(script, seed=3)])
+    check = check_quiet(heard(counts), SETTINGS)
+    assert check.found == "a touch was felt while listening"
+    assert "loose wire" in check.advice
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "verdict", "advice"),
+    [(0, 1, "ok", ""), (7, 7, "to do", "180"), (0, 7, "to do", "90"), (7, 0, "to do", "90")],
+)
+def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdict: str, advice: str) -> None:
+    counts = resting(1.0)
+    rest = np.median(counts, axis=0)
+    counts[-10:, row, column] += 300
+    pressed = heard(counts)
+    assert is_pressed(pressed.frames[-1], rest)
+    check = check_orientation(pressed, rest)
+    assert check.verdict == verdict
+    assert advice in check.advice
+
+
+def test_the_corner_is_asked_for_and_not_pressing_it_is_no_fault() -> None:
+    counts = resting(20.0)
+    counts[100:, 0, 0] += 300
+    asked: list[str] = []
+    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid, speed=4.0) as port:
+        settings = Settings(sensor=SensorSettings(port=port.path))
+        check = the("orientation", examine(settings, 1.2, asked.append, with_press=True))
+    assert check.verdict == "ok"
+    assert "top left corner" in asked[1]
+    untouched = heard(resting(1.0))
+    assert check_orientation(untouched, np.median(untouched.counts(), axis=0)).verdict == "not checked"

@@ -1,0 +1,158 @@
+"""Events as lines of JSON: what a reader of stdout or the journal can rely on."""
+
+from __future__ import annotations
+
+import json
+
+import msgspec
+import pytest
+
+from daemon.events import (
+    Event,
+    EventError,
+    Prediction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    decode,
+    encode,
+    epoch_s,
+    one_line,
+    timestamp,
+)
+from daemon.kept.journal import MAX_EVENT_BYTES
+from model.classifier import ModelMetadata
+
+TIME = "2026-11-20T10:00:00.000Z"
+EVENTS: list[tuple[Event, dict[str, object]]] = [
+    (
+        TouchBegan(touch=7, time=TIME, sensor_ms=81234),
+        {"type": "touch_began", "touch": 7, "time": TIME, "sensor_ms": 81234},
+    ),
+    (
+        Prediction(
+            touch=7,
+            stage="early",
+            frames=54,
+            elapsed_s=1.0,
+            gesture="stroke",
+            confidence=0.81,
+            probabilities={"pat": 0.19, "stroke": 0.81},
+            changed=True,
+            told=True,
+            degraded=False,
+            latency_ms=1.9,
+            model="tgc",
+            time=TIME,
+        ),
+        {
+            "type": "prediction",
+            "touch": 7,
+            "stage": "early",
+            "frames": 54,
+            "elapsed_s": 1.0,
+            "gesture": "stroke",
+            "confidence": 0.81,
+            "probabilities": {"pat": 0.19, "stroke": 0.81},
+            "changed": True,
+            "told": True,
+            "degraded": False,
+            "latency_ms": 1.9,
+            "model": "tgc",
+            "time": TIME,
+        },
+    ),
+    (
+        TouchEnded(touch=7, gesture="stroke", frames=201, reason="released", time=TIME, sensor_ms=84937),
+        {
+            "type": "touch_ended",
+            "touch": 7,
+            "gesture": "stroke",
+            "frames": 201,
+            "reason": "released",
+            "time": TIME,
+            "sensor_ms": 84937,
+        },
+    ),
+    (
+        SensorEvent(state="down", time=TIME, reason="unplugged"),
+        {"type": "sensor", "state": "down", "time": TIME, "reason": "unplugged"},
+    ),
+    (RobotEvent(state="up", time=TIME), {"type": "robot", "state": "up", "time": TIME, "reason": ""}),
+]
+
+
+@pytest.mark.parametrize(("event", "fields"), EVENTS, ids=[str(fields["type"]) for _, fields in EVENTS])
+def test_an_event_is_one_line_of_json_and_comes_back_the_same(
+    event: Event, fields: dict[str, object]
+) -> None:
+    line = encode(event)
+    assert json.loads(line) == fields
+    assert b"\n" not in line
+    assert decode(line) == event
+
+
+@pytest.mark.parametrize(
+    "line", [b"", b"{", b'{"type":"unheard_of"}', b'{"type":"touch_began","touch":"seven"}', b"\xff"]
+)
+def test_a_line_that_is_no_event_is_refused_with_a_reason(line: bytes) -> None:
+    with pytest.raises(EventError, match=r"not an event: .+"):
+        decode(line)
+
+
+def test_a_line_of_a_later_version_with_more_fields_is_still_read() -> None:
+    line = encode(RobotEvent(state="up", time=TIME)).replace(b"}", b',"battery":0.5}')
+    assert decode(line) == RobotEvent(state="up", time=TIME)
+
+
+def test_times_are_utc_to_the_millisecond_and_read_back() -> None:
+    assert timestamp(1795168800.0) == "2026-11-20T10:00:00.000Z"
+    assert timestamp(1795168799.9996) == "2026-11-20T10:00:00.000Z"
+    assert epoch_s("2026-11-20T10:00:00.125Z") == 1795168800.125
+
+
+def metadata(name: str, labels: list[str]) -> ModelMetadata:
+    """Return metadata as a model file would give it; raises msgspec.ValidationError."""
+    others: dict[str, object] = {"frame_rate_hz": 54, "framing": "live", "lengths": [144], "max_length": 144}
+    others |= {"temperatures": {}, "training": {}, "code_version": "", "data_sha256": "", "scores": {}}
+    return msgspec.convert({"name": name, "labels": labels, **others}, ModelMetadata)
+
+
+@pytest.mark.parametrize(
+    "reason", ['"' * 5000, "\n\x00\x1b" * 5000, "\\" * 5000, "\U0001f44b" * 5000, "é" * 5000]
+)
+def test_a_reason_is_one_line_and_leaves_room_in_its_event(reason: str) -> None:
+    said = one_line(reason)
+    assert said.isprintable()
+    for kind in (SensorEvent, RobotEvent):
+        event = kind(state="down", time=TIME, reason=said)
+        assert len(encode(event)) < MAX_EVENT_BYTES
+        assert decode(encode(event)) == event
+
+
+def test_a_short_reason_is_left_as_it_is() -> None:
+    assert one_line("grün: no permission to open /dev/ttyACM0") == "grün: no permission to open /dev/ttyACM0"
+
+
+def test_the_longest_answer_there_can_be_is_shorter_than_what_is_kept_from_being_halved() -> None:
+    longest = metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
+    answer = Prediction(
+        touch=2**63,
+        stage="uncertain",
+        frames=2**31,
+        elapsed_s=1234567890.123,
+        gesture=longest.labels[0],
+        confidence=0.1234,
+        probabilities=dict.fromkeys(longest.labels, 0.1234),
+        changed=False,
+        told=False,
+        degraded=False,
+        latency_ms=1234567890.123,
+        model=longest.name,
+        time=TIME,
+    )
+    assert len(encode(answer)) < MAX_EVENT_BYTES
+    for name, labels in (("n" * 65, ["a"]), ("n", ["l" * 25]), ("n", ["a"] * 13), ("é", ["a"]), ("n", ['"'])):
+        with pytest.raises(msgspec.ValidationError):
+            metadata(name, labels)

@@ -1,0 +1,60 @@
+"""`touchd fake-robot`: a lab sees what its robot would do, as lines."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+
+import pytest
+from rigs.robots import link_threads, message, needs_qi
+
+from daemon import cli
+from drivers.robot.actions import Action, ActionRule
+from drivers.robot.link import RobotLink, RobotSettings
+
+SAY = ActionRule(do=(Action(say="That was a {gesture}"),))
+
+pytestmark = needs_qi
+
+
+def test_it_prints_where_it_listens_and_every_call_and_ends_on_ctrl_c() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        url = json.loads(process.stdout.readline())["listening"]
+        assert url.startswith("tcp://127.0.0.1:")
+        link = RobotLink(RobotSettings(url=url, actions=(SAY,)))
+        link.start()
+        link.publish(message("pat"))
+        calls = map(json.loads, process.stdout)
+        said = next(call for call in calls if call["method"] == "say")
+        assert said["arguments"] == ["That was a pat"]
+        link.stop()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+    assert link_threads() == []
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        done = subprocess.run(
+            [sys.executable, "-m", "daemon", "fake-robot", "--port", str(taken.getsockname()[1])],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=20,
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith("touchd: cannot listen on port")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_port_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["fake-robot", "--port", "robot"])
+    assert ended.value.code == 2
+    assert "'robot' is not a port" in capsys.readouterr().err

@@ -1,0 +1,266 @@
+"""The live page's server: everyone who looks gets what there is room for, and nobody slows the daemon."""
+
+from __future__ import annotations
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+import msgspec
+import pytest
+from rigs.expectations import RECORDINGS, expected, stream_of
+from rigs.live_rig import SERVED, Served, frames_among, free_port, live_daemon, serving
+from rigs.running_daemon import Daemon
+from rigs.sockets import LISTENS, LOOPBACK, sockets
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
+from daemon.live.address import LiveError
+from daemon.live.memory import Scene
+from daemon.live.server import CAPACITY, LiveServer
+from daemon.playback.rig import outline
+from daemon.service import load_model
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+NOW = "2026-11-20T10:00:00.000Z"
+BEGAN = TouchBegan(touch=1, time=NOW, sensor_ms=7)
+ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=NOW)
+BEGAN_AGAIN = TouchBegan(touch=2, time=NOW, sensor_ms=9)
+HANDSHAKE = (
+    "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dG91Y2hkdG91Y2hkdG91Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+PAD_UP = SensorEvent(state="up", time=NOW)
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    with serving() as served:
+        yield served
+
+
+def test_a_viewer_gets_every_event_as_it_is_and_every_frame(served: Served) -> None:
+    with served.look() as viewer:
+        assert json.loads(viewer.recv(timeout=5))["type"] == "state"
+        served.sink.put(BEGAN)
+        wanted = served.put_frame()
+        assert frames_among(viewer, wanted) == [encode(BEGAN).decode(), wanted]
+
+
+def test_who_comes_late_is_told_what_goes_on_and_what_was(served: Served) -> None:
+    with served.look() as early:
+        for event in (PAD_UP, BEGAN, ENDED, BEGAN_AGAIN):
+            served.sink.put(event)
+        frames_among(early, served.put_frame())
+        with served.look() as late:
+            state = json.loads(late.recv(timeout=5))
+    touches = [(touch["began"]["touch"], touch["ended"] is not None) for touch in state["touches"]]
+    assert touches == [(1, True), (2, False)]
+    assert state["sensor"]["state"] == "up"
+    assert state["model"] == served.classifier.name
+    assert state["answer_at_frames"] == [54, 81, 144]
+
+
+def test_an_event_without_a_frame_is_shown_all_the_same(served: Served) -> None:
+    with served.look() as viewer:
+        served.sink.put(SensorEvent(state="down", time=NOW, reason="unplugged"))
+        message = await_message(viewer, "sensor")
+        assert message["reason"] == "unplugged"
+
+
+def test_rate_and_drops_are_told_again_and_again(served: Served) -> None:
+    with served.look() as viewer:
+        await_message(viewer, "status")
+        frames_among(viewer, served.put_frame())
+        status = await_message(viewer, "status")
+        assert status["rate_hz"] > 0
+        assert (status["dropped"], status["viewers"]) == (0, 1)
+
+
+def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
+    """Return the next message of a kind."""
+    while True:
+        message = viewer.recv(timeout=5)
+        if isinstance(message, str) and (told := json.loads(message))["type"] == kind:
+            return dict(told)
+
+
+def test_a_viewer_who_does_not_read_costs_the_others_nothing_and_gets_the_newest_once_it_does(
+    served: Served,
+) -> None:
+    narrow = socket.socket()
+    narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    narrow.connect(("127.0.0.1", served.port))
+    with served.look() as quick, served.look(sock=narrow, max_queue=1) as slow:
+        quick.recv(timeout=5)
+        for _ in range(2000):
+            frames_among(quick, served.put_frame())
+        served.sink.put(BEGAN)
+        newest = served.put_frame()
+        frames_among(quick, newest)
+        assert served.sink.dropped == 0
+
+        backlog: list[str | bytes] = []
+        while newest not in backlog:
+            try:
+                backlog.append(slow.recv(timeout=0.1))
+            except TimeoutError:
+                newest = served.put_frame()
+        # What waited for it is bounded, and what it missed is made up for by the state.
+        assert len(backlog) < 1000
+        told = [json.loads(message) for message in backlog if isinstance(message, str)]
+        state = [message for message in told if message["type"] == "state"][-1]
+        assert [touch["began"]["touch"] for touch in state["touches"]] == [1]
+
+
+def test_a_viewer_who_no_longer_answers_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("daemon.live.server.PING_EVERY_S", 0.2)
+    with serving() as served, socket.create_connection(("127.0.0.1", served.port), timeout=10) as dead:
+        dead.sendall(HANDSHAKE.format(port=served.port).encode())
+        with suppress(ConnectionResetError):
+            while dead.recv(65536):
+                pass
+
+
+@contextmanager
+def hung(server: LiveServer) -> Iterator[None]:
+    """The page's thread does nothing meanwhile."""
+    hangs, goes_on = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        hangs.set()
+        goes_on.wait()
+
+    server._loop.call_soon_threadsafe(hang)
+    assert hangs.wait(5)
+    try:
+        yield
+    finally:
+        goes_on.set()
+
+
+def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_counted() -> None:
+    listening = socket.create_server(("127.0.0.1", 0))
+    scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
+    server = LiveServer(listening, LiveSettings(), scene)
+    with hung(server):
+        for _ in range(CAPACITY + 7):
+            server.put(PAD_UP)
+        dropped = server.dropped
+    server.stop(1.0)
+    assert dropped == 7
+
+
+def test_the_end_does_not_wait_for_what_is_still_to_be_shown(served: Served) -> None:
+    server = served.sink._server
+    assert server is not None
+    with served.look() as viewer:
+        await_message(viewer, "state")
+        with hung(server):
+            for _ in range(CAPACITY):
+                served.put_frame()
+            server.stop(0.0)
+        assert [message for message in viewer if isinstance(message, bytes)] == []
+
+
+def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served) -> None:
+    with served.look() as viewer:
+        await_message(viewer, "state")
+        scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
+        served.sink.use(msgspec.structs.replace(served.settings, scene=scene), served.classifier)
+        assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
+
+
+def test_the_page_can_move_and_go_while_the_daemon_runs(served: Served) -> None:
+    served.sink.put(PAD_UP)
+    with served.look() as viewer:
+        moved = LiveSettings(port=free_port())
+        served.sink.use(Settings(live=moved), served.classifier)
+        with pytest.raises(ConnectionClosed, match="1001"):
+            await_message(viewer, "nothing")
+    served.port = moved.port
+    with served.look() as viewer:
+        # What the pad last said of itself is known at the new place too.
+        state = await_message(viewer, "state")
+        assert state["sensor"] or await_message(viewer, "sensor")
+    served.sink.use(Settings(), served.classifier)
+    with pytest.raises(ConnectionRefusedError):
+        served.ask("/")
+
+
+def test_settings_that_cannot_be_served_leave_the_page_where_it_is(served: Served) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        there = LiveSettings(port=taken.getsockname()[1])
+        with pytest.raises(LiveError, match="cannot listen"):
+            served.sink.use(Settings(live=there), served.classifier)
+    assert served.ask("/").status == 200
+
+
+def test_from_loopback_to_every_address_is_a_change_at_one_port(served: Served) -> None:
+    everywhere = LiveSettings(host="0.0.0.0", port=served.port)
+    served.sink.use(Settings(live=everywhere), served.classifier)
+    assert served.ask("/").status == 200
+
+
+@pytest.mark.slow
+def test_viewers_of_every_kind_cost_the_daemon_no_frame_and_do_not_delay_its_end(tmp_path: Path) -> None:
+    stream = stream_of(LENGTHS)
+    with (
+        FakePort(stream, encoder_for(SensorSettings()), speed=16.0) as pad,
+        live_daemon(pad.path, tmp_path) as daemon,
+        ExitStack() as closing,
+    ):
+        held = sockets(daemon.process.pid)
+        assert [address.partition(":")[0] for _, address, state in held if state == LISTENS] == [LOOPBACK]
+        for _ in range(3):
+            closing.enter_context(connect(f"ws://127.0.0.1:{daemon.port}/stream", max_queue=1))
+        unfinished = closing.enter_context(socket.create_connection(("127.0.0.1", daemon.port)))
+        unfinished.sendall(b"GET /stream HTTP/1.1\r\n")
+        assert pad.wait(25)
+        asked_s = time.monotonic()
+        assert daemon.stop() == 0
+        assert time.monotonic() - asked_s < 2.0
+        assert outline(daemon.events) == expected(LENGTHS)
+        frames, _, dropped = daemon.in_all()
+        assert (frames, dropped) == (len(stream.counts), 0)
+
+
+def test_sighup_opens_the_page_and_costs_no_touch(tmp_path: Path) -> None:
+    daemon = Daemon(tmp_path)
+    try:
+        daemon.await_event(SensorEvent)
+        daemon.configure(live=LiveSettings(port=0))
+        daemon.await_log(1)
+        assert "changed: live" in daemon.log()[0]
+        served = SERVED.search((tmp_path / "log").read_text())
+        assert served is not None
+        with urllib.request.urlopen(f"{served[1]}/", timeout=5) as answer:
+            assert answer.status == 200
+        assert outline(daemon.finish()) == expected(LENGTHS)
+    finally:
+        daemon.close()
+
+
+def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
+    command = [sys.executable, "-m", "daemon", "demo", "--plain", "--live", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
+        assert demo.stdout is not None
+        served = next(found for line in demo.stdout if (found := SERVED.search(line)))
+        # Its daemon is ready, and the page there, once the pad is.
+        assert any(line.startswith("pad up") for line in demo.stdout)
+        with urllib.request.urlopen(f"{served[1]}/", timeout=5) as answer:
+            assert answer.status == 200
+        demo.send_signal(signal.SIGINT)
+        assert demo.wait(20) == 0

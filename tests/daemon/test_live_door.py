@@ -1,0 +1,167 @@
+"""Who gets to see the live page, from where, and what they may say: nothing."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+
+import pytest
+from rigs.live_rig import Served, frames_among, serving
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+
+from daemon import cli
+from daemon.config import ConfigError, LiveSettings
+from daemon.live.address import is_own_host, parse_address
+from daemon.live.page import FOLDER
+from daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
+from daemon.live.viewers import MOST_VIEWERS
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    with serving() as served:
+        yield served
+
+
+def test_more_viewers_than_there_is_room_for_are_told_so(served: Served) -> None:
+    with ExitStack() as closing:
+        viewers = [closing.enter_context(served.look()) for _ in range(MOST_VIEWERS)]
+        for viewer in viewers:
+            viewer.recv(timeout=5)
+        one_more = closing.enter_context(served.look())
+        with pytest.raises(ConnectionClosed, match="too many are looking already"):
+            one_more.recv(timeout=5)
+        viewers[0].close()
+        wanted = served.put_frame()
+        for viewer in viewers[1:]:
+            frames_among(viewer, wanted)
+
+
+@pytest.mark.parametrize(("said", "why"), [("x", "nothing is read here"), ("x" * 1000, "1009")])
+def test_who_says_anything_is_shown_the_door(served: Served, said: str, why: str) -> None:
+    with served.look() as viewer:
+        viewer.recv(timeout=5)
+        viewer.send(said)
+        with pytest.raises(ConnectionClosed, match=why):
+            viewer.recv(timeout=5)
+
+
+def test_connections_that_ask_for_nothing_do_not_use_up_the_daemons_files(served: Served) -> None:
+    with served.look() as viewer, ExitStack() as closing:
+        viewer.recv(timeout=5)
+        idle = [
+            closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=5))
+            for _ in range(MOST_CONNECTIONS)
+        ]
+        # The viewer is inside as well, so that the last of these is one too many, and is not waited for.
+        idle[-1].settimeout(HANDSHAKE_S / 2)
+        with suppress(ConnectionResetError):
+            assert idle[-1].recv(1) == b""
+        frames_among(viewer, served.put_frame())
+
+
+@pytest.mark.parametrize("path", ["/", *sorted(f"/{path.name}" for path in FOLDER.iterdir())])
+def test_the_page_comes_whole_from_here_and_may_fetch_from_nowhere_else(served: Served, path: str) -> None:
+    answer = served.ask(path)
+    assert answer.status == 200
+    policy = answer.headers["Content-Security-Policy"]
+    assert policy.startswith("default-src 'none';")
+    assert "unsafe" not in policy
+    assert answer.headers["X-Content-Type-Options"] == "nosniff"
+    text = answer.read().decode()
+    assert text == (FOLDER / (path[1:] or "page.html")).read_text()
+    assert "://" not in text.replace("http://www.w3.org/2000/svg", "").replace("${scheme}//", "")
+
+
+@pytest.mark.parametrize("path", ["/server.py", "/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/x"])
+def test_whatever_else_is_asked_for_is_not_there(served: Served, path: str) -> None:
+    assert served.ask(path).status == 404
+
+
+def test_nothing_but_reading_is_possible(served: Served) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=5)
+    with suppress(http.client.RemoteDisconnected):
+        connection.request("POST", "/", body=b"x")
+        assert connection.getresponse().status >= 400
+    assert served.ask("/").status == 200
+
+
+@pytest.mark.parametrize("path", ["/", "/stream"])
+def test_a_name_that_another_page_made_lead_here_gets_nothing(served: Served, path: str) -> None:
+    assert served.ask(path, Host=f"evil.example:{served.port}").status == 403
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
+def test_another_page_in_the_same_browser_gets_no_stream(served: Served, origin: str) -> None:
+    with pytest.raises(InvalidStatus, match="403"), served.look(origin=origin):
+        pass
+    with served.look(origin=f"http://127.0.0.1:{served.port}") as viewer:
+        viewer.recv(timeout=5)
+
+
+@pytest.mark.parametrize(
+    ("host", "is_own"),
+    [
+        ("localhost", True),
+        ("LOCALHOST:9000", True),
+        ("127.0.0.1:8054", True),
+        ("192.168.1.7:8054", True),
+        ("[::1]:8054", True),
+        ("robot.lab:8054", True),
+        ("evil.example", False),
+        ("localhost.evil.example:8054", False),
+        ("127.0.0.1.evil.example", False),
+        ("localhost:8054:8054", False),
+        ("", False),
+    ],
+)
+def test_a_host_is_known_by_its_own_names_and_by_numbers(host: str, is_own: bool) -> None:
+    assert is_own_host(host, frozenset({"localhost", "robot.lab"})) is is_own
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("", "10.0.0.1", 99),
+        ("8080", "10.0.0.1", 8080),
+        (":8080", "10.0.0.1", 8080),
+        ("0.0.0.0:8080", "0.0.0.0", 8080),
+        ("[::1]:8080", "::1", 8080),
+    ],
+)
+def test_what_an_address_leaves_out_is_as_configured(text: str, host: str, port: int) -> None:
+    assert parse_address(text, LiveSettings(host="10.0.0.1", port=99)) == LiveSettings(host=host, port=port)
+
+
+def test_without_a_word_of_where_the_page_is_for_this_computer_alone() -> None:
+    assert parse_address("", None) == LiveSettings(host="127.0.0.1", port=8054)
+
+
+@pytest.mark.parametrize("text", ["x", "localhost", "localhost:", "1:65536", "1:-1", "1:²"])
+def test_an_address_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match=r"not \[HOST:\]PORT"):
+        parse_address(text, None)
+
+
+@pytest.mark.parametrize("command", ["run", "demo"])
+def test_a_port_that_is_taken_is_said_in_one_line(command: str, capfd: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert cli.main([command, "--live", str(port)]) == 2
+    said = capfd.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert f"cannot listen on 127.0.0.1 port {port}: another program does" in said[0]
+
+
+@pytest.mark.parametrize("command", ["run", "demo"])
+def test_a_library_that_is_missing_is_named_in_one_line(
+    command: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "websockets", None)
+    assert cli.main([command, "--live", "0"]) == 2
+    said = capfd.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert "pip install 'touchd[live]'" in said[0]

@@ -1,0 +1,363 @@
+"""The live page in a real browser: what a person sees of a played recording, and of what may go wrong."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
+from rigs.expectations import DEMO, stream_of
+from rigs.live_rig import free_port, live_daemon
+from selenium.webdriver import ActionChains, Chrome, Keys
+
+from daemon.config import SensorSettings
+from daemon.events import Event, Prediction, TouchEnded
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+from drivers.recording import Stream
+
+pytestmark = [
+    pytest.mark.timeout(60),
+    pytest.mark.skipif(
+        CHROMIUM is None or DRIVER is None, reason="chromium and chromium-driver are not installed"
+    ),
+]
+T = TypeVar("T")
+
+WITHIN_S = 15.0
+SPEED = 6.0
+# Three touches: a pat, a stroke first taken for a pat, a rub first taken for scratching.
+FRAMES = 1040
+THREE_TOUCHES = Stream(stream_of(DEMO).counts[:FRAMES], stream_of(DEMO).sensor_ms[:FRAMES], ())
+# A pad that reads the same in every frame, which no real one does.
+STILL = Stream(
+    np.tile(stream_of(DEMO).counts[300], (2000, 1, 1)),
+    stream_of(DEMO).sensor_ms[0] + 18 * np.arange(2000),
+    (),
+)
+CANVAS = "return document.getElementById('heat').toDataURL()"
+# What a screen reader would say of its own accord, from the first word on.
+LISTEN = """
+  window.heard = [];
+  const announcement = document.getElementById('announcement');
+  new MutationObserver(() => heard.push([announcement.textContent, performance.now()]))
+    .observe(announcement, { childList: true });
+"""
+
+
+@dataclass(frozen=True)
+class Played:
+    """A page on which three touches were shown and the pad then fell silent."""
+
+    chrome: Chrome
+    url: str
+    events: tuple[Event, ...]
+    pictures: tuple[str, ...]
+    console: tuple[str, ...]
+    asked_for: frozenset[str]
+
+    def text(self, selector: str) -> str:
+        """The text of an element as a person reads it."""
+        return text_of(self.chrome, selector)
+
+    def run(self, script: str, *arguments: object) -> Any:
+        return self.chrome.execute_script(script, *arguments)
+
+
+def text_of(chrome: Chrome, selector: str) -> str:
+    found = chrome.execute_script("return document.querySelector(arguments[0]).innerText", selector)
+    return str(found).replace("\u00a0", " ")
+
+
+def await_(what: Callable[[], T]) -> T:
+    """Wait until something is there, or true; return it."""
+    until_s = time.monotonic() + WITHIN_S
+    while not (found := what()):
+        assert time.monotonic() < until_s, "it did not come"
+        time.sleep(0.05)
+    return found
+
+
+@pytest.fixture(scope="module")
+def chrome() -> Iterator[Chrome]:
+    with browser() as chrome:
+        yield chrome
+
+
+@pytest.fixture(scope="module")
+def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Played]:
+    """The page as it is when the last of three touches has ended and the pad no longer sends."""
+    show_in(chrome, 1280, 800)
+    with (
+        FakePort(THREE_TOUCHES, encoder_for(SensorSettings()), speed=SPEED) as pad,
+        live_daemon(pad.path, tmp_path_factory.mktemp("played")) as daemon,
+    ):
+        # The new tab that a browser begins with asks for things as well.
+        chrome.get("about:blank")
+        chrome.get_log("performance")
+        chrome.get(daemon.url)
+        chrome.execute_script(LISTEN)
+        pictures = []
+        while not pad.wait(0.1):
+            pictures.append(chrome.execute_script(CANVAS))
+        await_(lambda: len(chrome.execute_script("return [...document.querySelectorAll('#touches b')]")) == 3)
+        await_(lambda: chrome.execute_script("return document.body.hasAttribute('data-stale')"))
+        console = tuple(entry["message"] for entry in chrome.get_log("browser"))
+        requests = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
+        asked_for = frozenset(
+            request["params"].get("url") or request["params"]["request"]["url"]
+            for request in requests
+            if request["method"] in ("Network.requestWillBeSent", "Network.webSocketCreated")
+        )
+        yield Played(chrome, daemon.url, tuple(daemon.events), tuple(pictures), console, asked_for)
+
+
+def test_it_shows_without_an_error_and_asks_nobody_else(played: Played) -> None:
+    assert played.console == ()
+    own = played.url.removeprefix("http://")
+    assert f"ws://{own}/stream" in played.asked_for
+    assert {re.sub(r"^\w+://([^/]*)/.*", r"\1", url) for url in played.asked_for} == {own}
+
+
+def test_the_pad_moves_with_the_recording(played: Played) -> None:
+    assert len(set(played.pictures)) > len(played.pictures) / 3
+
+
+def test_every_touch_is_listed_with_what_the_daemon_said_of_it(played: Played) -> None:
+    ended = [event for event in played.events if isinstance(event, TouchEnded)]
+    rows = played.run("return [...document.querySelectorAll('#touches b')].map(row => row.textContent)")
+    assert rows == [event.gesture for event in reversed(ended)]
+    paths = played.run("return [...document.querySelectorAll('#touches .path')].map(row => row.textContent)")
+    for path, event in zip(reversed(paths), ended, strict=True):
+        said = [one for one in played.events if isinstance(one, Prediction) and one.touch == event.touch]
+        changes = [name for name, _ in itertools.groupby(one.gesture for one in said)]
+        assert re.findall(r"[a-z]{3,}", path) == changes
+
+
+def test_answers_stand_at_their_marks_and_a_changed_one_is_seen_to_be(played: Played) -> None:
+    last = max(event.touch for event in played.events if isinstance(event, TouchEnded))
+    said = [event for event in played.events if isinstance(event, Prediction) and event.touch == last][:3]
+    flags = played.run(
+        """return [...document.querySelectorAll('#flags li')].slice(0, 3).map(flag => ({
+             gesture: flag.dataset.gesture, frames: +flag.dataset.frames, text: flag.innerText,
+             changed: flag.classList.contains('changed'), left: flag.getBoundingClientRect().left,
+             top: flag.getBoundingClientRect().top, bottom: flag.getBoundingClientRect().bottom }))"""
+    )
+    marks = played.run(
+        """return [...document.querySelectorAll('#marks li')].map(mark => ({
+             left: mark.getBoundingClientRect().left, text: mark.innerText }))"""
+    )
+    assert [mark["text"].replace("\u00a0", " ") for mark in marks] == ["1 s", "1.5 s", "2.67 s"]
+    assert [(flag["gesture"], flag["frames"]) for flag in flags] == [
+        (one.gesture, one.frames) for one in said
+    ]
+    assert [flag["left"] for flag in flags] == pytest.approx([mark["left"] for mark in marks], abs=1)
+    for flag, one in zip(flags, said, strict=True):
+        assert (
+            flag["text"].replace("\u00a0", " ").startswith(f"{one.gesture} {one.confidence:.0%}"[:-1] + " %")
+        )
+    gestures = [one.gesture for one in said]
+    assert gestures == ["rub", "scratch", "rub"]
+    assert [flag["changed"] for flag in flags] == [False, True, True]
+    assert "↻ changed from scratch" in played.text("#remark")
+
+
+def test_the_answer_and_how_sure_it_is_are_the_largest_things(played: Played) -> None:
+    answer = [event for event in played.events if isinstance(event, Prediction)][-1]
+    assert played.text("#gesture") == answer.gesture
+    assert played.text("#certainty").startswith(f"{answer.confidence:.0%}".replace("%", " % sure"))
+    sizes = played.run(
+        "return ['#gesture', '#certainty', '#bars', 'body']"
+        ".map(name => parseFloat(getComputedStyle(document.querySelector(name)).fontSize))"
+    )
+    assert sizes == sorted(sizes, reverse=True)
+    # A tenth of the window's height: 17 mm on a laptop, which reads from three metres and more.
+    assert sizes[0] > 80
+
+
+def test_the_probabilities_are_those_of_the_answer(played: Played) -> None:
+    answer = [event for event in played.events if isinstance(event, Prediction)][-1]
+    rows = played.run("return [...document.querySelectorAll('#bars li')].map(row => row.innerText)")
+    shown = {row.split("\n")[0]: row.replace("\u00a0", "").split("\n")[-1] for row in rows}
+    said = {
+        label.replace("notouch", "no touch"): f"{value:.0%}" for label, value in answer.probabilities.items()
+    }
+    assert shown == said
+
+
+def test_what_no_longer_comes_is_not_shown_as_live(played: Played) -> None:
+    assert played.run("return document.body.hasAttribute('data-stale')")
+    assert re.fullmatch(r"\d+ s old|over a minute old", played.text("#age"))
+    assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
+    await_(lambda: played.text("#banner").startswith("The pad is away"))
+    assert played.text("#vital-pad dd") == "away"
+
+
+def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: Played) -> None:
+    def heard() -> list[str]:
+        return [text.replace("\u00a0", " ") for text, _ in played.run("return heard")]
+
+    await_(lambda: any(re.fullmatch(r"Touch 3: rub, \d+ %", text) for text in heard()))
+    await_(lambda: any(text.startswith("The pad is away") for text in heard()))
+    times_ms = [at_ms for _, at_ms in played.run("return heard")]
+    assert np.diff(times_ms).min() > 1900
+    assert played.run("return document.getElementById('announcement').ariaLive") == "polite"
+
+
+def test_a_screen_reader_finds_its_way(played: Played) -> None:
+    tree = played.chrome.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
+    found = {
+        (node.get("role", {}).get("value"), node.get("name", {}).get("value"))
+        for node in tree
+        if not node.get("ignored")
+    }
+    roles = {role for role, _ in found}
+    assert {"banner", "main", "heading", "image", "status", "list"} <= roles
+    regions = {name for role, name in found if role == "region"}
+    assert {"The pad", "What was said, and when", "Last touches"} <= regions
+    assert any(str(name).startswith("Pressure on the pad") for role, name in found if role == "image")
+
+
+def test_the_keyboard_reaches_what_there_is_to_reach(played: Played) -> None:
+    def press(key: str) -> str:
+        ActionChains(played.chrome).send_keys(key).perform()
+        return str(played.run("return document.activeElement.id || document.activeElement.className"))
+
+    played.run("document.activeElement.blur()")
+    assert press(Keys.TAB) == "skip"
+    assert played.run("return document.querySelector('.skip').getBoundingClientRect().top") >= 0
+    assert press(Keys.ENTER) == "answer"
+    assert press(Keys.TAB) == "touches"
+    assert played.run("return getComputedStyle(document.activeElement).outlineStyle") == "solid"
+
+
+CONTRASTS = """
+  const channel = (c) => (c /= 255) <= 0.03928 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
+  const numbers = (color) => color.match(/[\\d.]+/g).map(Number);
+  const light = (color) => {
+    const [red, green, blue] = numbers(color).map(channel);
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue;
+  };
+  const behind = (element) => {
+    for (let one = element; one; one = one.parentElement) {
+      const color = getComputedStyle(one).backgroundColor;
+      if (numbers(color)[3] !== 0) return color;
+    }
+    return 'rgb(255, 255, 255)';
+  };
+  return arguments[0].map((name) => {
+    const element = document.querySelector(name);
+    const [a, b] = [light(getComputedStyle(element).color), light(behind(element))];
+    return [name, (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05)];
+  });
+"""
+READ = [
+    "h1",
+    "h2",
+    "#vitals dt",
+    "#vitals dd",
+    "#vital-pad dd",
+    "#banner",
+    "#gesture",
+    "#certainty",
+    "#remark",
+    "#remark b",
+    "#marks span",
+    "#flags li",
+    "#bars li .name",
+    "#touches .when",
+    "#touches .path em",
+    "#age",
+]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_light_or_dark_as_wished_every_word_stands_out(played: Played, scheme: str) -> None:
+    # Colours fade into one another, unless little motion is wished for.
+    prefer(played.chrome, color_scheme=scheme, reduced_motion="reduce")
+    paper = played.run("return getComputedStyle(document.body).backgroundColor")
+    brightness = np.mean([int(value) for value in re.findall(r"\d+", paper)])
+    assert brightness > 200 if scheme == "light" else brightness < 50
+    contrasts = dict(played.run(CONTRASTS, READ))
+    assert {name: round(ratio, 1) for name, ratio in contrasts.items() if ratio < 4.5} == {}
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_pressure_reads_without_telling_colours_apart(played: Played, scheme: str) -> None:
+    prefer(played.chrome, color_scheme=scheme)
+
+    def brightness() -> NDArray[np.float64]:
+        scale = "document.getElementById('scale').getContext('2d').getImageData(0, 0, 256, 1).data"
+        red, green, blue, _ = np.reshape(played.run(f"return [...{scale}]"), (256, 4)).T.astype(float)
+        return np.asarray(0.2126 * red + 0.7152 * green + 0.0722 * blue)
+
+    def rises() -> bool:
+        return bool(brightness()[0] < brightness()[-1])
+
+    await_(lambda: rises() is (scheme == "dark"))
+    steps = np.diff(brightness()) * (1 if scheme == "dark" else -1)
+    assert (steps > -1).all()
+    assert steps.sum() > 180
+
+
+def test_little_motion_is_respected(played: Played) -> None:
+    prefer(played.chrome, reduced_motion="reduce")
+    moving = "return getComputedStyle(document.querySelector('#bars i')).transitionProperty"
+    assert played.run(moving) == "none"
+    prefer(played.chrome)
+    assert played.run(moving) != "none"
+
+
+@pytest.mark.parametrize("width", [320, 390])
+def test_a_phone_shows_it_all_without_scrolling_sideways(played: Played, width: int) -> None:
+    show_in(played.chrome, width, 800)
+    try:
+        await_(lambda: played.run("return innerWidth") == width)
+        assert played.run("return document.documentElement.scrollWidth") <= width
+        sides = """return [...document.querySelectorAll('#flags li, #bars li *, #vitals div, #touches *')]
+                     .map(one => one.getBoundingClientRect()).flatMap(box => [box.left, box.right])"""
+        await_(lambda: max(played.run(sides)) <= width and min(played.run(sides)) >= 0)
+    finally:
+        show_in(played.chrome, 1280, 800)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 650), (1366, 768), (1920, 1080)])
+def test_a_laptop_shows_it_all_at_once(played: Played, width: int, height: int) -> None:
+    show_in(played.chrome, width, height)
+    try:
+        await_(lambda: played.run("return innerWidth") == width)
+        assert played.run("return document.documentElement.scrollHeight") <= height
+    finally:
+        show_in(played.chrome, 1280, 800)
+
+
+def test_it_comes_back_when_the_daemon_does_and_a_still_pad_stays_still(
+    played: Played, tmp_path: Path
+) -> None:
+    chrome, port = played.chrome, free_port()
+    encode = encoder_for(SensorSettings())
+    with FakePort(STILL, encode) as pad, live_daemon(pad.path, tmp_path, port) as daemon:
+        chrome.get(daemon.url)
+        await_(lambda: text_of(chrome, "#vital-rate dd").startswith("5"))
+        before = chrome.execute_script(CANVAS)
+        await_(lambda: float(text_of(chrome, "#vital-rate dd").split()[0]) > 50)
+        assert chrome.execute_script(CANVAS) == before
+        assert not chrome.execute_script("return document.body.hasAttribute('data-stale')")
+        daemon.kill()
+        await_(lambda: text_of(chrome, "#banner").startswith("No connection to touchd"))
+        assert text_of(chrome, "#vital-link dd") == "reconnecting"
+        assert chrome.execute_script("return document.body.hasAttribute('data-stale')")
+    with FakePort(THREE_TOUCHES, encode, speed=SPEED) as pad, live_daemon(pad.path, tmp_path, port):
+        await_(lambda: text_of(chrome, "#vital-link dd") == "live")
+        await_(lambda: text_of(chrome, "#gesture") == "pat")
+        assert text_of(chrome, "#banner") == ""
+        assert not chrome.execute_script("return document.body.hasAttribute('data-stale')")

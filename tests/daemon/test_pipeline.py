@@ -1,0 +1,337 @@
+"""The pipeline from frames to events: what is asked of the model, and what is said when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+from rigs.scripted_model import LABELS, Scripted
+
+from daemon.decide import DecisionSettings
+from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
+from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from daemon.touch import TouchSettings
+from drivers.frame import MAX_COUNT, Counts, Frame
+from drivers.pad.grid import RingSettings
+from drivers.pad.protocol import FabricGrid, encode_fabric_grid
+from drivers.pad.sensor_state import SensorState
+from drivers.recording import ideal_clock_ms
+from model.classifier import Classifier
+
+STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
+LEAD_FRAMES = 108
+
+
+class Bench:
+    """A pipeline with a made pad at 54 Hz before it, and what it said."""
+
+    def __init__(self, model: Scripted | None = None, settings: PipelineSettings | None = None) -> None:
+        self.model = model or Scripted()
+        self.said: list[Event] = []
+        self.pipeline = Pipeline(settings or PipelineSettings(), self.model, self.said.append, STOPPED)
+        self.pad = MadePad()
+        self.sent: list[Counts] = []
+        self.clock_ms = 0.0
+        self.feel(nothing(LEAD_FRAMES / 54))
+
+    def feel(self, *pressures: Scans, skip: Sequence[int] = ()) -> list[Event]:
+        """Lay pressure on the pad, losing the frames in `skip` on the way; return what was said meanwhile."""
+        said_before = len(self.said)
+        for number, counts in enumerate(self.pad.counts(np.concatenate(pressures))):
+            if number not in skip:
+                frame = Frame(len(self.sent), round(self.clock_ms), 99.998, counts)
+                self.pipeline.on_frame(frame)
+            self.sent.append(counts)
+            self.clock_ms += 1000 / 54
+        return self.said[said_before:]
+
+
+def predictions(events: Sequence[Event]) -> list[Prediction]:
+    return [event for event in events if isinstance(event, Prediction)]
+
+
+def told(events: Sequence[Event]) -> list[tuple[str, str]]:
+    return [(event.stage, event.gesture) for event in predictions(events) if event.told]
+
+
+def test_a_touch_is_answered_early_revised_and_at_last_and_then_ends() -> None:
+    bench = Bench()
+    events = bench.feel(palm(3.5), nothing(2.0))
+    assert [type(event) for event in events] == [TouchBegan, *[Prediction] * 3, TouchEnded]
+    assert [(event.stage, event.frames, event.elapsed_s) for event in predictions(events)] == [
+        ("early", 54, 1.0),
+        ("revised", 81, 1.5),
+        ("final", 144, 2.667),
+    ]
+    assert told(events) == [("early", "stroke")]
+    assert events[0] == TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=2000)
+    assert events[-1] == TouchEnded(
+        touch=1,
+        gesture="stroke",
+        frames=189,
+        reason="released",
+        time="2026-11-20T10:00:00.000Z",
+        sensor_ms=5481,
+    )
+
+
+def test_a_prediction_says_everything_a_listener_needs() -> None:
+    (early,) = predictions(Bench().feel(palm(1.0)))
+    assert early == Prediction(
+        touch=1,
+        stage="early",
+        frames=54,
+        elapsed_s=1.0,
+        gesture="stroke",
+        confidence=0.94,
+        probabilities={label: 0.94 if label == "stroke" else 0.01 for label in LABELS},
+        changed=True,
+        told=True,
+        degraded=False,
+        latency_ms=2.0,
+        model="scripted",
+        time="2026-11-20T10:00:00.000Z",
+    )
+
+
+def test_the_model_is_asked_about_the_sensor_s_own_frames_from_the_touch_s_first() -> None:
+    bench = Bench()
+    bench.feel(palm(3.0))
+    for window, length in zip(bench.model.asked, (54, 81, 144), strict=True):
+        np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + length])
+
+
+def test_a_short_touch_is_answered_when_it_ends_from_its_contact_alone() -> None:
+    bench = Bench()
+    events = bench.feel(palm(0.5), nothing(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [("released", 27)]
+    (window,) = bench.model.asked
+    np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 27])
+    ended = events[-1]
+    assert isinstance(ended, TouchEnded)
+    assert (ended.frames, ended.gesture) == (27, "stroke")
+
+
+def test_an_answer_due_in_a_pause_waits_until_the_hand_is_back() -> None:
+    bench = Bench()
+    pause = nothing(0.5)
+    assert predictions(bench.feel(palm(0.7), pause)) == []
+    events = bench.feel(palm(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [
+        ("early", 54),
+        ("revised", 81),
+        ("final", 144),
+    ]
+    np.testing.assert_array_equal(bench.model.asked[0], bench.sent[LEAD_FRAMES : LEAD_FRAMES + 54])
+
+
+def test_an_answer_that_the_next_has_overtaken_is_not_asked() -> None:
+    bench = Bench()
+    events = bench.feel(palm(40 / 54), nothing(41 / 54), palm(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [("revised", 81), ("final", 144)]
+
+
+def test_a_touch_that_ends_while_an_answer_waits_is_answered_from_its_contact_alone() -> None:
+    bench = Bench()
+    events = bench.feel(palm(1.2), nothing(2.0))
+    assert [(event.stage, event.frames) for event in predictions(events)] == [("early", 54), ("released", 65)]
+
+
+def test_the_lift_offs_of_a_pat_are_part_of_what_is_asked() -> None:
+    bench = Bench()
+    events = bench.feel(pat(3.0))
+    assert [event.frames for event in predictions(events)] == [54, 81, 144]
+
+
+def test_while_nothing_touches_the_model_is_not_run_and_nothing_is_said() -> None:
+    bench = Bench()
+    assert bench.feel(nothing(60.0)) == []
+    assert bench.model.asked == []
+
+
+def test_a_long_touch_speaks_again_only_when_its_gesture_changes() -> None:
+    bench = Bench(Scripted(lambda asked: "stroke" if asked <= 6 else "rub"))
+    events = bench.feel(palm(8.0), nothing(2.0))
+    assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
+    assert [event.stage for event in predictions(events)] == ["early", "revised", "final", "ongoing"]
+    ongoing = predictions(events)[-1]
+    assert (ongoing.frames, ongoing.elapsed_s) == (144, 4.667)
+    assert len(bench.model.asked) == 3 + (432 + 13 - 144) // 27
+    ended = events[-1]
+    assert isinstance(ended, TouchEnded)
+    assert ended.gesture == "rub"
+
+
+def test_a_touch_that_the_model_takes_for_none_ends_in_uncertain_and_the_robot_hears_nothing() -> None:
+    bench = Bench(Scripted(lambda asked: "notouch"))
+    for seconds, stages in ((4.0, ["early", "revised", "final", "uncertain"]), (1.2, ["early", "uncertain"])):
+        events = bench.feel(palm(seconds), nothing(2.0))
+        assert [event.stage for event in predictions(events)] == stages
+        assert told(events) == []
+        ended = events[-1]
+        assert isinstance(ended, TouchEnded)
+        assert ended.gesture == "uncertain"
+
+
+def test_a_short_touch_without_a_sure_answer_ends_in_uncertain_and_the_robot_hears_that() -> None:
+    bench = Bench(settings=PipelineSettings(decision=DecisionSettings(speak_above=0.95)))
+    events = bench.feel(palm(0.6), nothing(2.0))
+    assert told(events) == [("uncertain", "uncertain")]
+
+
+def test_lost_frames_are_bridged_and_the_touch_says_that_it_is_degraded() -> None:
+    bench = Bench()
+    events = predictions(bench.feel(palm(3.0), nothing(2.0), skip=[60, 61]))
+    assert [(event.stage, event.degraded) for event in events] == [
+        ("early", False),
+        ("revised", True),
+        ("final", True),
+    ]
+    assert not any(event.degraded for event in predictions(bench.feel(palm(3.0))))
+
+
+def test_an_answer_that_falls_due_within_a_long_bridged_gap_has_its_whole_window() -> None:
+    settings = PipelineSettings(ring=RingSettings(max_gap_s=1.0), touch=TouchSettings(quiet_s=0.1))
+    bench = Bench(settings=settings)
+    events = predictions(bench.feel(palm(4.0), skip=range(130, 182)))
+    assert [(event.stage, event.frames, event.degraded) for event in events] == [
+        ("early", 54, False),
+        ("revised", 81, False),
+        ("final", 144, True),
+    ]
+
+
+def test_a_gap_too_long_to_bridge_ends_the_touch_and_the_next_is_a_new_one() -> None:
+    bench = Bench()
+    events = bench.feel(palm(3.0), skip=range(100, 120))
+    ended = next(event for event in events if isinstance(event, TouchEnded))
+    assert (ended.touch, ended.reason, ended.frames) == (1, "gap", 100)
+    assert [event.touch for event in events if isinstance(event, TouchBegan)] == [1, 2]
+    assert ("released", 100) in [(event.stage, event.frames) for event in predictions(events)]
+
+
+def test_a_sensor_that_goes_ends_its_touch_first() -> None:
+    bench = Bench()
+    bench.feel(palm(0.5))
+    bench.said.clear()
+    bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
+    released, ended, down = bench.said
+    assert isinstance(released, Prediction)
+    assert (released.stage, released.frames) == ("released", 27)
+    assert isinstance(ended, TouchEnded)
+    assert ended.reason == "sensor"
+    assert down == SensorEvent(state="down", reason="unplugged", time="2026-11-20T10:00:00.000Z")
+
+
+def test_a_sensor_that_comes_back_is_learned_anew() -> None:
+    bench = Bench()
+    bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
+    bench.pipeline.on_sensor_state(SensorState("up", ""))
+    bench.pad.rest += 30
+    bench.clock_ms += 60_000
+    assert bench.feel(nothing(2.0)) == []
+    assert isinstance(bench.feel(palm(0.5))[0], TouchBegan)
+
+
+def test_the_end_of_the_stream_ends_the_touch_once() -> None:
+    bench = Bench()
+    bench.feel(palm(0.5))
+    bench.said.clear()
+    bench.pipeline.flush()
+    bench.pipeline.flush()
+    assert [type(event) for event in bench.said] == [Prediction, TouchEnded]
+    ended = bench.said[-1]
+    assert isinstance(ended, TouchEnded)
+    assert ended.reason == "stopped"
+
+
+@pytest.mark.parametrize("stages", [(10, 20, 30), (54, 81, 432)])
+def test_a_scene_chooses_when_to_answer(stages: tuple[int, int, int]) -> None:
+    bench = Bench(settings=PipelineSettings(decision=DecisionSettings(answer_at_frames=stages)))
+    events = bench.feel(palm(8.5))
+    assert [event.frames for event in predictions(events)] == list(stages)
+
+
+def test_the_same_bytes_give_the_same_events_however_they_are_cut() -> None:
+    pad = MadePad()
+    scans = np.concatenate([nothing(2.0), palm(3.0), nothing(1.5), pat(1.2), nothing(1.5), palm(0.4)])
+    counts = pad.counts(scans)
+    line = b"".join(
+        encode_fabric_grid(scan, int(ms))
+        for scan, ms in zip(counts, ideal_clock_ms(len(counts)), strict=True)
+    )
+    classifier = Classifier.load()
+
+    def events(sizes: Sequence[int]) -> list[Event]:
+        said: list[Event] = []
+        pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED)
+        parser = FabricGrid()
+        start = number = 0
+        while start < len(line):
+            size = sizes[number % len(sizes)]
+            for frame in parser.feed(line[start : start + size], 99.0):
+                pipeline.on_frame(frame)
+            start, number = start + size, number + 1
+        pipeline.flush()
+        return said
+
+    whole = events([len(line)])
+    assert sum(isinstance(event, TouchEnded) for event in whole) == 3
+    assert events([1]) == whole
+    assert events(np.random.default_rng(7).integers(1, 700, 100).tolist()) == whole
+
+
+class Fickle:
+    """A model that says something else each time."""
+
+    labels = LABELS
+    name = "fickle"
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._rng = rng
+
+    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
+        assert frames.min() >= 0
+        assert frames.max() <= MAX_COUNT
+        return self._rng.dirichlet(np.full(len(LABELS), 0.3))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_the_pad_and_the_model_do_every_touch_is_answered_and_ended_and_nothing_told_twice(
+    seed: int,
+) -> None:
+    rng = np.random.default_rng(seed)
+    said: list[Event] = []
+    scene = DecisionSettings(speak_above=rng.uniform(), revise_margin=rng.uniform(0, 0.5))
+    pipeline = Pipeline(PipelineSettings(decision=scene), Fickle(rng), said.append, STOPPED)
+    pad, clock_ms, rate_hz = MadePad(seed), 0.0, rng.choice([30, 50, 54, 60, 100])
+    for _ in range(30):
+        counts, seconds = rng.uniform(3, 900), rng.choice([0.1, 0.3, 1.0, 3.0])
+        hand = rng.choice([0, 1, 2])
+        scans = (nothing(seconds), palm(seconds, counts), pat(seconds, counts))[hand]
+        for number, scan in enumerate(pad.counts(scans)):
+            pipeline.on_frame(Frame(number, int(clock_ms) % 2**32, 0.0, scan))
+            mishap = rng.choice([0.0, rng.uniform(-30, 60), rng.uniform(-3000, 3000)], p=[0.97, 0.02, 0.01])
+            clock_ms += 1000 / rate_hz + mishap
+        if rng.uniform() < 0.1:
+            pipeline.on_sensor_state(SensorState("down", "unplugged"))
+    pipeline.flush()
+
+    touches = [event for event in said if isinstance(event, TouchEnded)]
+    assert touches
+    assert [event.touch for event in said if isinstance(event, TouchBegan)] == [
+        event.touch for event in touches
+    ]
+    for ended in touches:
+        answers = [event for event in predictions(said) if event.touch == ended.touch]
+        heard = [answer.gesture for answer in answers if answer.told]
+        assert all(one != next_one for one, next_one in pairwise(heard))
+        assert "notouch" not in heard
+        once = [answer.stage for answer in answers if answer.stage != "ongoing"]
+        assert len(once) == len(set(once)) > 0
+        assert ended.gesture == (heard[-1] if heard else "uncertain")
+        assert (ended.gesture == "uncertain") == (answers[-1].stage == "uncertain")

@@ -1,0 +1,209 @@
+"""`touchd plot`: a picture says when the pad was touched, what was said of it, and where it was pressed."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+
+from daemon import cli
+from daemon.config import Settings
+from daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
+from daemon.kept.touches import gather, read_journal
+from daemon.plot import journal as plot_journal
+from daemon.plot import recording as plot_recording
+from daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
+from daemon.plot.recording import Felt, feel
+from daemon.service import load_model
+from drivers.fakes.hand import record, simulate
+from drivers.recording import UNLABELLED, Recording, splice
+
+SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
+PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def recordings(seed: int = 4) -> list[Recording]:
+    return simulate(SCRIPT, seed)
+
+
+@pytest.fixture(scope="module")
+def felt() -> Felt:
+    return feel(splice(recordings()), Settings(), load_model(Settings()))
+
+
+def words(figure: object) -> list[str]:
+    """Everything that is written in a figure."""
+    from matplotlib.text import Text
+
+    return [text.get_text() for text in figure.findobj(Text)]  # type: ignore[attr-defined]
+
+
+def test_touches_are_placed_where_they_truly_began_and_ended(felt: Felt) -> None:
+    spans = [span for span in felt.stream.spans if span.gesture != "notouch"]
+    assert len(felt.touches) == 2
+    for number, span in enumerate(spans):
+        assert felt.starts_s[number] == pytest.approx(felt.time_s[span.start], abs=0.2)
+        assert felt.ends_s(number) == pytest.approx(felt.time_s[span.stop - 1], abs=0.3)
+        assert felt.truth(number) == span.gesture
+
+
+def test_pressure_is_told_above_rest(felt: Felt) -> None:
+    load = felt.rise.sum(axis=(1, 2))
+    rest, rub = felt.stream.spans[:2]
+    assert abs(load[rest.start : rest.stop].mean()) < 10
+    assert load[rub.start : rub.stop].mean() > 100
+
+
+def test_time_runs_on_where_the_pads_clock_starts_anew() -> None:
+    first, second = recordings(4), recordings(5)
+    clocks = [part.sensor_ms - part.sensor_ms[0] for part in (splice(first), splice(second))]
+    both = splice([*first, *second])
+    both.sensor_ms[:] = np.concatenate(clocks)
+    played = feel(both, Settings(), load_model(Settings()))
+    assert (np.diff(played.time_s) > 0).all()
+    assert played.time_s[-1] == pytest.approx(2 * 12.4, abs=0.1)
+    assert [played.truth(number) for number in range(4)] == ["rub", "scratch"] * 2
+
+
+@pytest.mark.parametrize(("gesture", "is_red"), [("purr", True), (UNLABELLED, False)])
+def test_an_answer_is_called_wrong_only_where_somebody_has_said_what_was_done(
+    gesture: str, is_red: bool
+) -> None:
+    from matplotlib.text import Text
+
+    parts = [part if part.gesture == "notouch" else replace(part, gesture=gesture) for part in recordings()]
+    figure = plot_recording.draw(feel(splice(parts), Settings(), load_model(Settings())), "a title")
+    colours = {text.get_color() for text in figure.findobj(Text)}  # type: ignore[attr-defined]
+    assert ("#c00000" in colours) == is_red
+
+
+def test_every_answer_stands_at_its_mark(felt: Felt) -> None:
+    figure = plot_recording.draw(felt, "a title")
+    marks = {
+        round(float(np.asarray(line.get_xdata())[0]), 2)
+        for part in figure.subfigs
+        for axes in part.axes
+        for line in axes.lines
+        if line.get_marker() == "o"
+    }
+    expected = {
+        round(start_s + answer.elapsed_s, 2)
+        for start_s, touch in zip(felt.starts_s, felt.touches, strict=True)
+        for answer in touch.predictions
+    }
+    assert len(expected) >= 6
+    assert marks == expected
+    written = words(figure)
+    assert {"a title", "rub", "scratch", "early", "revised", "final"} <= set(written)
+    assert sum(text.startswith("mean pad, 0 to ") for text in written) == 2
+
+
+@pytest.fixture
+def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    record(tmp_path / "mine.csv.gz", SCRIPT, 4)
+    return tmp_path / "mine.csv.gz"
+
+
+def test_a_recording_becomes_a_picture_beside_where_one_works(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["plot", str(recorded)]) == 0
+    assert capsys.readouterr().out == "mine.png\n"
+    assert Path("mine.png").read_bytes().startswith(PNG)
+
+
+def prediction(touch: int, stage: Stage, gesture: str) -> Prediction:
+    return Prediction(
+        touch=touch,
+        stage=stage,
+        frames=54,
+        elapsed_s=1.0,
+        gesture=gesture,
+        confidence=0.81,
+        probabilities={"pat": 0.19, "stroke": 0.81},
+        changed=True,
+        told=True,
+        degraded=False,
+        latency_ms=1.9,
+        model="touchd-1",
+        time="2026-11-20T10:00:01.000Z",
+    )
+
+
+def journal(path: Path) -> Path:
+    began = [TouchBegan(touch=n, time=f"2026-11-20T10:00:0{n}.000Z", sensor_ms=1) for n in (1, 2)]
+    ended = TouchEnded(touch=1, gesture="stroke", frames=162, reason="released", time="2026-11-20T10:00:05Z")
+    answers = [prediction(1, "early", "pat"), prediction(1, "final", "stroke")]
+    events: list[Event] = [began[0], *answers, ended, began[1], prediction(2, "early", "pat")]
+    lines = [encode(event) for event in events]
+    path.write_bytes(b"\n".join(lines) + b'\n{"type":"pred')
+    return path
+
+
+def test_a_journal_is_put_together_to_touches_without_the_half_line_at_its_end(tmp_path: Path) -> None:
+    first, second = read_journal(journal(tmp_path / "events.jsonl"))
+    assert [answer.stage for answer in first.predictions] == ["early", "final"]
+    assert first.ended is not None
+    assert second.ended is None
+
+
+def test_answers_to_a_touch_whose_beginning_is_not_known_are_left_out() -> None:
+    assert gather([prediction(7, "early", "pat")]) == []
+
+
+def test_a_journal_becomes_a_picture_with_each_touch_and_answer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = journal(tmp_path / "events.jsonl")
+    written = words(plot_journal.draw(read_journal(path), "events"))
+    assert {"pat 81%", "stroke 81%", "stroke", "not over"} <= set(written)
+    assert "2026-11-20 10:00:01   touch 1" in written
+    assert cli.main(["plot", str(path), "-o", str(tmp_path / "a.svg")]) == 0
+    assert b"<svg" in (tmp_path / "a.svg").read_bytes()
+
+
+def test_gestures_of_a_labs_own_have_colours_of_their_own() -> None:
+    assert colour_of("hug", ["hug", "poke", "rub"]) == OTHER_COLOURS[0]
+    assert colour_of("poke", ["hug", "poke", "rub"]) == OTHER_COLOURS[1]
+
+
+def test_what_is_too_long_for_a_picture_is_told() -> None:
+    long = splice(simulate((("notouch", 301.0),), seed=1))
+    with pytest.raises(PlotError, match="301 s are too long for one picture"):
+        feel(long, Settings(), load_model(Settings()))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mine.csv.gz", "-o", "mine.csv"], "a picture's name ends with .png"),
+        (["mine.csv.gz", "-o", "nowhere/mine.png"], "nowhere/mine.png: cannot be written"),
+        (["mine.csv.gz", "notes.txt"], "one journal at a time, or recordings only"),
+        (["notes.txt"], "neither a journal of events nor"),
+        (["empty.jsonl"], "no touch in it yet"),
+        (["nowhere.jsonl"], "cannot be read"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_line(
+    arguments: list[str], message: str, recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("notes.txt").write_text("buy milk\n")
+    Path("empty.jsonl").touch()
+    assert cli.main(["plot", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert message in told
+    assert len(told.splitlines()) == 1
+
+
+def test_without_matplotlib_it_says_how_to_get_it(
+    recorded: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert cli.main(["plot", str(recorded)]) == 2
+    assert "pip install 'touchd[train]'" in capsys.readouterr().err

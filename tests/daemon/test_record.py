@@ -1,0 +1,117 @@
+"""`touchd record`: a person is guided from one recording to the next, and nothing kept is ever lost."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from daemon import cli
+from daemon.recorder.capture import Capture, complaints
+from daemon.recorder.session import Session, keep, prepare
+from drivers.fakes.hand import simulate
+from drivers.frame import Frame
+from drivers.recording import Recording, RecordingError, read_recordings
+
+
+def recording() -> Recording:
+    (recording,) = simulate((("pat", 0.5),), seed=1)
+    return recording
+
+
+def session(folder: Path, **changes: object) -> Session:
+    usual = Session(folder, "anna", "foam", "fur", ("notouch", "pat", "rub", "stroke"), 3, 0)
+    return replace(usual, **changes)  # type: ignore[arg-type]
+
+
+def test_each_round_asks_every_gesture_in_an_order_that_only_seed_and_person_change(tmp_path: Path) -> None:
+    order = [take.gesture for take in session(tmp_path).takes()]
+    assert [sorted(order[i : i + 4]) for i in (0, 4, 8)] == [["notouch", "pat", "rub", "stroke"]] * 3
+    assert order[:4] != order[4:8] or order[4:8] != order[8:]
+    again = session(tmp_path, gestures=("stroke", "rub", "pat", "notouch")).takes()
+    assert [take.gesture for take in again] == order
+    for change in ({"seed": 1}, {"participant": "ben"}, {"cover": "none"}):
+        assert [take.gesture for take in session(tmp_path, **change).takes()] != order
+    assert len({take.path for take in again}) == 12
+
+
+def test_what_is_kept_reads_back_as_it_was_with_where_it_comes_from(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv.gz"
+    keep(path, [recording()], {"sensor": "a pad"})
+    (read,) = read_recordings(path)
+    np.testing.assert_array_equal(read.counts, recording().counts)
+    np.testing.assert_array_equal(read.sensor_ms, recording().sensor_ms)
+    assert gzip.decompress(path.read_bytes()).startswith(b"# sensor: a pad\n")
+    assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
+
+
+def test_nothing_is_ever_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv.gz"
+    path.write_text("precious")
+    with pytest.raises(RecordingError, match="never written over"):
+        keep(path, [recording()], {})
+    assert path.read_text() == "precious"
+    assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
+
+
+def test_half_a_file_left_by_a_crash_is_in_nobodys_way(tmp_path: Path) -> None:
+    (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
+    keep(tmp_path / "x.csv.gz", [recording()], {})
+    assert len(read_recordings(tmp_path / "x.csv.gz")) == 1
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_folder_that_cannot_take_recordings_is_told_before_any_is_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="cannot be kept there"):
+        prepare(tmp_path / "file")
+    prepare(tmp_path / "new" / "folder")
+    assert list((tmp_path / "new" / "folder").iterdir()) == []
+
+
+def captured(touched_share: float, clock_ms: list[int]) -> Capture:
+    frames = tuple(Frame(i, ms, 0.0, np.zeros((8, 8), np.uint16)) for i, ms in enumerate(clock_ms))
+    return Capture(frames, touched_share)
+
+
+@pytest.mark.parametrize(
+    ("gesture", "touched_share", "found"),
+    [
+        ("pat", 0.9, ""),
+        ("notouch", 0.0, ""),
+        ("notouch", 0.1, "something touched the pad"),
+        ("pat", 0.0, "no touch was felt"),
+        ("purr", 0.2, "only 20%"),
+    ],
+)
+def test_a_recording_that_does_not_show_its_gesture_is_told(
+    gesture: str, touched_share: float, found: str
+) -> None:
+    told = complaints(captured(touched_share, list(range(0, 1900, 19))), gesture, [])
+    assert found in " ".join(told)
+    assert bool(told) == bool(found)
+
+
+def test_lost_frames_and_a_broken_pad_are_told() -> None:
+    gaps = [19 * number for number in range(100) if number not in (20, 21, 50)]
+    told = complaints(captured(1.0, gaps), "pat", ["row 4 of the pad stands still: a broken wire?"])
+    assert told[0].startswith("row 4")
+    assert told[1].startswith("3 frames were lost")
+
+
+def test_a_clock_that_wraps_does_not_break_a_recording() -> None:
+    capture = captured(1.0, [2**32 - 19, 0, 19])
+    clock_ms = capture.recording("anna", "none", "none", "pat").sensor_ms
+    assert np.diff(clock_ms).tolist() == [19, 19]
+
+
+def test_what_cannot_be_recorded_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["record", str(tmp_path), "--port", "/dev/ttyNowhere"]) == 2
+    assert "/dev/ttyNowhere is not there" in capsys.readouterr().err
+    for wrong in (["--participant", "a_b"], ["--gestures", "pat,a/b"], ["--rounds", "0"], ["--seconds", "0"]):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["record", str(tmp_path), *wrong])
+        assert ended.value.code == 2

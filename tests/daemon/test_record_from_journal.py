@@ -1,0 +1,465 @@
+"""`touchd record --from-journal`: what was misclassified is saved with the right label, and nothing twice."""
+
+from __future__ import annotations
+
+import io
+import signal
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import yaml
+from rigs.expectations import RECORDINGS, stream_of
+from rigs.felt_touch import felt
+from rigs.terminal import Terminal
+
+from daemon import cli
+from daemon.commands.classify import play
+from daemon.config import JournalSettings, SensorSettings, Settings
+from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
+from daemon.kept.journal import Journal
+from daemon.kept.touch_frames import FeltTouch
+from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from daemon.kept.touches import read_since
+from daemon.pipeline import Pipeline
+from daemon.playback.rig import SpawnedDaemon
+from daemon.playback.stream import with_quiet
+from daemon.recorder.labelling import RIGHT
+from daemon.service import load_model
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+from drivers.recording import Stream, read_provenance, read_recordings
+
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+SPEED = 20.0
+
+
+class Lab:
+    """A journal with touches kept beside it, as the daemon leaves them, and a folder to label them into."""
+
+    def __init__(self, folder: Path) -> None:
+        self.journal = folder / "events.jsonl"
+        self.folder = folder / "lab"
+        self.store = TouchStore(folder_of(self.journal), 100, "a made pad")
+        self._lines = Journal(self.journal, max_bytes=100_000, keep=3)
+
+    def touched(self, number: int, gesture: str = "pat", after_s: float = 0.0) -> FeltTouch:
+        """Journal and keep a touch that was taken for a gesture."""
+        touch = felt(number, after_s=after_s)
+        self.journalled(touch, gesture)
+        self.store.add(touch)
+        return touch
+
+    def journalled(self, touch: FeltTouch, gesture: str = "pat") -> None:
+        """Journal a touch whose frames are not kept."""
+        number, when = touch.began.touch, touch.began.time
+        answer = Prediction(
+            touch=number,
+            stage="early",
+            frames=54,
+            elapsed_s=1.0,
+            gesture=gesture,
+            confidence=0.61,
+            probabilities={gesture: 0.61},
+            changed=True,
+            told=True,
+            degraded=False,
+            latency_ms=2.0,
+            model="made",
+            time=when,
+        )
+        ended = TouchEnded(touch=number, gesture=gesture, frames=201, reason="released", time=when)
+        for event in (touch.began, answer, ended):
+            self._lines.append(encode(event))
+
+    def arguments(self, *more: str) -> list[str]:
+        return ["record", str(self.folder), "--from-journal", str(self.journal), *more]
+
+    def label(self, *labels: str) -> int:
+        """Label without a question."""
+        words = [word for label in labels for word in ("--label", label)]
+        return cli.main(self.arguments("--participant", "anna", "--cover", "fur", *words))
+
+    def files(self) -> list[str]:
+        return sorted(path.name for path in self.folder.glob("*.csv.gz"))
+
+
+@pytest.fixture
+def lab(tmp_path: Path) -> Lab:
+    return Lab(tmp_path)
+
+
+SAY_WHO = ("--participant", "anna", "--substrate", "foam", "--cover", "fur")
+
+
+def test_a_touch_is_labelled_as_a_recording_that_training_reads(
+    lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.touched(17)
+    assert lab.label("17=tickle") == 0
+    (name,) = lab.files()
+    assert name.startswith("anna_none_fur_tickle_")
+    assert name in capsys.readouterr().out
+    (read,) = read_recordings(lab.folder / name)
+    assert (read.participant, read.substrate, read.cover, read.gesture) == ("anna", "none", "fur", "tickle")
+    (kept,) = kept_touches(folder_of(lab.journal))
+    np.testing.assert_array_equal(read.counts, read_frames(kept).touch.counts)
+    told = read_provenance(lab.folder / name)
+    assert (told["touch"], told["recorded"], told["sensor"]) == ("17", kept.time, "a made pad")
+    assert told["source"].startswith("touchd record --from-journal")
+    assert told["taken for"] == "rub (released)"
+    assert {"labelled", "licence"} <= told.keys()
+
+
+def test_a_touch_that_was_none_is_saved_with_the_rest_around_it(lab: Lab) -> None:
+    lab.touched(17)
+    assert lab.label("17=notouch") == 0
+    (read,) = read_recordings(lab.folder / lab.files()[0])
+    assert len(read.counts) == 40
+    assert set(np.diff(read.sensor_ms).tolist()) == {19}
+
+
+def test_a_label_given_twice_writes_once_and_another_writes_nothing_over(
+    lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.touched(17)
+    assert lab.label("17=tickle") == 0
+    assert lab.label("17=tickle") == 0
+    assert "is there already" in capsys.readouterr().out
+    assert lab.label("17=rub") == 2
+    assert "is there already; delete it to label touch 17 anew" in capsys.readouterr().err
+    assert len(lab.files()) == 1
+
+
+def test_a_number_that_began_anew_is_asked_for_by_its_time(
+    lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.touched(17)
+    later = lab.touched(17, after_s=100.0)
+    assert lab.label("17=tickle") == 2
+    assert f"2 kept touches have it; say which by its time, the last are {felt(17).began.time}" in (
+        capsys.readouterr().err
+    )
+    assert lab.label(f"{later.began.time[:19]}=tickle") == 0
+    assert lab.files() == [f"anna_none_fur_tickle_{kept_touches(folder_of(lab.journal))[1].path.name}"]
+
+
+@pytest.mark.parametrize(
+    ("label", "message"),
+    [
+        ("99=tickle", "99: no kept touch has this number or time; its frames are gone, or were never kept."),
+        ("17=purr", "--label 17: purr is none of --gestures, constant, notouch, pat"),
+    ],
+)
+def test_what_cannot_be_labelled_is_one_line_and_nothing_is_written(
+    lab: Lab, capsys: pytest.CaptureFixture[str], label: str, message: str
+) -> None:
+    lab.touched(17)
+    lab.journalled(felt(99))
+    assert lab.label("17=tickle", label) == 2
+    assert message in capsys.readouterr().err
+    assert lab.files() == []
+
+
+def test_labels_without_a_person_to_name_or_without_a_journal_are_refused(
+    lab: Lab, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.touched(17)
+    assert cli.main(lab.arguments("--label", "17=tickle")) == 2
+    assert "say with --participant who touched" in capsys.readouterr().err
+    for wrong in (["--label", "17=tickle"], ["--from-journal", str(lab.journal), "--label", "tickle"]):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["record", str(lab.folder), *wrong])
+        assert ended.value.code == 2
+
+
+def test_a_journal_without_kept_touches_says_how_to_have_them_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "events.jsonl").touch()
+    lab = ["record", str(tmp_path / "lab"), "--from-journal", str(tmp_path / "events.jsonl")]
+    assert cli.main(lab) == 2
+    assert "set journal.keep_touches" in capsys.readouterr().err
+    assert not (tmp_path / "lab").exists()
+
+
+def test_a_lab_s_own_gestures_can_be_labels(lab: Lab) -> None:
+    lab.touched(17)
+    gestures = ("--participant", "anna", "--gestures", "purr,hug", "--label", "17=purr")
+    assert cli.main(lab.arguments(*gestures)) == 0
+    assert "_purr_" in lab.files()[0]
+
+
+def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
+    for number, gesture in ((1, "pat"), (2, "rub"), (3, "stroke"), (4, "scratch")):
+        lab.touched(number, gesture)
+    lab.journalled(felt(5))
+    with Terminal(*lab.arguments("--participant", "anna", "--cover", "fur")) as terminal:
+        terminal.until("4 touches are kept; 0 of them have been looked at before")
+        terminal.until("of 1 more in the journal no frames are kept")
+        assert terminal.until("What was under the pad?").index("pat 61%") > 0
+        terminal.answer("foam")
+        shown = terminal.until("u undo, q quit: ")
+        assert "1 of 4: touch 4, taken for scratch" in shown
+        assert "mean pad" in shown
+        assert "early       1.0 s  scratch 61%" in shown
+        assert "anna, foam under the pad, fur over it" in shown
+        assert "7 tickle" in shown
+        terminal.answer("7")
+        terminal.until("kept anna_foam_fur_tickle_")
+        terminal.until("2 of 4: touch 3")
+        terminal.until("quit: ")
+        terminal.answer("")
+        terminal.until("right")
+        terminal.until("3 of 4: touch 2")
+        terminal.until("quit: ")
+        terminal.answer("w")
+        terminal.until("Who touched the pad? [anna]")
+        terminal.answer("ben")
+        for _ in range(2):
+            terminal.until("the pad? [")
+            terminal.answer("")
+        terminal.until("ben, foam under the pad, fur over it")
+        terminal.until("quit: ")
+        terminal.answer("4")
+        terminal.until("kept ben_foam_fur_rub_")
+        terminal.until("4 of 4: touch 1")
+        terminal.until("quit: ")
+        terminal.answer("l")
+        terminal.until("That was the last of them.")
+        terminal.until("Enter to end, u undo: ")
+        terminal.answer("u")
+        terminal.until("4 of 4: touch 1")
+        terminal.until("quit: ")
+        terminal.answer("7")
+        terminal.until("Enter to end, u undo: ")
+        terminal.answer("u")
+        terminal.until("undone")
+        terminal.until("quit: ")
+        terminal.answer("l")
+        terminal.until("Enter to end, u undo: ")
+        terminal.answer("")
+        assert terminal.process.wait(10) == 0
+    assert [name.rpartition("_")[0] for name in lab.files()] == ["anna_foam_fur_tickle", "ben_foam_fur_rub"]
+
+
+def test_a_slip_is_undone_and_what_was_decided_is_not_asked_again_after_a_crash(lab: Lab) -> None:
+    for number in (1, 2, 3):
+        lab.touched(number)
+    with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
+        terminal.until("quit: ")
+        terminal.answer("u")
+        terminal.until("nothing to undo")
+        terminal.until("quit: ")
+        terminal.answer("7")
+        terminal.until("kept anna")
+        terminal.until("2 of 3")
+        terminal.until("quit: ")
+        terminal.answer("u")
+        terminal.until("undone")
+        terminal.until("1 of 3")
+        terminal.until("quit: ")
+        assert lab.files() == []
+        terminal.answer("")
+        terminal.until("2 of 3")
+        terminal.until("quit: ")
+        terminal.answer("u")
+        terminal.until("1 of 3")
+        terminal.until("quit: ")
+        assert list((lab.folder / RIGHT).iterdir()) == []
+        terminal.answer("")
+        terminal.until("2 of 3")
+        terminal.until("quit: ")
+        terminal.answer("6")
+        terminal.until("3 of 3")
+        terminal.process.kill()
+        terminal.process.wait()
+    assert len(lab.files()) == 1
+    with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
+        terminal.until("3 touches are kept; 2 of them have been looked at before")
+        terminal.until("1 of 1: touch 1")
+        terminal.until("quit: ")
+        terminal.answer("q")
+        terminal.until("the same command goes on from here")
+        assert terminal.process.wait(10) == 0
+
+
+def test_half_a_recording_left_by_a_crash_is_no_label(lab: Lab) -> None:
+    touch = lab.touched(17)
+    lab.folder.mkdir()
+    (kept,) = kept_touches(folder_of(lab.journal))
+    (lab.folder / f".partial-anna_none_fur_rub_{kept.path.name}").write_bytes(b"\x1f\x8b half")
+    assert lab.label(f"{touch.began.time}=tickle") == 0
+    assert len([name for name in lab.files() if not name.startswith(".")]) == 1
+
+
+def test_without_anybody_to_answer_it_lists_and_ends(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.touched(17)
+    with Path("/dev/null").open() as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        assert cli.main(lab.arguments(*SAY_WHO)) == 0
+    out = capsys.readouterr().out
+    assert "17" in out
+    assert "Stopped" in out
+    assert lab.files() == []
+
+
+def listed(lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> list[str]:
+    """The lines of a session in which everything is left for later."""
+    monkeypatch.setattr("sys.stdin", io.StringIO("l\n" * 100))
+    assert cli.main(lab.arguments(*SAY_WHO)) == 0
+    return capsys.readouterr().out.splitlines()
+
+
+def test_a_touch_whose_lines_were_rotated_away_is_offered_all_the_same(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lab.store.add(felt(1))
+    lab.touched(2)
+    lines = listed(lab, monkeypatch, capsys)
+    assert any("touch 1, taken for ?" in line for line in lines)
+    assert any("the journal no longer tells of it" in line for line in lines)
+    lab.journal.unlink()
+    assert any("touch 2, taken for ?" in line for line in listed(lab, monkeypatch, capsys))
+
+
+def test_a_journal_in_several_files_with_damaged_lines_is_read_as_far_as_it_goes(lab: Lab) -> None:
+    touches = [felt(number) for number in range(1, 6)]
+    lab.journalled(touches[4])
+    newest = lab.journal.read_bytes()
+    older = []
+    for number in (2, 3):
+        lab.journal.write_bytes(b"")
+        other = Lab(lab.journal.parent)
+        other.journalled(touches[number])
+        older.append(lab.journal.read_bytes())
+    lab.journal.write_bytes(b'{"type":"pred\n' + newest + b'\xff\x00 no event\n{"type":"touch_beg')
+    lab.journal.with_name("events.jsonl.1").write_bytes(older[1] + b"x" * 100_000 + b"\n")
+    lab.journal.with_name("events.jsonl.2").write_bytes(older[0])
+    read = read_since(lab.journal, touches[3].began.time)
+    assert [(touch.began.touch, len(touch.predictions)) for touch in read] == [(4, 1), (5, 1)]
+    assert [touch.began.touch for touch in read_since(lab.journal, "")] == [3, 4, 5]
+    assert read_since(lab.journal.with_name("none.jsonl"), "") == []
+
+
+def test_a_touch_deleted_by_the_daemon_meanwhile_and_a_damaged_one_are_passed_over(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in (1, 2):
+        lab.touched(number)
+    first, second = kept_touches(folder_of(lab.journal))
+    second.path.write_bytes(second.path.read_bytes()[:100])
+    lines = " ".join(listed(lab, monkeypatch, capsys))
+    assert "cannot be read as a recording" in lines
+    assert "2 of 2: touch 1" in lines
+    monkeypatch.setattr("daemon.commands.label.kept_touches", lambda _: [first, second])
+    first.path.unlink()
+    assert "No such file or directory" in " ".join(listed(lab, monkeypatch, capsys))
+
+
+def pad_of(stream: Stream, speed: float) -> FakePort:
+    return FakePort(stream, encoder_for(SensorSettings()), speed=speed)
+
+
+def keeping(port: FakePort, folder: Path, keep_touches: int | None = 20) -> Settings:
+    journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=keep_touches)
+    return Settings(sensor=SensorSettings(port=port.path), journal=journal)
+
+
+def played(stream: Stream, folder: Path) -> list[Event]:
+    """What the spawned daemon says of a stream while it keeps touches in a folder."""
+    with pad_of(stream, SPEED) as port, (folder / "log").open("w+b") as log:
+        daemon = SpawnedDaemon(keeping(port, folder), folder, log)
+        try:
+            assert port.wait(25), "the daemon did not take what was played"
+        finally:
+            daemon.process.terminate()
+            events = list(daemon.events())
+            exit_code = daemon.stop()
+        log.seek(0)
+        assert exit_code == 0, log.read().decode()
+    return events
+
+
+def answers_to(stream: Stream) -> list[tuple[str, str, float]]:
+    events: list[Event] = []
+    play(stream, Pipeline(Settings().pipeline, load_model(Settings()), events.append))
+    return outline(events)
+
+
+def outline(events: list[Event]) -> list[tuple[str, str, float]]:
+    return [
+        (event.stage, event.gesture, event.confidence) for event in events if isinstance(event, Prediction)
+    ]
+
+
+def test_a_touch_that_the_daemon_felt_is_kept_labelled_and_understood_again(tmp_path: Path) -> None:
+    stream = stream_of(LENGTHS)
+    events = played(stream, tmp_path)
+    journal = tmp_path / "events.jsonl"
+    kept = kept_touches(folder_of(journal))
+    began = [event for event in events if isinstance(event, TouchBegan)]
+    ended = [event for event in events if isinstance(event, TouchEnded)]
+    assert [(touch.time, touch.number) for touch in kept] == [(event.time, event.touch) for event in began]
+    for touch, first, last in zip(kept, began, ended, strict=True):
+        frames = read_frames(touch).touch
+        assert last.sensor_ms is not None
+        of_the_touch = (first.sensor_ms <= stream.sensor_ms) & (stream.sensor_ms <= last.sensor_ms)
+        assert of_the_touch.sum() == last.frames
+        np.testing.assert_array_equal(frames.counts, stream.counts[of_the_touch])
+        np.testing.assert_array_equal(frames.sensor_ms, stream.sensor_ms[of_the_touch])
+
+    said = [event for event in events if isinstance(event, Prediction) and event.touch == 5]
+    again = answers_to(with_quiet(read_recordings(kept[4].path), []))
+    assert [answer[:2] for answer in again] == [answer[:2] for answer in outline(list(said))]
+
+    lab = tmp_path / "lab"
+    label = ["record", str(lab), "--from-journal", str(journal), "--participant", "anna"]
+    assert cli.main([*label, "--label", "5=stroke"]) == 0
+    (path,) = lab.glob("*.csv.gz")
+    (recording,) = read_recordings(path)
+    assert recording.gesture == "stroke"
+    np.testing.assert_array_equal(recording.counts, read_frames(kept[4]).touch.counts)
+    assert [stage for stage, _, _ in answers_to(with_quiet([recording], []))][:3] == [
+        "early",
+        "revised",
+        "final",
+    ]
+
+
+def test_keeping_is_turned_on_and_off_while_the_daemon_runs(tmp_path: Path) -> None:
+    folder = folder_of(tmp_path / "events.jsonl")
+    with pad_of(stream_of(LENGTHS), 12.0) as port, (tmp_path / "log").open("w+b") as log:
+        off, on = keeping(port, tmp_path, None), keeping(port, tmp_path)
+        daemon = SpawnedDaemon(off, tmp_path, log)
+        try:
+            events = daemon.events()
+            # Before it hears the pad it may not be listening to signals yet.
+            assert any(isinstance(event, SensorEvent) for event in events)
+            assert not folder.exists()
+            configure(daemon, tmp_path, on)
+            while not kept_touches(folder):
+                time.sleep(0.01)
+            configure(daemon, tmp_path, off)
+            kept = kept_touches(folder)
+            assert port.wait(25)
+            daemon.process.terminate()
+            assert sum(isinstance(event, TouchEnded) for event in events) >= len(kept)
+        finally:
+            assert daemon.stop() == 0
+    assert kept_touches(folder) == kept
+    assert "changed: journal" in (tmp_path / "log").read_text()
+
+
+def configure(daemon: SpawnedDaemon, folder: Path, settings: Settings) -> None:
+    """Have the daemon go by other settings, and wait until it does."""
+    log = folder / "log"
+    before = log.read_text().count("configuration read again")
+    (folder / "touchd.yaml").write_text(yaml.safe_dump(msgspec.to_builtins(settings)))
+    daemon.process.send_signal(signal.SIGHUP)
+    while log.read_text().count("configuration read again") == before:
+        time.sleep(0.01)

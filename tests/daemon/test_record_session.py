@@ -1,0 +1,153 @@
+"""A session of recordings on a terminal: asked, counted down, checked, redone, kept, gone on with."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.made_pad import MadePad, nothing, palm
+from rigs.terminal import Terminal
+
+from daemon import cli
+from daemon.config import SensorSettings, Settings
+from daemon.recorder.capture import Pad, PadLost
+from daemon.recorder.session import Session, keep
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.hand import simulate
+from drivers.frame import Counts
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.recording import Stream, ideal_clock_ms, read_recordings
+
+SPEED = 6.0
+
+
+class Hand:
+    """Encodes a pad at rest, or under a palm, as the test says."""
+
+    def __init__(self) -> None:
+        pad = MadePad()
+        self._resting, self._pressed = pad.counts(nothing(10.0)), pad.counts(palm(10.0, 60.0))
+        self.presses = False
+
+    def __call__(self, counts: Counts, sensor_ms: int) -> bytes:
+        now = self._pressed if self.presses else self._resting
+        return encode_fabric_grid(now[sensor_ms // 19 % len(now)], sensor_ms)
+
+
+@pytest.fixture
+def hand() -> Hand:
+    return Hand()
+
+
+@pytest.fixture
+def port(hand: Hand) -> Iterator[FakePort]:
+    stream = Stream(np.zeros((5400, 8, 8), np.uint16), ideal_clock_ms(5400), ())
+    with FakePort(stream, hand, speed=SPEED, loop=True) as port:
+        yield port
+
+
+def test_a_pad_unplugged_while_it_is_recorded_is_told(port: FakePort) -> None:
+    with Pad(Settings(sensor=SensorSettings(port=port.path))) as pad:
+        assert pad.await_frame(5.0) == ""
+        frames = pad.follow(60.0)
+        next(frames)
+        port.stop()
+        with pytest.raises(PadLost, match="went away"):
+            list(frames)
+        assert "went away" in pad.await_frame(0.3)
+
+
+def arguments(port: FakePort, folder: Path, *more: str) -> list[str]:
+    options = ["--substrate", "foam", "--seconds", "1.5", "--countdown", "1", "--port", port.path]
+    return ["record", str(folder), *options, *more]
+
+
+def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, port: FakePort, hand: Hand) -> None:
+    options = ("--gestures", "pat,notouch,rub", "--licence", "CC-BY-4.0")
+    with Terminal(*arguments(port, tmp_path, *options)) as terminal:
+        terminal.until("Who touches the pad?")
+        terminal.answer("an na")
+        terminal.until("a name has letters")
+        terminal.until("Who touches the pad?")
+        terminal.answer("anna")
+        terminal.until("What is over the pad? [none] ")
+        terminal.answer("")
+        order = [take.gesture for take in Session(tmp_path, "anna", "foam", "none", GESTURES, 1, 0).takes()]
+        for gesture in order:
+            terminal.until(f"of 3: {gesture}")
+            terminal.until("Enter to begin")
+            terminal.answer("s" if gesture == "rub" else "")
+            if gesture == "notouch":
+                terminal.until("Enter to keep it")
+                terminal.answer("")
+            elif gesture == "pat":
+                terminal.until("Enter to do it again")
+                pat_until_it_is_felt(terminal, hand)
+                terminal.answer("")
+        terminal.until("2 of 3 recordings are in")
+        assert terminal.process.wait(10) == 0
+    assert "no touch was felt" in terminal.shown
+    (pat,) = read_recordings(tmp_path / "anna_foam_none_pat_1.csv.gz")
+    assert (pat.participant, pat.substrate, pat.cover, pat.gesture) == ("anna", "foam", "none", "pat")
+    assert len(pat.counts) == pytest.approx(1.5 * 54, abs=1)
+    assert pat.counts[70:].max() > 40
+    header = gzip.decompress((tmp_path / "anna_foam_none_pat_1.csv.gz").read_bytes()).decode()
+    assert "# licence: CC-BY-4.0\n" in header
+    assert "fabric-grid 10x10, crop 1, invert True, at 512000 baud" in header
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+GESTURES = ("pat", "notouch", "rub")
+
+
+def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
+    """Do it again, and again where a busy machine let the hand come too late."""
+    question = ""
+    while "keep it" not in question:
+        terminal.answer("")
+        terminal.until("Enter to begin")
+        terminal.answer("")
+        terminal.until("pat now")
+        hand.presses = True
+        terminal.until("  Enter to ")
+        hand.presses = False
+        question = terminal.until(", s to skip")
+
+
+def test_only_what_is_not_there_is_asked_for_and_a_crash_leaves_nothing_half(
+    tmp_path: Path, port: FakePort
+) -> None:
+    kept = tmp_path / "anna_foam_fur_notouch_1.csv.gz"
+    (recording,) = simulate((("notouch", 0.5),), seed=1)
+    keep(kept, [recording], {})
+    options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch", "--rounds", "2")
+    with Terminal(*arguments(port, tmp_path, *options)) as terminal:
+        assert "1 of 2" not in terminal.until("2 of 2: notouch")
+        terminal.until("Enter to begin")
+        terminal.answer("")
+        terminal.until("notouch now")
+        terminal.process.kill()
+        terminal.process.wait()
+    assert list(tmp_path.iterdir()) == [kept]
+
+
+def test_who_has_had_enough_is_told_how_to_go_on(tmp_path: Path, port: FakePort) -> None:
+    options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch")
+    with Terminal(*arguments(port, tmp_path, *options)) as terminal:
+        terminal.until("Enter to begin")
+        terminal.answer("q")
+        terminal.until("the same command goes on from here")
+        assert terminal.process.wait(10) == 0
+
+
+def test_without_anybody_to_answer_it_ends(
+    tmp_path: Path, port: FakePort, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Path("/dev/null").open() as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        assert cli.main(arguments(port, tmp_path, "--participant", "anna", "--cover", "fur")) == 0
+    assert "Stopped" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,267 @@
+"""Sinks: none slows the loop, each ends when told; the journal holds whole lines, and not too many."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from daemon.events import SensorEvent, TouchBegan, decode
+from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
+from daemon.sinks import JournalSink, LinesSink
+
+
+def touch(number: int) -> TouchBegan:
+    return TouchBegan(touch=number, time="2026-11-20T10:00:00.000Z", sensor_ms=number)
+
+
+@pytest.fixture
+def pipe() -> Iterator[tuple[int, int]]:
+    reader, writer = os.pipe()
+    yield reader, writer
+    for fd in (reader, writer):
+        try:
+            os.close(fd)
+        except OSError:
+            continue
+
+
+def names() -> set[str]:
+    return {thread.name for thread in threading.enumerate()}
+
+
+def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
+    reader, writer = pipe
+    sink = LinesSink(writer, on_gone=lambda: None)
+    for number in range(50):
+        sink.put(touch(number))
+    sink.stop(2.0)
+    os.close(writer)
+    with open(reader, "rb", closefd=False) as file:
+        assert [decode(line) for line in file] == [touch(number) for number in range(50)]
+
+
+def test_a_stalled_reader_blocks_nobody_and_the_oldest_events_are_dropped(pipe: tuple[int, int]) -> None:
+    _, writer = pipe
+    sink = LinesSink(writer, on_gone=lambda: None, capacity=10)
+    long = SensorEvent(state="down", time="", reason="x" * 60_000)
+    for _ in range(50):
+        sink.put(long)
+    assert 30 <= sink.dropped <= 40
+    sink.stop(0.6)
+    assert "touchd-stdout" not in names()
+
+
+def test_a_broken_pipe_is_told_once_and_ends_the_sink(pipe: tuple[int, int]) -> None:
+    reader, writer = pipe
+    os.close(reader)
+    gone = threading.Semaphore(0)
+    sink = LinesSink(writer, on_gone=gone.release)
+    sink.put(touch(1))
+    assert gone.acquire(timeout=5)
+    sink.put(touch(2))
+    sink.stop(1.0)
+    assert not gone.acquire(blocking=False)
+    assert "touchd-stdout" not in names()
+
+
+def test_stopping_writes_what_is_queued_and_may_be_repeated(tmp_path: Path) -> None:
+    sink = JournalSink(Journal(tmp_path / "events.jsonl", max_bytes=10_000_000, keep=1))
+    for number in range(200):
+        sink.put(touch(number))
+    sink.stop(5.0)
+    sink.stop(5.0)
+    lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
+    assert [decode(line) for line in lines] == [touch(number) for number in range(200)]
+    assert "touchd-journal" not in names()
+
+
+def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    journal = Journal(path, max_bytes=1000, keep=2)
+    for number in range(200):
+        journal.append(b'{"n": %d}' % number)
+    journal.close()
+    files = [tmp_path / "events.jsonl.2", tmp_path / "events.jsonl.1", path]
+    assert sorted(tmp_path.iterdir()) == sorted(files)
+    assert all(file.stat().st_size <= 1000 for file in files)
+    numbers = [json.loads(line)["n"] for file in files for line in file.read_bytes().splitlines()]
+    assert numbers == list(range(numbers[0], 200))
+
+
+def test_a_journal_that_keeps_nothing_older_begins_anew(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "events.jsonl", max_bytes=100, keep=0)
+    for number in range(100):
+        journal.append(b'{"n": %d}' % number)
+    journal.close()
+    assert [file.name for file in tmp_path.iterdir()] == ["events.jsonl"]
+    assert (tmp_path / "events.jsonl").stat().st_size <= 100
+
+
+def test_half_a_line_left_by_a_power_cut_is_taken_off(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_bytes(b'{"n": 1}\n{"n": ')
+    journal = Journal(path, max_bytes=1000, keep=1)
+    journal.append(b'{"n": 2}')
+    journal.close()
+    assert path.read_bytes() == b'{"n": 1}\n{"n": 2}\n'
+
+
+def test_no_event_crosses_a_page_so_that_a_kill_cannot_halve_it(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    journal = Journal(path, max_bytes=10_000_000, keep=1)
+    lines = [b'{"n": "' + b"x" * length + b'"}' for length in range(1000)]
+    for line in lines:
+        journal.append(line)
+    journal.close()
+    written = path.read_bytes()
+    assert [line.rstrip() for line in written.splitlines()] == lines
+    position = 0
+    for line in written.splitlines(keepends=True):
+        assert position // PAGE_BYTES == (position + len(line) - 1) // PAGE_BYTES
+        position += len(line)
+    assert len(written) < 1.3 * sum(map(len, lines))
+
+
+def test_a_journal_that_cannot_be_opened_is_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(JournalError, match=r"cannot be written \(No such file or directory\)"):
+        Journal(tmp_path / "nowhere" / "events.jsonl", max_bytes=1000, keep=1)
+
+
+FILL_THE_DISK = """
+import logging, resource, signal, sys
+from pathlib import Path
+from daemon.kept.journal import Journal
+logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+journal = Journal(Path(sys.argv[1]), max_bytes=10**9, keep=1)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
+for number in range(200):
+    journal.append(b'{"n": %d}' % number)
+lost = journal.lost
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+journal.append(b'{"n": 200}')
+print(lost)
+"""
+
+
+def test_a_full_disk_is_warned_of_once_and_leaves_only_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    done = subprocess.run(
+        [sys.executable, "-c", FILL_THE_DISK, str(path)],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=20,
+    )
+    numbers = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
+    lost = int(done.stdout)
+    assert lost > 0
+    assert numbers == [*range(200 - lost), 200]
+    warnings = done.stderr.splitlines()
+    assert len(warnings) == 2
+    assert "events are not kept" in warnings[0]
+    assert f"works again; {lost} events were lost" in warnings[1]
+
+
+KILL_MID_WRITE = """
+import random, sys
+from pathlib import Path
+from daemon.kept.journal import Journal
+journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
+print("writing", flush=True)
+while True:
+    journal.append(b'{"n": "' + b"x" * random.randrange(1, 1000) + b'"}')
+"""
+
+
+def test_a_journal_killed_at_any_point_holds_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    with subprocess.Popen(
+        [sys.executable, "-c", KILL_MID_WRITE, str(path)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        while not path.with_name("events.jsonl.1").exists():
+            assert process.poll() is None
+        process.kill()
+    for file in tmp_path.iterdir():
+        for line in file.read_bytes().split(b"\n")[:-1]:
+            json.loads(line)
+        assert file.stat().st_size == 0 or file.read_bytes().endswith(b"\n")
+
+
+FILL_A_SMALL_DISK = """
+import json, logging, sys
+from pathlib import Path
+from daemon.kept.journal import Journal
+logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
+path = Path(sys.argv[1])
+ballast = path.with_name("ballast")
+ballast.write_bytes(bytes(16_384))
+journal = Journal(path, max_bytes=10**9, keep=1)
+number = 0
+while journal.lost < 500:
+    journal.append(b'{"n": %d}' % number)
+    number += 1
+full = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
+ballast.unlink()
+journal.append(b'{"n": -1}')
+after = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
+assert full == list(range(number - 500)), full[-5:]
+assert after == [*full, -1], after[-5:]
+"""
+
+
+@pytest.mark.skipif(
+    subprocess.run(
+        ["unshare", "--mount", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
+    ).returncode
+    != 0,
+    reason="a small disk cannot be mounted here",
+)
+def test_on_a_disk_that_is_really_full_the_journal_stays_valid_and_goes_on_when_there_is_room(
+    tmp_path: Path,
+) -> None:
+    mounted = 'mount -t tmpfs -o size=64k none "$0" && exec "$1" -c "$2" "$0/events.jsonl"'
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", mounted, str(tmp_path), sys.executable, FILL_A_SMALL_DISK],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=20,
+    )
+    assert done.returncode == 0, done.stderr
+    warning, recovery = done.stderr.splitlines()
+    assert warning.startswith("WARNING")
+    assert "No space left on device; events are not kept" in warning
+    assert recovery.startswith("INFO")
+    assert "works again; 500 events were lost" in recovery
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_a_journal_killed_fifty_times_holds_whole_lines_and_is_gone_on_with(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    chance = random.Random(1)
+    for _ in range(50):
+        with subprocess.Popen(
+            [sys.executable, "-c", KILL_MID_WRITE, str(path)], stdout=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(chance.uniform(0.0, 0.1))
+            process.kill()
+        for file in tmp_path.iterdir():
+            written = file.read_bytes()
+            assert written.endswith(b"\n") or not written
+            assert all(json.loads(line)["n"] for line in written.splitlines())
+    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 4 * 100_000

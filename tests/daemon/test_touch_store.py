@@ -1,0 +1,417 @@
+"""The frames of touches, kept where a lab asks for it: the true ones, whole, bounded, at nobody's cost."""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.felt_touch import felt
+from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+from rigs.scripted_model import Scripted
+
+from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
+from daemon.destinations import open_touch_store
+from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
+from daemon.kept.touch_frames import FeltTouch, cut
+from daemon.kept.touch_sink import CAPACITY, LONGEST_FRAMES, TouchSink
+from daemon.kept.touch_store import TouchStore, file_name, kept_touches, read_frames
+from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from drivers.frame import Counts, Frame
+from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
+
+PERIOD_MS = 1000 / 54
+
+
+class Bench:
+    """A made pad at 54 Hz before a pipeline whose events and frames a touch sink gets, as in the daemon."""
+
+    def __init__(self, store: TouchStore | None, clock_ms: float = 0.0) -> None:
+        self.sink = TouchSink(store)
+        self.pad = MadePad()
+        self.sent: list[Frame] = []
+        self.clock_ms = clock_ms
+        self.events: list[Event] = []
+        self.now_s = 1795168800.0
+        clock = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: self.now_s)
+        self.pipeline = Pipeline(PipelineSettings(), Scripted(), self._emit, clock)
+        self.feel(nothing(1.5))
+
+    def feel(self, *pressures: Scans) -> None:
+        for counts in self.pad.counts(np.concatenate(pressures)):
+            self._feel(counts)
+
+    def end(self) -> None:
+        self.pipeline.flush()
+        self.sink.stop(10.0)
+
+    def _feel(self, counts: Counts) -> None:
+        frame = Frame(len(self.sent), round(self.clock_ms) % 2**32, 100.0, counts)
+        self.sent.append(frame)
+        self.clock_ms += PERIOD_MS
+        self.now_s += PERIOD_MS / 1000
+        self.sink.take(frame)
+        self.pipeline.on_frame(frame)
+
+    def _emit(self, event: Event) -> None:
+        self.events.append(event)
+        self.sink.put(event)
+
+
+def began(events: Sequence[Event]) -> list[TouchBegan]:
+    return [event for event in events if isinstance(event, TouchBegan)]
+
+
+def ended(events: Sequence[Event]) -> list[TouchEnded]:
+    return [event for event in events if isinstance(event, TouchEnded)]
+
+
+def frames_of(bench: Bench, first_ms: int, last_ms: int) -> list[Frame]:
+    return [frame for frame in bench.sent if first_ms <= frame.sensor_ms <= last_ms]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> TouchStore:
+    return TouchStore(tmp_path / "touches", 20, "a made pad")
+
+
+def test_a_kept_touch_is_what_the_pad_sent_from_its_first_frame_to_its_last_contact(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    bench = Bench(store)
+    bench.feel(pat(2.0), nothing(2.0))
+    bench.end()
+    (kept,) = kept_touches(tmp_path / "touches")
+    (start,), (end,) = began(bench.events), ended(bench.events)
+    assert (kept.time, kept.number) == (start.time, start.touch)
+    assert start.sensor_ms == 1500
+    assert end.sensor_ms is not None
+    assert len(frames_of(bench, start.sensor_ms, end.sensor_ms)) == end.frames
+    frames = read_frames(kept)
+    assert frames.before is not None
+    assert frames.after is not None
+    for recording, expected in (
+        (frames.before, frames_of(bench, start.sensor_ms - 1000, start.sensor_ms - 1)),
+        (frames.touch, frames_of(bench, start.sensor_ms, end.sensor_ms)),
+        (frames.after, frames_of(bench, end.sensor_ms + 1, end.sensor_ms + 815)),
+    ):
+        assert recording.sensor_ms.tolist() == [frame.sensor_ms for frame in expected]
+        np.testing.assert_array_equal(recording.counts, np.stack([frame.pressure for frame in expected]))
+    assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
+
+
+def test_a_file_says_where_it_comes_from_and_nothing_of_who_touched(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    bench = Bench(store)
+    bench.feel(palm(1.2), nothing(2.0))
+    bench.end()
+    (kept,) = kept_touches(tmp_path / "touches")
+    told = read_provenance(kept.path)
+    assert told["sensor"] == "a made pad"
+    assert told["touch"] == "1"
+    assert told["recorded"] == kept.time
+    assert told["taken for"] == "stroke (released)"
+    assert told["rate"] == "54.00 Hz, 0 frames lost"
+    assert told["part"] == "the whole touch"
+    touch = read_frames(kept).touch
+    assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
+
+
+def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore, tmp_path: Path) -> None:
+    bench = Bench(store)
+    bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
+    bench.end()
+    first, second = kept_touches(tmp_path / "touches")
+    before = read_frames(second).before
+    assert before is not None
+    assert 40 <= len(before.counts) <= 46
+    assert before.counts.max() < 12
+    assert before.sensor_ms[0] > read_frames(first).touch.sensor_ms[-1]
+
+
+def test_what_follows_a_touch_that_was_not_let_go_is_not_taken_for_quiet(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    bench = Bench(store)
+    bench.feel(palm(1.2))
+    bench.clock_ms += 400
+    bench.feel(palm(0.5))
+    bench.end()
+    kept = kept_touches(tmp_path / "touches")
+    assert [end.reason for end in ended(bench.events)] == ["gap", "stopped"]
+    first, second = map(read_frames, (touch for touch in kept))
+    assert first.after is None
+    assert len(first.touch.counts) == 65
+    assert second.before is None or second.before.counts.max() < 12
+
+
+def test_a_pad_whose_clock_wraps_in_the_touch_is_kept_on_one_clock(store: TouchStore, tmp_path: Path) -> None:
+    bench = Bench(store, clock_ms=2**32 - 2000)
+    bench.feel(palm(1.5), nothing(1.0))
+    bench.end()
+    (kept,) = kept_touches(tmp_path / "touches")
+    steps_ms = np.concatenate([np.diff(part.sensor_ms) for part in read_recordings(kept.path)])
+    assert set(steps_ms.tolist()) == {18, 19}
+    assert len(read_frames(kept).touch.counts) == ended(bench.events)[0].frames
+
+
+def test_a_pad_that_restarted_lends_no_frame_of_its_other_clock(store: TouchStore, tmp_path: Path) -> None:
+    bench = Bench(store, clock_ms=500_000)
+    bench.feel(palm(1.2), nothing(1.5))
+    bench.clock_ms = 0
+    bench.feel(nothing(0.7), palm(1.2), nothing(1.5))
+    bench.end()
+    _, after = kept_touches(tmp_path / "touches")
+    frames = read_frames(after)
+    assert frames.before is not None
+    assert frames.before.sensor_ms[0] == 0
+    assert frames.touch.sensor_ms[0] == began(bench.events)[1].sensor_ms
+
+
+def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore, tmp_path: Path) -> None:
+    bench = Bench(store)
+    bench.feel(palm(70.0), nothing(1.0))
+    bench.end()
+    (kept,) = kept_touches(tmp_path / "touches")
+    parts = read_recordings(kept.path)
+    assert sum(len(part.counts) for part in parts) <= LONGEST_FRAMES
+    assert parts[-1].gesture == UNLABELLED
+    assert read_provenance(kept.path)["part"] == "the beginning of a longer touch"
+
+
+def test_without_a_store_no_frame_is_held_and_none_written(tmp_path: Path) -> None:
+    bench = Bench(None)
+    bench.feel(palm(1.2), nothing(1.0))
+    bench.end()
+    assert ended(bench.events)
+    assert not bench.sink._recent
+    assert list(tmp_path.iterdir()) == []
+    assert open_touch_store(Settings()) is None
+    assert open_touch_store(Settings(journal=JournalSettings(path=str(tmp_path / "events.jsonl")))) is None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_touch_that_goes_on_while_keeping_is_turned_off_or_on_is_not_kept(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    bench = Bench(store)
+    bench.feel(palm(0.5))
+    bench.sink.use(None)
+    bench.feel(palm(0.5), nothing(1.0), palm(0.5))
+    bench.sink.use(store)
+    bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.0))
+    bench.end()
+    assert len(ended(bench.events)) == 3
+    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [3]
+
+
+def test_of_a_thousand_touches_only_the_last_stay() -> None:
+    # In memory where that can be had: a disk takes ten seconds for a thousand files that are safe on it.
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
+        folder = Path(name)
+        store = TouchStore(folder, 5, "")
+        for number in range(1000):
+            store.add(felt(number, rest_frames=0))
+            assert len(os.listdir(folder)) <= 5
+        assert [kept.number for kept in kept_touches(folder)] == [995, 996, 997, 998, 999]
+
+
+def test_numbers_that_begin_anew_with_the_daemon_leave_every_touch_its_own_file(tmp_path: Path) -> None:
+    store = TouchStore(tmp_path, 5, "")
+    store.add(felt(7))
+    store.add(felt(7, after_s=100.0))
+    assert [kept.number for kept in kept_touches(tmp_path)] == [7, 7]
+
+
+def test_a_folder_deleted_by_who_wants_nothing_kept_any_longer_is_made_anew(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    store.add(felt(1))
+    (only,) = kept_touches(tmp_path / "touches")
+    only.path.unlink()
+    only.path.parent.rmdir()
+    store.add(felt(2))
+    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
+    assert (tmp_path / "touches").stat().st_mode & 0o007 == 0
+
+
+def test_a_folder_that_cannot_be_used_is_one_line_that_names_the_setting(tmp_path: Path) -> None:
+    (tmp_path / "events.jsonl.touches").touch()
+    for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
+        with pytest.raises(ConfigError, match=rf"journal\.keep_touches: .*{why}"):
+            open_touch_store(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
+    assert not Path("/nowhere").exists()
+
+
+class StuckStore(TouchStore):
+    """A store on a disk that hangs until it is told to go on."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, 50, "")
+        self.goes_on = threading.Event()
+
+    def add(self, touch: FeltTouch) -> None:
+        self.goes_on.wait(20)
+        super().add(touch)
+
+
+def test_a_disk_that_hangs_costs_the_oldest_touches_and_never_the_loop(tmp_path: Path) -> None:
+    store = StuckStore(tmp_path)
+    bench = Bench(store)
+    for _ in range(CAPACITY + 4):
+        bench.feel(palm(0.3), nothing(1.1))
+    assert len(ended(bench.events)) == CAPACITY + 4
+    assert 3 <= bench.sink.dropped <= 4
+    store.goes_on.set()
+    bench.end()
+    assert len(kept_touches(tmp_path)) == CAPACITY + 4 - bench.sink.dropped
+    assert "touchd-touches" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_keeping_costs_the_loop_little_a_frame(store: TouchStore) -> None:
+    sink = TouchSink(store)
+    frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
+    sink.take(frames[0])
+    sink.put(felt(1).began)
+    begun_s = time.process_time()
+    for frame in frames:
+        sink.take(frame)
+    each_s = (time.process_time() - begun_s) / len(frames)
+    sink.put(SensorEvent(state="down", time=""))
+    sink.stop(5.0)
+    # A microsecond is usual; the rest is for a busy machine.
+    assert each_s < 20e-6
+
+
+FILL_A_SMALL_DISK = """
+import logging, sys
+from pathlib import Path
+from rigs.felt_touch import felt
+from daemon.kept.touch_store import TouchStore, kept_touches, read_frames
+logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
+folder = Path(sys.argv[1]) / "touches"
+ballast = Path(sys.argv[1]) / "ballast"
+ballast.write_bytes(bytes(32_768))
+store = TouchStore(folder, 1000, "")
+number = 0
+while store.lost < 20:
+    number += 1
+    store.add(felt(number))
+whole = [kept.number for kept in kept_touches(folder)]
+assert whole == list(range(1, number - 19)), whole
+ballast.unlink()
+store.add(felt(0))
+assert len(kept_touches(folder)) == len(whole) + 1
+assert all(len(read_frames(kept).touch.counts) == 20 for kept in kept_touches(folder))
+assert len(list(folder.iterdir())) == len(whole) + 1, list(folder.iterdir())
+"""
+
+
+@pytest.mark.skipif(
+    subprocess.run(
+        ["unshare", "--mount", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
+    ).returncode
+    != 0,
+    reason="a small disk cannot be mounted here",
+)
+def test_a_full_disk_is_warned_of_once_leaves_whole_files_only_and_is_gone_on_with(tmp_path: Path) -> None:
+    mounted = 'mount -t tmpfs -o size=96k none "$0" && exec "$1" -c "$2" "$0"'
+    done = subprocess.run(
+        ["unshare", "--mount", "sh", "-c", mounted, str(tmp_path), sys.executable, FILL_A_SMALL_DISK],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=25,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+    )
+    assert done.returncode == 0, done.stderr
+    warning, recovery = done.stderr.splitlines()
+    assert warning.startswith("WARNING the frames of touches are not kept until that is mended")
+    assert "No space left on device" in warning
+    assert recovery == "INFO the frames of touches are kept again; those of 20 were lost"
+
+
+KILL_MID_WRITE = """
+import sys
+from pathlib import Path
+from rigs.felt_touch import felt
+from daemon.kept.touch_store import TouchStore
+store = TouchStore(Path(sys.argv[1]), 10_000, "")
+number = int(sys.argv[2])
+print("writing", flush=True)
+while True:
+    number += 1
+    store.add(felt(number))
+"""
+
+
+def test_a_daemon_killed_in_the_middle_of_writing_leaves_whole_files_only(tmp_path: Path) -> None:
+    chance = random.Random(1)
+    for attempt in range(3):
+        with subprocess.Popen(
+            [sys.executable, "-c", KILL_MID_WRITE, str(tmp_path), str(1000 * attempt)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        ) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(chance.uniform(0.0, 0.05))
+            process.kill()
+    for kept in kept_touches(tmp_path):
+        assert len(read_frames(kept).touch.counts) == 20
+    TouchStore(tmp_path, 10_000, "")
+    assert {path.name for path in tmp_path.iterdir()} == {kept.path.name for kept in kept_touches(tmp_path)}
+
+
+def test_of_the_touches_that_lie_there_a_lowered_bound_leaves_the_last(tmp_path: Path) -> None:
+    for number in range(6):
+        TouchStore(tmp_path, 10, "").add(felt(number))
+    TouchStore(tmp_path, 2, "").add(felt(6))
+    assert [kept.number for kept in kept_touches(tmp_path)] == [5, 6]
+
+
+def test_a_file_of_somebody_elses_in_the_folder_is_neither_offered_nor_deleted(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "anna_foam_fur_rub_1.csv.gz").touch()
+    store = TouchStore(tmp_path, 1, "")
+    store.add(felt(1))
+    store.add(felt(2))
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "notes.txt",
+        "anna_foam_fur_rub_1.csv.gz",
+        file_name(felt(2).began.time, 2),
+    }
+
+
+def test_a_pad_off_54_hz_is_kept_as_it_sent_and_cut_where_the_touch_truly_was(tmp_path: Path) -> None:
+    counts = np.zeros((8, 8), np.uint16)
+    frames = tuple(Frame(i, 10 * i, 0.0, counts) for i in range(300))
+    began = TouchBegan(touch=1, time="", sensor_ms=1157)
+    pieces = cut(replace(felt(1), began=began, frames=frames, noticed=121, end_ms=2004))
+    assert (pieces.touch[0].sensor_ms, pieces.touch[-1].sensor_ms) == (1160, 2000)
+    assert pieces.before[0].sensor_ms == 160
+    assert pieces.rate == "100.00 Hz, 0 frames lost"
+
+
+def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> None:
+    settings = Settings(
+        sensor=SensorSettings(port="/dev/pad"),
+        journal=JournalSettings(path=str(tmp_path / "events.jsonl"), keep_touches=2),
+    )
+    store = open_touch_store(settings)
+    assert store is not None
+    store.add(felt(1))
+    (kept,) = kept_touches(tmp_path / "events.jsonl.touches")
+    assert read_provenance(kept.path)["sensor"].endswith("at 512000 baud on /dev/pad")

@@ -1,0 +1,78 @@
+"""Frames whose clock jumps: after a wrap, a gap or a restart none is lost, and a damaged clock is refused."""
+
+from __future__ import annotations
+
+import pytest
+from rigs.wire import PERIOD_MS, assert_are, counts_of, flip, packet, packets
+
+from drivers.pad.protocol import FabricGrid, encode_fabric_grid
+
+
+def test_the_wrap_of_the_clock_after_49_days_is_nothing_special() -> None:
+    first_ms = 2**32 - 3 * PERIOD_MS
+    parser = FabricGrid()
+    assert_are(parser.feed(packets(range(8), first_ms), 0.0), range(8), first_ms)
+    assert parser.counts.bad == 0
+
+
+@pytest.mark.parametrize("restart_ms", [0, 3, 1_000_000])
+def test_after_a_reboot_no_frame_is_lost(restart_ms: int) -> None:
+    parser = FabricGrid()
+    before = parser.feed(packets(range(3)), 0.0)
+    after = [frame for number in range(4) for frame in parser.feed(packet(number, restart_ms), float(number))]
+    assert_are(before, range(3))
+    assert_are(after, range(4), restart_ms)
+    assert [frame.number for frame in after] == [3, 4, 5, 6]
+    assert [frame.host_s for frame in after] == [0.0, 1.0, 2.0, 3.0]
+    assert parser.counts.bad == 0
+
+
+def test_after_a_reboot_amid_garbage_and_damage_no_intact_frame_is_lost() -> None:
+    parser = FabricGrid()
+    wrong_clock = encode_fabric_grid(counts_of(9), 123_456_789)
+    rebooted = (
+        packet(0, 0) + b"ets Jun  8 2016\r\n" + wrong_clock + flip(packet(1, 0), 70) + packets([2, 3], 0)
+    )
+    frames = parser.feed(packets(range(3)) + rebooted, 0.0)
+    assert_are(frames[:3], range(3))
+    assert_are(frames[3:], [0, 2, 3], 0)
+    assert (parser.counts.bad_time, parser.counts.bad_checksum, parser.counts.bad_framing) == (1, 1, 1)
+
+
+def test_after_a_gap_of_seconds_the_stream_goes_on() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 1, 500, 501, 502]), 0.0), [0, 1, 500, 501, 502])
+    assert parser.counts.bad == 0
+
+
+def test_a_single_frame_whose_clock_jumps_is_refused_when_the_next_one_disagrees() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 1, 900, 2, 3]), 0.0), [0, 1, 2, 3])
+    assert parser.counts.bad_time == 1
+
+
+def test_a_frame_sent_twice_comes_out_once() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 0, 1, 1, 1, 2]), 0.0), [0, 1, 2])
+    assert (parser.counts.duplicates, parser.counts.bad) == (3, 0)
+
+
+def test_frames_played_again_out_of_order_do_not_turn_the_clock_back() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 1, 2, 3, 2, 3, 4, 5]), 0.0), range(6))
+
+
+def test_a_clock_that_never_agrees_with_itself_keeps_a_bounded_number_of_frames() -> None:
+    parser = FabricGrid()
+    assert parser.feed(packets(range(0, 100_000, 1000)), 0.0) == []
+    assert parser.counts.bad_time >= 90
+
+
+def test_a_reset_forgets_half_a_frame_and_the_clock_but_not_the_numbers() -> None:
+    parser = FabricGrid()
+    parser.feed(packets([0, 1]) + packet(2)[:50], 0.0)
+    parser.reset()
+    frames = parser.feed(packets([0, 1], 0), 0.0)
+    assert_are(frames, [0, 1], 0)
+    assert [frame.number for frame in frames] == [2, 3]
+    assert parser.counts.bytes_dropped == 50

@@ -1,0 +1,258 @@
+"""Bytes become frames: every intact one once and in order, nothing damaged, whatever the line does."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rigs.wire import (
+    MANY,
+    PERIOD_MS,
+    SIZE,
+    UNHURRIED,
+    VISIBLE_BITS,
+    VISIBLE_VALUE_BITS,
+    assert_are,
+    contents,
+    counts_of,
+    fed,
+    flip,
+    packet,
+    packets,
+)
+
+from drivers.pad.fabric_grid import damage_in
+from drivers.pad.protocol import CsvLines, FabricGrid, ProtocolError, encode_fabric_grid
+
+# --- what a frame is ---------------------------------------------------------------------------------------
+
+
+def test_a_10x10_pad_cropped_and_inverted_gives_the_8x8_of_the_haart_recipe() -> None:
+    raw = np.random.default_rng(0).integers(0, 1024, (10, 10)).astype("<u2")
+    times = [7, 26]
+    data = b"".join(
+        b"\xff\xff\xff\xff"
+        + time.to_bytes(4, "little")
+        + raw.tobytes()
+        + bytes([(int(raw.sum()) + time) % 256])
+        for time in times
+    )
+    frames = FabricGrid(rows=10, columns=10, crop=1, invert=True).feed(data, 3.5)
+    assert [frame.sensor_ms for frame in frames] == times
+    np.testing.assert_array_equal(frames[0].pressure, 1023 - raw[1:9, 1:9])
+    assert frames[0].pressure.dtype == np.uint16
+    assert frames[0].host_s == 3.5
+
+
+def test_an_8x8_pad_without_inversion_is_taken_as_it_is() -> None:
+    data = b"".join(
+        encode_fabric_grid(counts_of(1), ms, rows=8, columns=8, crop=0, invert=False) for ms in (0, 19)
+    )
+    frames = FabricGrid(rows=8, columns=8, crop=0, invert=False).feed(data, 0.0)
+    np.testing.assert_array_equal(frames[1].pressure, counts_of(1))
+
+
+def test_the_border_of_a_larger_grid_feels_nothing() -> None:
+    data = encode_fabric_grid(counts_of(1), 0)
+    raw = np.frombuffer(data, "<u2", 100, 8).reshape(10, 10)
+    assert len(data) == SIZE
+    assert set(raw[0]) | set(raw[-1]) | set(raw[:, 0]) | set(raw[:, -1]) == {1023}
+
+
+def test_pressure_cannot_be_written_to() -> None:
+    frames = FabricGrid().feed(packets([0, 1]), 0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        frames[0].pressure[0, 0] = 1
+
+
+@pytest.mark.parametrize(("rows", "columns", "crop"), [(10, 10, 0), (10, 8, 1), (6, 6, -1), (0, 0, 0)])
+def test_a_geometry_that_leaves_no_8x8_is_refused_with_what_to_do(rows: int, columns: int, crop: int) -> None:
+    with pytest.raises(ProtocolError, match=f"rows {rows}, columns {columns} and crop {crop}.*10x10"):
+        FabricGrid(rows, columns, crop)
+    with pytest.raises(ProtocolError):
+        CsvLines(rows, columns, crop)
+
+
+# --- intact frames, however they arrive --------------------------------------------------------------------
+
+
+@UNHURRIED
+@given(cuts=st.lists(st.integers(0, 6 * SIZE)))
+def test_frames_do_not_depend_on_how_the_bytes_were_cut(cuts: list[int]) -> None:
+    parser = FabricGrid()
+    assert_are(fed(parser, packets(range(6)), cuts), range(6))
+    assert parser.counts.bad == parser.counts.bytes_dropped == 0
+
+
+def test_frames_come_one_byte_at_a_time() -> None:
+    parser = FabricGrid()
+    data = packets(range(4))
+    frames = fed(parser, data, range(1, len(data)))
+    assert_are(frames, range(4))
+    assert [frame.number for frame in frames] == [0, 1, 2, 3]
+
+
+def test_a_long_recording_fed_at_once_comes_out_whole() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets(range(200)), 0.0), range(200))
+    assert parser.counts.frames == 200
+
+
+def test_a_frame_is_there_with_its_last_byte_and_bears_its_arrival() -> None:
+    parser = FabricGrid()
+    parser.feed(packets([0, 1]) + packet(2)[:-1], 10.0)
+    (frame,) = parser.feed(packet(2)[-1:], 11.0)
+    assert (frame.sensor_ms, frame.host_s) == (5000 + 2 * PERIOD_MS, 11.0)
+
+
+@pytest.mark.parametrize("cut", [1, 3, 4, 7, 8, 9, 100, SIZE - 1])
+def test_a_stream_joined_in_the_middle_of_a_frame_begins_with_the_next(cut: int) -> None:
+    assert_are(FabricGrid().feed(packets(range(4))[cut:], 0.0), [1, 2, 3])
+
+
+# --- damage ------------------------------------------------------------------------------------------------
+
+
+@UNHURRIED
+@given(bit=st.sampled_from(VISIBLE_BITS))
+def test_a_frame_with_a_flipped_bit_never_gets_through_and_is_counted(bit: int) -> None:
+    parser = FabricGrid()
+    data = packets([0, 1]) + flip(packet(2), bit) + packets([3, 4])
+    assert_are(fed(parser, data, range(0, len(data), 50)), [0, 1, 3, 4])
+    assert parser.counts.bad >= 1
+
+
+@pytest.mark.parametrize(
+    ("bit", "reason"),
+    [(0, "bad_framing"), (40, "bad_time"), (64, "bad_checksum"), (64 + 12, "bad_value")],
+)
+def test_each_kind_of_damage_is_counted_once_and_by_name(bit: int, reason: str) -> None:
+    parser = FabricGrid()
+    parser.feed(packets([0, 1]) + flip(packet(2), bit) + packets([3, 4]), 0.0)
+    assert getattr(parser.counts, reason) == parser.counts.bad == 1
+
+
+@pytest.mark.parametrize("kept", [*range(1, 12), 100, SIZE - 3, SIZE - 2, SIZE - 1])
+def test_a_frame_cut_off_costs_only_itself(kept: int) -> None:
+    parser = FabricGrid()
+    data = packets([0, 1]) + packet(2)[:kept] + packets([3, 4])
+    assert_are(parser.feed(data, 0.0), [0, 1, 3, 4])
+    assert parser.counts.bad >= 1
+    assert parser.counts.bytes_dropped == kept
+
+
+@pytest.mark.parametrize("length", range(1, 20))
+def test_a_header_that_begins_in_a_run_of_ff_is_found(length: int) -> None:
+    for number in range(2, 40):
+        data = packets([0, 1]) + b"\xff" * length + packets([number, number + 1])
+        assert_are(FabricGrid().feed(data, 0.0), [0, 1, number, number + 1])
+
+
+def test_a_false_frame_with_a_right_checksum_does_not_hide_the_true_one_inside_it() -> None:
+    """Two bytes of FF before a header make a window two bytes early; one in 256 passes every other check."""
+    found = 0
+    for number in range(2, 2000):
+        if damage_in(b"\xff\xff" + packet(number)[:-2]) is None:
+            data = packets([0, 1]) + b"\xff\xff" + packets([number, number + 1])
+            parser = FabricGrid()
+            assert_are(fed(parser, data, range(0, len(data), 100)), [0, 1, number, number + 1])
+            assert parser.counts.bad_time == parser.counts.bad == 1
+            found += 1
+    assert found > 0
+
+
+def test_a_run_of_ff_counts_as_one_however_many_headers_are_in_it() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 1]) + b"\xff" * 100 + packets([2, 3]), 0.0), range(4))
+    assert (parser.counts.bad_value, parser.counts.bad) == (1, 1)
+
+
+def test_a_long_run_of_garbage_counts_as_the_frames_it_took_the_place_of() -> None:
+    parser = FabricGrid()
+    assert_are(parser.feed(packets([0, 1]) + b"\x55" * (3 * SIZE) + packets([2, 3]), 0.0), range(4))
+    assert (parser.counts.bad_framing, parser.counts.bytes_dropped) == (3, 3 * SIZE)
+
+
+def test_two_damaged_frames_in_a_row_are_counted_as_two() -> None:
+    parser = FabricGrid()
+    damaged = flip(packet(2), 64) + flip(packet(3), 0)
+    assert_are(parser.feed(packets([0, 1]) + damaged + packets([4, 5]), 0.0), [0, 1, 4, 5])
+    assert (parser.counts.bad_checksum, parser.counts.bad_framing) == (1, 1)
+
+
+FLIPPED, CUT_OFF, GARBAGE = "flipped", "cut off", "garbage"
+noise = st.one_of(st.binary(min_size=1, max_size=40), st.integers(1, 40).map(lambda length: b"\xff" * length))
+mishaps = st.one_of(
+    st.tuples(st.just(FLIPPED), st.sampled_from(VISIBLE_BITS)),
+    st.tuples(st.just(CUT_OFF), st.integers(1, SIZE - 2)),
+    st.tuples(st.just(GARBAGE), noise),
+)
+
+
+@MANY
+@given(line=st.lists(mishaps, max_size=8), cuts=st.lists(st.integers(0, 3000), max_size=20))
+def test_on_any_line_every_intact_frame_comes_out_once_and_in_order(
+    line: list[tuple[str, int | bytes]], cuts: list[int]
+) -> None:
+    data, intact = packets([0, 1]), [0, 1]
+    for number, (what, detail) in enumerate(line, 1):
+        if isinstance(detail, bytes):
+            data += detail
+        else:
+            whole = packet(2 * number)
+            data += flip(whole, detail) if what == FLIPPED else whole[:detail]
+        data += packet(2 * number + 1)
+        intact.append(2 * number + 1)
+    parser = FabricGrid()
+    assert_are(fed(parser, data, [cut for cut in cuts if cut < len(data)]), intact)
+    assert parser.counts.bad >= len(line)
+
+
+soup = st.lists(
+    st.one_of(
+        noise,
+        st.binary(max_size=3 * SIZE),
+        st.integers(0, 60).map(packet),
+        st.builds(lambda number, kept: packet(number)[:kept], st.integers(0, 60), st.integers(0, SIZE)),
+        st.builds(
+            lambda number, bit: flip(packet(number), bit), st.integers(0, 60), st.integers(0, SIZE * 8 - 1)
+        ),
+        st.integers(0, 2**32 - 1).map(lambda ms: encode_fabric_grid(counts_of(0), ms)),
+        st.integers(2**32 - 40, 2**32 - 1).map(lambda ms: encode_fabric_grid(np.full((8, 8), 1023), ms)),
+    ),
+    max_size=15,
+).map(b"".join)
+
+
+@MANY
+@given(data=soup, cuts=st.lists(st.integers(0, 3000), max_size=30))
+def test_whatever_comes_in_the_cuts_change_nothing_and_memory_stays_bounded(
+    data: bytes, cuts: list[int]
+) -> None:
+    whole, cut = FabricGrid(), FabricGrid()
+    at_once = contents(whole.feed(data, 0.0))
+    piecewise = []
+    for start, stop in pairwise([0, *sorted(cuts), len(data)]):
+        piecewise += cut.feed(data[start:stop], 0.0)
+        assert cut.pending_bytes < 2 * SIZE
+    assert contents(piecewise) == at_once
+    assert cut.counts == whole.counts
+
+
+def test_a_flood_of_headers_is_not_kept_and_the_frames_after_it_come_out() -> None:
+    parser = FabricGrid()
+    for _ in range(4):
+        parser.feed(b"\xff" * 65536, 0.0)
+        assert parser.pending_bytes < 2 * SIZE
+    assert_are(parser.feed(packets([0, 1]), 0.0), [0, 1])
+
+
+def test_a_flip_the_format_cannot_show_is_the_only_one_that_passes() -> None:
+    bits = set(range(64, SIZE * 8 - 8)) - set(VISIBLE_VALUE_BITS)
+    assert {(bit - 64) % 16 for bit in bits} == {8, 9}
+    for bit in sorted(bits)[::20]:
+        parser = FabricGrid()
+        assert len(parser.feed(packets([0, 1]) + flip(packet(2), bit), 0.0)) == 3

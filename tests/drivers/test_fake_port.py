@@ -1,0 +1,209 @@
+"""The fake port behaves on its pty as a pad does on its cable: its pace, its bytes, its faults, its end."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.line_faults import NO_FAULTS, Faults
+from drivers.pad.protocol import FabricGrid, encode_fabric_grid
+from drivers.recording import Span, Stream, ideal_clock_ms
+
+SIZE = 209
+
+
+def stream_of(frames: int) -> Stream:
+    counts = np.random.default_rng(1).integers(0, 1024, (frames, 8, 8)).astype(np.uint16)
+    return Stream(counts, ideal_clock_ms(frames, 1000), (Span(0, frames, "rub"),))
+
+
+def encoded(stream: Stream) -> bytes:
+    return b"".join(map(encode_fabric_grid, stream.counts, stream.sensor_ms.tolist()))
+
+
+def opened(port: FakePort) -> serial.Serial:
+    return serial.Serial(port.path, 512000, timeout=2.0)
+
+
+def read_to_end(port: FakePort, reader: serial.Serial) -> bytes:
+    reader.timeout = 0.02
+    data = b""
+    while not port.wait(0.0):
+        data += reader.read(1)
+        data += reader.read(reader.in_waiting)
+    return data
+
+
+def played(stream: Stream, faults: Faults) -> bytes:
+    """What a reader gets of a stream played flat out."""
+    with FakePort(stream, encode_fabric_grid, speed=None, faults=faults) as port, opened(port) as reader:
+        return read_to_end(port, reader)
+
+
+def until(true: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    deadline_s = time.monotonic() + timeout_s
+    while not true() and time.monotonic() < deadline_s:
+        time.sleep(0.002)
+    return true()
+
+
+def descriptors() -> set[str]:
+    return {
+        f"{fd}:{os.readlink(f'/proc/self/fd/{fd}')}" for fd in os.listdir("/proc/self/fd") if _is_open(fd)
+    }
+
+
+def _is_open(fd: str) -> bool:
+    return Path(f"/proc/self/fd/{fd}").is_symlink()
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left() -> Iterator[None]:
+    before = descriptors()
+    yield
+    assert [thread.name for thread in threading.enumerate() if thread.name == "touchd-fake-port"] == []
+    assert {fd for fd in descriptors() - before if "pts" in fd or "ptmx" in fd} == set()
+
+
+def test_a_stream_arrives_byte_for_byte() -> None:
+    stream = stream_of(20)
+    assert played(stream, NO_FAULTS) == encoded(stream)
+
+
+def test_flat_out_no_byte_is_lost_to_a_slow_reader_and_the_end_waits_for_it() -> None:
+    stream = stream_of(600)
+    with FakePort(stream, encode_fabric_grid, speed=None) as port, opened(port) as reader:
+        assert not port.wait(0.1)
+        data = reader.read(50 * SIZE)
+        assert not port.wait(0.05)
+        data += read_to_end(port, reader)
+    assert data == encoded(stream)
+
+
+def test_the_pace_is_that_of_the_recording_and_does_not_drift() -> None:
+    stream = stream_of(40)
+    with FakePort(stream, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
+        read_to_end(port, reader)
+    due_s = (stream.sensor_ms - 1000) / 1000 / 2.0
+    late_s = (port.sent_s - port.sent_s[0]) - due_s
+    assert late_s.min() > -0.05
+    assert np.median(late_s) < 0.05
+
+
+def test_a_looped_stream_goes_on_and_so_does_its_clock() -> None:
+    stream = stream_of(5)
+    parser = FabricGrid()
+    with FakePort(stream, encode_fabric_grid, speed=None, loop=True) as port, opened(port) as reader:
+        frames = parser.feed(reader.read(12 * SIZE), 0.0)
+        assert not port.wait(0.0)
+    assert len(frames) == 12
+    assert set(np.diff([frame.sensor_ms for frame in frames])) <= {18, 19}
+    np.testing.assert_array_equal(frames[5].pressure, frames[0].pressure)
+
+
+@pytest.mark.parametrize("chunk_bytes", [1, 7, 64])
+def test_bytes_may_be_written_in_small_pieces(chunk_bytes: int) -> None:
+    stream = stream_of(5)
+    assert played(stream, Faults(chunk_bytes=chunk_bytes)) == encoded(stream)
+
+
+@pytest.mark.parametrize(
+    ("faults", "intact"),
+    [
+        (Faults(flip_bit_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
+        (Faults(drop_frame_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
+        (Faults(cut_frame_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
+        (Faults(flip_bit_every=5, cut_frame_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
+        (Faults(repeat_frame_every=5), list(range(12))),
+        (Faults(garbage_every=5), list(range(12))),
+    ],
+)
+def test_each_fault_costs_what_it_says_and_comes_back_the_same(faults: Faults, intact: list[int]) -> None:
+    stream = stream_of(12)
+    data = played(stream, faults)
+    assert data != encoded(stream)
+    assert data == played(stream, faults)
+    frames = FabricGrid().feed(data, 0.0)
+    assert [frame.sensor_ms for frame in frames] == stream.sensor_ms[intact].tolist()
+
+
+def test_nothing_is_sent_before_somebody_reads() -> None:
+    stream = stream_of(3)
+    with FakePort(stream, encode_fabric_grid, speed=100.0) as port:
+        assert not port.wait(0.1)
+        assert np.isnan(port.sent_s).all()
+        with opened(port) as reader:
+            assert reader.read(3 * SIZE) == encoded(stream)
+
+
+def test_flat_out_the_stream_waits_for_a_reader_that_comes_back() -> None:
+    stream = stream_of(600)
+    parser = FabricGrid()
+    with FakePort(stream, encode_fabric_grid, speed=None) as port:
+        with opened(port) as reader:
+            assert len(reader.read(10 * SIZE)) == 10 * SIZE
+        assert not port.wait(0.1)
+        with opened(port) as reader:
+            frames = parser.feed(read_to_end(port, reader), 0.0)
+    assert frames[-1].sensor_ms == stream.sensor_ms[-1]
+
+
+def test_at_a_pace_frames_due_while_nobody_reads_are_lost() -> None:
+    stream = stream_of(30)
+    with FakePort(stream, encode_fabric_grid, speed=2.0) as port:
+        with opened(port) as reader:
+            assert len(reader.read(3 * SIZE)) == 3 * SIZE
+        assert not port.wait(5.0)
+    assert np.isnan(port.sent_s[-1])
+
+
+def test_when_it_stops_the_reader_sees_the_device_go() -> None:
+    port = FakePort(stream_of(5), encode_fabric_grid)
+    port.start()
+    with opened(port) as reader:
+        assert reader.read(1) == b"\xff"
+        port.stop()
+        with pytest.raises(serial.SerialException):
+            reader.read(10**6)
+    assert not Path(port.path).exists()
+
+
+def test_it_stops_at_once_whether_unread_blocked_or_playing() -> None:
+    unread = FakePort(stream_of(5), encode_fabric_grid)
+    blocked = FakePort(stream_of(600), encode_fabric_grid, speed=None)
+    playing = FakePort(stream_of(600), encode_fabric_grid)
+    for port in (unread, blocked, playing):
+        port.start()
+    with opened(blocked), opened(playing) as reader:
+        reader.read(1)
+        assert until(lambda: bool(np.isfinite(blocked.sent_s).sum() > 50))
+        begun_s = time.monotonic()
+        for port in (unread, blocked, playing):
+            port.stop()
+            port.stop()
+        assert time.monotonic() - begun_s < 1.0
+
+
+def test_a_port_never_started_leaves_nothing_either() -> None:
+    port = FakePort(stream_of(5), encode_fabric_grid)
+    assert Path(port.path).exists()
+    port.stop()
+    assert not Path(port.path).exists()
+
+
+def test_a_clock_that_starts_anew_does_not_change_the_pace() -> None:
+    once = stream_of(20)
+    twice = Stream(np.concatenate([once.counts] * 2), np.concatenate([once.sensor_ms] * 2), once.spans)
+    with FakePort(twice, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
+        data = read_to_end(port, reader)
+    assert data == encoded(twice)
+    # Forty frames take 361 ms at twice the pace; the second twenty in a burst would end 170 ms early.
+    assert port.sent_s[-1] - port.sent_s[0] >= 0.355

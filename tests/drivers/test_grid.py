@@ -1,0 +1,164 @@
+"""The 54 Hz grid: what the model sees, whatever the pad's rate, jitter and losses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from drivers.frame import Counts, Frame
+from drivers.pad.grid import CLOCK_WRAP_MS, PERIOD_MS, GridFrame, Ring, RingSettings
+from drivers.recording import ideal_clock_ms
+
+SWING_COUNTS = 200.0
+SWING_HZ = 3.5
+# A linear interpolation between samples dt apart errs by at most (2 pi f dt)^2 / 8 of the amplitude.
+SLOWEST_PERIOD_S = 1 / 50
+INTERPOLATION_COUNTS = SWING_COUNTS * (2 * np.pi * SWING_HZ * SLOWEST_PERIOD_S) ** 2 / 8
+ROUNDING_COUNTS = 1.0
+# What the fastest slope of the swing makes of a frame this much off its time.
+COUNTS_PER_MS = SWING_COUNTS * 2 * np.pi * SWING_HZ / 1000
+
+
+def hand(at_ms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pressure that a hand patting at 3.5 Hz puts on the pad, (T, 8, 8)."""
+    phase = np.arange(64).reshape(8, 8) * 0.3
+    return 300 + SWING_COUNTS * np.sin(2 * np.pi * SWING_HZ * at_ms[:, None, None] / 1000 + phase)
+
+
+def push(ring: Ring, counts: Counts, sensor_ms: Iterable[int]) -> list[GridFrame]:
+    laid: list[GridFrame] = []
+    for number, (scan, ms) in enumerate(zip(counts, sensor_ms, strict=True)):
+        laid += ring.push(Frame(number, int(ms) % CLOCK_WRAP_MS, number / 54, scan))
+    return laid
+
+
+def random_counts(frames: int) -> Counts:
+    return np.random.default_rng(1).integers(0, 1024, (frames, 8, 8)).astype(np.uint16)
+
+
+def new_ring(capacity: int = 600) -> Ring:
+    return Ring(RingSettings(), capacity)
+
+
+def test_a_pad_at_exactly_54_hz_passes_unchanged_though_its_clock_is_in_whole_milliseconds() -> None:
+    ring, counts = new_ring(), random_counts(431)
+    laid = push(ring, counts, ideal_clock_ms(431))
+    assert [frame.index for frame in laid] == list(range(431))
+    np.testing.assert_array_equal(ring.window(431, 431), counts)
+    assert not any(frame.bridged for frame in laid)
+    assert [frame.restarted for frame in laid] == [True] + [False] * 430
+
+
+@pytest.mark.parametrize("rate_hz", [53.5, 54.5])
+def test_a_pad_that_runs_free_near_54_hz_passes_unchanged(rate_hz: float) -> None:
+    ring, counts = new_ring(), random_counts(500)
+    jitter_ms = np.random.default_rng(2).uniform(-0.5, 0.5, 500)
+    laid = push(ring, counts, np.rint(np.arange(500) * 1000 / rate_hz + jitter_ms + 1).astype(int))
+    assert len(laid) == 500
+    np.testing.assert_array_equal(ring.window(500, 500), counts)
+
+
+@pytest.mark.parametrize("jitter_ms", [0.0, 4.0])
+@pytest.mark.parametrize("rate_hz", [50, 54, 60, 80, 100])
+def test_a_pad_at_another_rate_gives_the_windows_of_an_ideal_one(rate_hz: int, jitter_ms: float) -> None:
+    seconds = 8
+    rng = np.random.default_rng(3)
+    true_ms = 10 + np.arange(seconds * rate_hz) * 1000 / rate_hz
+    true_ms += rng.uniform(-jitter_ms, jitter_ms, len(true_ms))
+    counts = np.rint(hand(true_ms)).astype(np.uint16)
+    laid = push(new_ring(), counts, np.rint(true_ms).astype(int))
+
+    assert abs(len(laid) - seconds * 54) <= 2
+    grid_ms = np.array([frame.sensor_ms for frame in laid])
+    off = np.abs(np.stack([frame.pressure for frame in laid]) - hand(grid_ms))
+    # Frames up to twice the jitter further apart, and stamps rounded to half a millisecond.
+    wider = (1 + 2 * jitter_ms * rate_hz / 1000) ** 2
+    assert off.max() < INTERPOLATION_COUNTS * wider + ROUNDING_COUNTS + 0.5 * COUNTS_PER_MS
+    assert np.abs(np.diff(grid_ms) - PERIOD_MS).max() <= PERIOD_MS / 2 + 1
+    drift_ms = grid_ms - np.arange(len(laid)) * PERIOD_MS
+    assert np.ptp(drift_ms[2:]) <= PERIOD_MS
+
+
+def test_a_grid_frame_is_there_as_soon_as_the_frame_that_completes_it() -> None:
+    ring = new_ring()
+    for number, ms in enumerate(ideal_clock_ms(100)):
+        (laid,) = ring.push(Frame(number, int(ms), 5.0 + number, np.zeros((8, 8), np.uint16)))
+        assert laid.host_s == 5.0 + number
+
+
+def test_lost_frames_are_bridged_and_marked() -> None:
+    counts, clock = random_counts(100), ideal_clock_ms(100)
+    kept = np.delete(np.arange(100), [50, 51, 52])
+    ring = new_ring()
+    laid = push(ring, counts[kept], clock[kept])
+    assert [frame.index for frame in laid] == list(range(100))
+    assert [frame.index for frame in laid if frame.bridged] == [50, 51, 52]
+    between = np.linspace(counts[49].astype(np.float32), counts[53].astype(np.float32), 5)
+    np.testing.assert_allclose(ring.window(54, 5), between, atol=10)
+    np.testing.assert_array_equal(ring.window(100, 47), counts[53:])
+
+
+def test_a_gap_too_long_to_bridge_starts_anew_with_indices_that_go_on() -> None:
+    counts, clock = random_counts(100), ideal_clock_ms(100)
+    kept = np.delete(np.arange(100), range(50, 60))
+    laid = push(new_ring(), counts[kept], clock[kept])
+    assert [frame.index for frame in laid] == list(range(90))
+    assert [frame.index for frame in laid if frame.restarted] == [0, 50]
+
+
+def test_the_wrap_of_the_32_bit_clock_is_not_noticed() -> None:
+    ring, counts = new_ring(), random_counts(200)
+    laid = push(ring, counts, ideal_clock_ms(200, first_ms=CLOCK_WRAP_MS - 1000))
+    assert sum(frame.restarted for frame in laid) == 1
+    np.testing.assert_array_equal(ring.window(200, 200), counts)
+    assert laid[-1].sensor_ms > CLOCK_WRAP_MS
+
+
+def test_a_sensor_that_reboots_starts_anew() -> None:
+    counts = random_counts(100)
+    laid = push(new_ring(), counts, [*ideal_clock_ms(50, first_ms=60_000), *ideal_clock_ms(50, first_ms=12)])
+    assert [frame.index for frame in laid if frame.restarted] == [0, 50]
+    assert len(laid) == 100
+
+
+def test_duplicates_and_late_frames_leave_no_trace() -> None:
+    counts, clock = random_counts(100), list(ideal_clock_ms(100))
+    order = list(range(100))
+    order.insert(40, 39)
+    order.insert(70, 66)
+    ring = new_ring()
+    laid = push(ring, counts[order], [clock[i] for i in order])
+    assert len(laid) == 100
+    np.testing.assert_array_equal(ring.window(100, 100), counts)
+
+
+def test_after_a_reset_the_next_frame_starts_anew_whatever_its_clock() -> None:
+    ring, counts = new_ring(), random_counts(40)
+    push(ring, counts[:20], ideal_clock_ms(20))
+    ring.reset()
+    laid = push(ring, counts[20:], ideal_clock_ms(40)[20:])
+    assert [(frame.index, frame.restarted) for frame in laid[:2]] == [(20, True), (21, False)]
+
+
+def test_the_ring_keeps_its_capacity_and_refuses_to_invent_what_it_has_let_go() -> None:
+    ring, counts = new_ring(capacity=50), random_counts(500)
+    push(ring, counts, ideal_clock_ms(500))
+    np.testing.assert_array_equal(ring.window(500, 50), counts[450:])
+    with pytest.raises(ValueError, match="it has 450 to 500"):
+        ring.window(500, 51)
+    with pytest.raises(ValueError, match="it has 450 to 500"):
+        ring.window(501, 10)
+
+
+def test_a_clock_gone_mad_yields_a_bounded_number_of_frames() -> None:
+    rng = np.random.default_rng(4)
+    ring = new_ring(capacity=50)
+    zeros = np.zeros((8, 8), np.uint16)
+    for number in range(2000):
+        laid = ring.push(Frame(number, int(rng.integers(0, CLOCK_WRAP_MS)), 0.0, zeros))
+        assert len(laid) <= 1
+    for number, ms in enumerate(np.cumsum(rng.integers(0, 160, 2000))):
+        assert len(ring.push(Frame(number, int(ms), 0.0, zeros))) <= 10

@@ -1,0 +1,186 @@
+"""The simulated hand: the same for a seed, within what a pad can send, and felt as what it means to do."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.haart_folder import needs_haart
+
+from daemon.commands.demo import RECORDING as DEMO
+from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, record, simulate
+from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
+from drivers.recording import Recording, RecordingError, Selection, read_recordings, splice
+from model.classifier import SHIPPED_MODEL, Classifier
+
+TOUCHES = sorted(set(GESTURES) - {"notouch"})
+FINAL_FRAMES = 144
+MAX_DEMO_BYTES = 400_000
+
+
+@pytest.fixture(scope="module")
+def classifier() -> Classifier:
+    return Classifier.load(SHIPPED_MODEL)
+
+
+@pytest.fixture(scope="module")
+def demo() -> list[Recording]:
+    return read_recordings(DEMO)
+
+
+def answer(classifier: Classifier, recording: Recording, frames: int) -> str:
+    probabilities = classifier.probabilities(recording.counts[:frames])
+    return classifier.labels[int(np.argmax(probabilities))]
+
+
+def load(touch: Recording, rest: Recording) -> float:
+    """Mean rise over rest, in counts."""
+    return float(np.maximum(touch.counts - rest.counts.mean(axis=0) - 2.0, 0.0).mean())
+
+
+def pace_hz(touch: Recording) -> float:
+    """The frequency at which most of the change of the whole pad's pressure happens."""
+    total = touch.counts.sum(axis=(1, 2), dtype=np.float64)
+    power = np.abs(np.fft.rfft((total - total.mean()) * np.hanning(len(total)))) ** 2
+    hz = np.fft.rfftfreq(len(total), 1.0 / FRAME_RATE_HZ)
+    power[hz < 0.4] = 0.0
+    return float(hz[np.argmax(power)])
+
+
+def test_a_seed_always_gives_the_same_counts() -> None:
+    script = [("rub", 1.0), ("tickle", 1.0)]
+    first, again, other = (splice(simulate(script, seed)).counts for seed in (3, 3, 4))
+
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("gesture", GESTURES)
+def test_every_gesture_gives_whole_frames_of_counts(gesture: str) -> None:
+    for seed in range(5):
+        (recording,) = simulate([(gesture, 2.0)], seed)
+
+        assert recording.counts.dtype == np.uint16
+        assert recording.counts.shape == (108, 8, 8)
+        assert recording.counts.max() <= MAX_COUNT
+        assert recording.gesture == gesture
+
+
+def test_a_pad_pressed_beyond_its_range_saturates() -> None:
+    counts = read_pad(np.full((3, 8, 8), 9000.0), np.random.RandomState(1))
+
+    assert (counts == MAX_COUNT).all()
+
+
+def test_the_clock_runs_on_from_one_gesture_to_the_next() -> None:
+    first, second = simulate([("pat", 1.0), ("notouch", 1.0)], seed=1)
+
+    assert 18 <= second.sensor_ms[0] - first.sensor_ms[-1] <= 19
+
+
+@pytest.mark.parametrize("gesture", TOUCHES)
+def test_a_touch_begins_and_ends_at_rest(gesture: str) -> None:
+    before, touch, _ = simulate([("notouch", 2.0), (gesture, 2.0), ("notouch", 1.0)], seed=2)
+    rise = touch.counts - before.counts.mean(axis=0)
+
+    assert abs(rise[[0, -1]].mean()) < 0.5
+    assert rise.mean() > 0.5
+
+
+def test_a_pat_lifts_off_between_taps() -> None:
+    rest, touch = simulate([("notouch", 2.0), ("pat", 4.0)], seed=1)
+    rise = touch.counts.mean(axis=(1, 2)) - rest.counts.mean()
+    down = rise > 1.0
+
+    assert 10 <= np.count_nonzero(down[1:] & ~down[:-1]) <= 18
+    assert np.count_nonzero(rise < 0.5) > len(rise) / 3
+
+
+def test_a_pad_at_rest_shows_offsets_and_noise_like_the_real_one() -> None:
+    """HAART's recordings at rest, 5th to 95th percentile: means of 0.7 to 7.2 counts, noise of 0.5 to 0.9."""
+    for seed in range(10):
+        (recording,) = simulate([("notouch", 4.0)], seed)
+        counts = recording.counts.astype(np.float64)
+
+        assert 0.7 < counts.mean() < 7.2
+        assert 0.5 < np.median(counts.std(axis=0)) < 0.9
+        assert counts.mean(axis=0).std() > 0.5
+        assert counts.max() < 28
+
+
+def test_the_demo_has_each_touch_once_between_rests_and_lasts_under_45_seconds(
+    demo: list[Recording],
+) -> None:
+    gestures = [recording.gesture for recording in demo]
+
+    assert sorted(gestures[1::2]) == TOUCHES
+    assert set(gestures[::2]) == {"notouch"}
+    assert len(demo[0].counts) >= 2.0 * FRAME_RATE_HZ
+    assert demo[-1].sensor_ms[-1] < 45_000
+
+
+def test_the_demo_recording_is_what_the_simulator_makes_of_its_seed(demo: list[Recording]) -> None:
+    made = simulate(DEMO_SCRIPT, DEMO_SEED)
+
+    assert [recording.gesture for recording in made] == [recording.gesture for recording in demo]
+    for fresh, shipped in zip(made, demo, strict=True):
+        assert fresh.counts.tobytes() == shipped.counts.tobytes()
+        np.testing.assert_array_equal(fresh.sensor_ms, shipped.sensor_ms)
+
+
+def test_the_demo_recording_is_small_and_says_that_it_is_simulated(tmp_path: Path) -> None:
+    assert DEMO.stat().st_size < MAX_DEMO_BYTES
+
+    plain = tmp_path / "demo.csv"
+    record(plain, [("notouch", 0.1)], seed=5)
+    head = [line for line in plain.read_text().splitlines() if line.startswith("#")]
+    assert head[0].startswith("# source: SIMULATED")
+    assert "# seed: 5" in head
+    assert "# licence: Apache-2.0" in head
+
+
+def test_a_recording_is_never_written_over_another(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("keep me")
+
+    with pytest.raises(RecordingError):
+        record(path, [("notouch", 0.1)], seed=5)
+    assert path.read_text() == "keep me"
+
+
+def test_the_shipped_model_names_every_touch_of_the_demo_by_its_final_answer(
+    classifier: Classifier, demo: list[Recording]
+) -> None:
+    touches = demo[1::2]
+
+    named = [answer(classifier, touch, FINAL_FRAMES) for touch in touches]
+
+    assert named == [touch.gesture for touch in touches]
+
+
+def test_the_shipped_model_finds_no_touch_in_the_rests_of_the_demo(
+    classifier: Classifier, demo: list[Recording]
+) -> None:
+    rests = demo[::2]
+
+    assert [answer(classifier, rest, FINAL_FRAMES) for rest in rests] == ["notouch"] * len(rests)
+
+
+@needs_haart
+def test_simulated_hands_press_and_move_as_the_middle_half_of_haarts_do() -> None:
+    bare = Selection(covers=("none",))
+    haart = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", bare)
+    at_rest = {(r.participant, r.substrate): r for r in haart if r.gesture == "notouch"}
+    for gesture in TOUCHES:
+        real = [r for r in haart if r.gesture == gesture and (r.participant, r.substrate) in at_rest]
+        made = [simulate([("notouch", 2.0), (gesture, 8.0)], seed) for seed in range(9)]
+        loads = [load(touch, at_rest[touch.participant, touch.substrate]) for touch in real]
+        made_load = float(np.median([load(touch, rest) for rest, touch in made]))
+        assert np.quantile(loads, 0.25) <= made_load <= np.quantile(loads, 0.75), gesture
+        # A hand that lies still has no pace.
+        if gesture != "constant":
+            paces = [pace_hz(touch) for touch in real]
+            made_pace = float(np.median([pace_hz(touch) for _, touch in made]))
+            assert np.quantile(paces, 0.25) <= made_pace <= np.quantile(paces, 0.75), gesture

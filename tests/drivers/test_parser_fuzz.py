@@ -1,0 +1,111 @@
+"""Long runs of random damage into one parser: it never raises, never grows, and loses no intact frame."""
+
+from __future__ import annotations
+
+import os
+import random
+import tracemalloc
+
+import numpy as np
+import pytest
+from rigs.wire import SIZE, TIME_BITS, VISIBLE_BITS, flip
+
+from drivers.pad.protocol import FabricGrid, encode_fabric_grid
+
+SUMMED_BITS = [bit for bit in VISIBLE_BITS if bit not in TIME_BITS]
+# Bytes lost or added elsewhere may leave an intact frame, as where its header follows a run of FF.
+INNER_BYTES = range(8, SIZE - 9)
+
+
+class BadLine:
+    """An endless stream of frames with random damage between and in them; knows which are intact.
+
+    After a frame that lacks bytes comes an intact one: garbage in their place would pass one time in 256, by
+    the one-byte checksum.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._rng = random.Random(seed)
+        self._ms = self._rng.randrange(2**32)
+        self._pressures = np.random.default_rng(seed).integers(0, 1024, (64, 8, 8)).astype(np.uint16)
+        self.intact: list[int] = []
+
+    def stretch(self) -> bytes:
+        """Two intact frames, some of any kind, two intact ones; now and then the pad restarted before it."""
+        if self._rng.random() < 0.1:
+            self._ms = self._rng.randrange(2**32)
+        pieces = [self._frame(), self._frame()]
+        pieces += [self._anything() for _ in range(self._rng.randrange(12))]
+        return b"".join([*pieces, self._frame(), self._frame()])
+
+    def _packet(self) -> bytes:
+        self._ms = (self._ms + self._rng.randrange(15, 25)) % 2**32
+        return encode_fabric_grid(self._rng.choice(self._pressures), self._ms)
+
+    def _frame(self) -> bytes:
+        packet = self._packet()
+        self.intact.append(self._ms)
+        return packet
+
+    def _anything(self) -> bytes:
+        rng = self._rng
+        what = rng.randrange(10)
+        if what == 0:
+            return rng.randbytes(rng.randrange(300))
+        if what == 1:
+            return b"\xff" * rng.randrange(1, 300)
+        if what == 2:
+            return self._packet()[rng.choice(INNER_BYTES) :]
+        if what == 3:
+            return self._packet()[: rng.randrange(SIZE - 1)] + self._frame()
+        if what == 4:
+            return flip(self._packet(), rng.choice(SUMMED_BITS))
+        if what == 5:
+            return flip(self._packet(), rng.choice(TIME_BITS)) + self._frame()
+        if what == 6:
+            at = rng.choice(INNER_BYTES)
+            packet = self._packet()
+            return packet[:at] + packet[at + rng.randrange(1, 9) :] + self._frame()
+        if what == 7:
+            at = rng.choice(INNER_BYTES)
+            packet = self._packet()
+            return packet[:at] + rng.randbytes(rng.randrange(1, 9)) + packet[at:]
+        packet = self._frame()
+        return packet * rng.choice([1, 1, 2])
+
+
+def assert_survives(chunks: int, seed: int) -> None:
+    """Feed at least so many random chunks; check frames, counts and memory as they go."""
+    rng = random.Random(seed)
+    line, parser = BadLine(seed), FabricGrid()
+    fed = 0
+    while fed < chunks:
+        data = b"".join(line.stretch() for _ in range(20))
+        delivered: list[int] = []
+        position = 0
+        while position < len(data):
+            length = rng.choice([1, 2, 7, 64, rng.randrange(1, 500), rng.randrange(1, 5000)])
+            delivered += [frame.sensor_ms for frame in parser.feed(data[position : position + length], 0.0)]
+            assert parser.pending_bytes < 2 * SIZE
+            position += length
+            fed += 1
+        assert delivered == line.intact
+        line.intact.clear()
+    assert parser.counts.bad > 0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_thousands_of_damaged_chunks_cost_no_intact_frame(seed: int) -> None:
+    assert_survives(1500, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.skipif("TOUCHD_SLOW" not in os.environ, reason="takes minutes; set TOUCHD_SLOW=1")
+def test_a_million_damaged_chunks_cost_no_intact_frame_and_no_memory() -> None:
+    assert_survives(10_000, 99)
+    tracemalloc.start()
+    for seed in range(100, 200):
+        assert_survives(10_000, seed)
+    assert tracemalloc.get_traced_memory()[0] < 2_000_000
+    tracemalloc.stop()

@@ -1,0 +1,71 @@
+"""A port is looked at before anything starts, and what is wrong with it is said in one line."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+
+import numpy as np
+import pytest
+from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
+
+from drivers.fakes.fake_port import FakePort
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.pad.sensor import SensorError, check_port
+
+
+def test_a_port_that_can_be_read_passes_and_is_not_disturbed() -> None:
+    with FakePort(stream_of(5), encode_fabric_grid, speed=None) as port:
+        check_port(port.path, BAUD)
+        assert not port.wait(0.05)
+        assert np.isnan(port.sent_s).all()
+
+
+@pytest.mark.parametrize(
+    ("port", "baud", "message"),
+    [
+        ("/dev/touchd-none", BAUD, "/dev/touchd-none is not there: is the pad plugged in"),
+        ("", BAUD, "is not there"),
+        ("/etc/passwd", BAUD, "/etc/passwd is no serial port: name a device like /dev/ttyACM0"),
+        ("/", BAUD, "/ is no serial port"),
+        ("scoket://pad:1", BAUD, "scoket://pad:1 cannot be opened: .*'scoket' not known"),
+        ("/dev/null", -1, "/dev/null cannot be opened: .*baudrate"),
+    ],
+)
+def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, message: str) -> None:
+    with pytest.raises(SensorError, match=message) as refusal:
+        check_port(port, baud)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_device_that_is_no_terminal_is_said_to_be_none() -> None:
+    with sensing("/dev/null") as queue:
+        assert "/dev/null cannot be opened" in next_state(queue).reason
+
+
+def test_without_permission_it_says_how_to_get_it_and_goes_on_when_it_has_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO)
+    with FakePort(stream_of(), encode_fabric_grid) as port:
+        os.chmod(port.path, 0)
+        is_root = os.geteuid() == 0
+        if is_root:
+            os.seteuid(65534)
+        try:
+            with pytest.raises(SensorError, match=r"no permission.*group dialout.*udev rule"):
+                check_port(port.path, BAUD)
+            with sensing(port.path) as queue:
+                assert "no permission" in next_state(queue).reason
+                if is_root:
+                    os.seteuid(0)
+                else:
+                    os.chmod(port.path, 0o600)
+                begun_s = time.monotonic()
+                assert next_state(queue).state == "up"
+                assert time.monotonic() - begun_s < 2.0
+            assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
+        finally:
+            if is_root:
+                os.seteuid(0)

@@ -1,0 +1,208 @@
+"""Recordings are read in each layout they come in, written back whole, realigned, and joined into streams."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.haart_folder import needs_haart
+
+from drivers import recording as recording_module
+from drivers.recording import (
+    Recording,
+    RecordingError,
+    Selection,
+    ideal_clock_ms,
+    read_provenance,
+    read_recordings,
+    realign,
+    splice,
+    write_recordings,
+)
+
+CELL_NAMES = [f"cell{i}" for i in range(1, 65)]
+CONDITION = ["Substrate", "Cover", "Gesture"]
+TRAINING_HEADER = ", ".join(f'"{name}"' for name in ["ParticipantNo", *CONDITION, *CELL_NAMES])
+TEST_HEADER = ",".join(["ParticipantID", *CONDITION, "Sequence", *CELL_NAMES])
+ROW = "P3,foam,fur,rub,1,"
+
+
+def made(participant: str, gesture: str, frames: int = 5, first_ms: int = 40) -> Recording:
+    counts = np.random.default_rng(frames).integers(0, 1024, (frames, 8, 8)).astype(np.uint16)
+    return Recording(participant, "foam", "fur", gesture, counts, ideal_clock_ms(frames, first_ms), "live")
+
+
+def cells(first: int) -> str:
+    return ",".join(str((first + i) % 1024) for i in range(64))
+
+
+def assert_same(read: Sequence[Recording], written: Sequence[Recording]) -> None:
+    for one, other in zip(read, written, strict=True):
+        assert (one.participant, one.substrate, one.cover, one.gesture, one.framing) == (
+            other.participant,
+            other.substrate,
+            other.cover,
+            other.gesture,
+            other.framing,
+        )
+        np.testing.assert_array_equal(one.counts, other.counts)
+        np.testing.assert_array_equal(one.sensor_ms, other.sensor_ms)
+
+
+@pytest.mark.parametrize("name", ["pad.csv", "pad.csv.gz"])
+def test_what_is_written_is_read_back_with_where_it_came_from_on_top(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    recordings = [made("P1", "rub"), made("P1", "pat", 7), made("P2", "pat", 3)]
+    write_recordings(path, recordings, {"source": "made up\nfor a test", "licence": "none"})
+    assert_same(read_recordings(path), recordings)
+    written = path.read_bytes()
+    text = (gzip.decompress(written) if name.endswith(".gz") else written).decode()
+    assert text.splitlines()[:2] == ["# source: made up for a test", "# licence: none"]
+    assert read_provenance(path) == {"source": "made up for a test", "licence": "none"}
+
+
+def test_only_what_is_selected_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "pad.csv"
+    recordings = [made("P1", "rub"), made("P1", "pat"), made("P2", "pat")]
+    write_recordings(path, recordings, {})
+    wanted = Selection(participants=("P1",), gestures=("pat", "stroke"))
+    assert_same(read_recordings(path, wanted), [recordings[1]])
+
+
+def test_a_damaged_archive_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "pad.csv.gz"
+    write_recordings(path, [made("P1", "rub")], {})
+    # A block of the kind that deflate (RFC 1951) reserves, right after the archive's header and name.
+    written = path.read_bytes()
+    path.write_bytes(written[: written.index(b"\0", 10) + 1] + b"\x07" + written[30:])
+    for read in (read_recordings, read_provenance):
+        with pytest.raises(RecordingError, match="cannot be read as a recording"):
+            read(path)
+
+
+def test_a_file_of_another_layout_says_nothing_of_where_it_comes_from(tmp_path: Path) -> None:
+    path = tmp_path / "haart.csv"
+    path.write_text(f"{TRAINING_HEADER}\nP3,foam,fur,rub,{cells(0)}\n")
+    assert read_provenance(path) == {}
+
+
+def test_a_file_is_never_written_over(tmp_path: Path) -> None:
+    path = tmp_path / "pad.csv"
+    write_recordings(path, [made("P1", "rub")], {})
+    with pytest.raises(RecordingError, match=r"pad\.csv: cannot be written"):
+        write_recordings(path, [made("P2", "rub")], {})
+
+
+def test_two_recordings_that_would_be_read_back_as_one_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="two in a row share"):
+        write_recordings(tmp_path / "pad.csv", [made("P1", "rub"), made("P1", "rub", 7)], {})
+    assert not (tmp_path / "pad.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("header", "rows"),
+    [
+        (TRAINING_HEADER, ["P3,foam,fur,rub,", "P3,foam,fur,rub,", "P3,foam,fur,pat,"]),
+        (TRAINING_HEADER.replace('"', ""), ['"P3", "foam", "fur", "rub", '] * 2 + ["P3,foam,fur,pat,"]),
+        (TEST_HEADER, ["P3,foam,fur,rub,1,", "P3,foam,fur,rub,2,", "P3,foam,fur,pat,1,"]),
+    ],
+    ids=["training", "training without quotes", "test with its extra column"],
+)
+def test_each_of_haarts_layouts_gives_all_64_cells(tmp_path: Path, header: str, rows: list[str]) -> None:
+    path = tmp_path / "haart.csv"
+    path.write_text("\n".join([header, *(row + cells(number) for number, row in enumerate(rows)), ""]))
+    rub, pat = read_recordings(path)
+    assert (rub.gesture, len(rub.counts), pat.gesture, len(pat.counts)) == ("rub", 2, "pat", 1)
+    np.testing.assert_array_equal(rub.counts[1].ravel(), np.arange(1, 65))
+    assert rub.framing == "published"
+    assert rub.sensor_ms.tolist() == [0, 19]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no known layout"),
+        ("a,b,c\n1,2,3\n", "no known layout"),
+        (f"{TEST_HEADER},more\n", "no known layout"),
+        (f"{TEST_HEADER}\n{ROW}{cells(0)}\nP3,foam\n", "line 3: 2 columns where the header has 69"),
+        (f"{TEST_HEADER}\n{ROW}{cells(960)[:-4]}1024\n", "line 2: a count outside 0 to 1023"),
+        (f"# a note\n{TEST_HEADER}\n{ROW}-{cells(1)}\n", "line 3: a count outside 0 to 1023"),
+        (f"{TEST_HEADER}\n{ROW}x{cells(1)}\n", "line 2: invalid literal"),
+        (f"{TEST_HEADER}\n{ROW}{'0' * 5000}\n", "line 2: too long"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_refused_with_the_line_and_the_reason(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    path = tmp_path / "bad.csv"
+    path.write_text(text)
+    with pytest.raises(RecordingError, match=f"bad.csv.*{message}"):
+        read_recordings(path)
+
+
+def test_a_missing_or_broken_file_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"none\.csv: cannot be read"):
+        read_recordings(tmp_path / "none.csv")
+    broken = tmp_path / "broken.csv.gz"
+    write_recordings(broken, [made("P1", "rub", 50)], {})
+    broken.write_bytes(broken.read_bytes()[:-100])
+    with pytest.raises(RecordingError, match=r"broken\.csv\.gz: cannot be read"):
+        read_recordings(broken)
+
+
+def test_a_file_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording_module, "MOST_LINES", 4)
+    path = tmp_path / "pad.csv"
+    write_recordings(path, [made("P1", "rub", 3)], {})
+    assert len(read_recordings(path)) == 1
+    with path.open("a") as file:
+        file.write(f"P1,foam,fur,rub,99,{cells(0)}\n")
+    with pytest.raises(RecordingError, match="more than 4 lines"):
+        read_recordings(path)
+
+
+def test_realigning_puts_the_two_halves_of_each_scan_together_again() -> None:
+    scans = np.arange(6 * 64, dtype=np.uint16).reshape(6, 8, 8)
+    published = np.roll(scans.reshape(-1, 8), 2, axis=0).reshape(6, 8, 8)[:5]
+    recording = Recording("P3", "foam", "fur", "rub", published, ideal_clock_ms(5), "published")
+    live = realign(recording)
+    np.testing.assert_array_equal(live.counts, scans[:4])
+    assert (live.framing, len(live.sensor_ms)) == ("live", 4)
+    assert realign(live) is live
+
+
+def test_a_spliced_stream_says_what_is_shown_when_and_its_clock_never_jumps() -> None:
+    stream = splice([made("P1", "notouch", 5), made("P1", "rub", 7, first_ms=900), made("P1", "notouch", 2)])
+    assert stream.counts.shape == (14, 8, 8)
+    assert [(span.start, span.stop, span.gesture) for span in stream.spans] == [
+        (0, 5, "notouch"),
+        (5, 12, "rub"),
+        (12, 14, "notouch"),
+    ]
+    assert set(np.diff(stream.sensor_ms)) <= {18, 19}
+
+
+def test_the_clock_starts_anew_where_another_pad_was_touched() -> None:
+    stream = splice([made("P1", "rub", 5), made("P2", "rub", 3)])
+    assert stream.sensor_ms.tolist() == [0, 19, 37, 56, 74, 0, 19, 37]
+
+
+def test_splicing_nothing_says_that_nothing_was_selected() -> None:
+    with pytest.raises(RecordingError, match="none matches"):
+        splice([])
+
+
+@needs_haart
+def test_haarts_own_files_are_read_to_the_last_value() -> None:
+    recordings = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz")
+    assert {recording.counts.shape for recording in recordings} == {(432, 8, 8)}
+    digest = hashlib.sha256()
+    for recording in recordings:
+        digest.update(recording.counts.astype("<i2").tobytes())
+    assert len(recordings) == 251
+    assert (digest.hexdigest()[:8], digest.hexdigest()[-10:]) == ("a3cff346", "42fb04fb40")

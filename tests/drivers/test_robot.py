@@ -1,0 +1,262 @@
+"""What a robot is told and does; each test runs on the stub and, where qi is installed, on real qi."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from rigs.robots import DETAIL, GESTURE, STATUS, Robot, both_kinds, every_robot, linked, message, needs_qi
+
+from drivers.fakes import fake_robot
+from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.fakes.services import Call
+from drivers.robot.actions import Action, ActionRule, Leds
+from drivers.robot.link import RobotError, RobotLimits, RobotLink, RobotSettings
+from drivers.robot.session import QiSession, RobotRefused
+
+
+# Starting a process takes longer than most of the tests that talk to it.
+@pytest.fixture(scope="module", params=both_kinds)
+def running_robot(request: pytest.FixtureRequest) -> Iterator[Robot]:
+    with request.param(say_s=0.05) as robot:
+        yield robot
+
+
+@pytest.fixture
+def robot(running_robot: Robot) -> Iterator[Robot]:
+    """A robot that nothing was asked yet and that nobody is linked to any more when the test is over."""
+    calls = running_robot.calls
+    yield running_robot
+    if calls.raised(STATUS):
+        calls.wait_for(lambda _: calls.raised(STATUS)[-1] == "down")
+    calls.clear()
+
+
+SAY = ActionRule(do=(Action(say="That was a {gesture}, I am {confidence} percent sure"),))
+
+
+def test_an_answer_is_raised_as_a_gesture_and_its_detail(robot: Robot) -> None:
+    with linked(robot) as (link, _):
+        link.publish(message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
+        robot.calls.wait_for_raise(GESTURE, "stroke")
+        assert robot.calls.raised(DETAIL) == [["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]]
+
+
+def test_whoever_wakes_on_a_gesture_finds_its_detail_in_memory(robot: Robot) -> None:
+    with linked(robot) as (link, _):
+        for touch, gesture in enumerate(["pat", "rub", "tickle"]):
+            link.publish(message(gesture, touch))
+        robot.calls.wait_for_raise(GESTURE, "tickle")
+        raised = [call.arguments for call in robot.calls.all() if call.arguments[0] in (GESTURE, DETAIL)]
+        told = [value[0] if isinstance(value, list) else value for _, value in raised]
+        assert told == ["pat", "pat", "rub", "rub", "tickle", "tickle"]
+        assert [key for key, _ in raised] == [DETAIL, GESTURE] * 3
+
+
+def test_the_gesture_goes_from_memory_one_second_later(robot: Robot) -> None:
+    with linked(robot) as (link, _):
+        link.publish(message())
+        raised = robot.calls.wait_for_raise(GESTURE, "stroke")
+        removed = robot.calls.wait_for(lambda call: call.method == "removeData")
+        assert removed.arguments == (GESTURE,)
+        assert removed.time_s - raised.time_s == pytest.approx(1.0, abs=0.5)
+
+
+def test_another_gesture_starts_the_second_anew(robot: Robot) -> None:
+    with linked(robot, limits=RobotLimits(shown_s=0.4)) as (link, _):
+        link.publish(message("stroke", 1))
+        threading.Event().wait(0.2)
+        link.publish(message("pat", 2))
+        removed = robot.calls.wait_for(lambda call: call.method == "removeData")
+        assert removed.time_s - robot.calls.wait_for_raise(GESTURE, "pat").time_s >= 0.39
+        assert [call.method for call in robot.calls.all()].count("removeData") == 1
+
+
+def test_the_status_says_whether_anything_can_be_felt(robot: Robot) -> None:
+    with linked(robot) as (link, _):
+        robot.calls.wait_for_raise(STATUS, "up")
+        link.set_status("down")
+        robot.calls.wait_for_raise(STATUS, "down")
+        link.set_status("up")
+        robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "up"])
+    robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "up", "down"])
+
+
+def test_leaving_takes_the_gesture_from_memory(robot: Robot) -> None:
+    with linked(robot) as (link, _):
+        link.publish(message())
+        robot.calls.wait_for_raise(GESTURE, "stroke")
+    robot.calls.wait_for(lambda call: call.method == "removeData")
+
+
+def test_the_events_can_have_another_prefix(robot: Robot) -> None:
+    with linked(robot, prefix="Pad") as (link, _):
+        link.publish(message("rub"))
+        robot.calls.wait_for_raise("Pad/Gesture", "rub")
+
+
+def test_everything_told_fits_the_robots_four_bytes(robot: Robot) -> None:
+    with linked(robot) as (link, _):
+        # Beyond 2038, after more touches than there will be, and from numpy, whose scalars qi cannot send.
+        link.publish(
+            message(
+                np.str_("pat"),
+                confidence=np.float32(0.5),
+                time_s=2.0**33,
+                touch=np.int64(2**40),
+                sequence=2**31,
+            )
+        )
+        robot.calls.wait_for_raise(GESTURE, "pat")
+        assert robot.calls.raised(DETAIL) == [["pat", 0.5, [0, 0], "early", 0, 0]]
+
+
+def test_a_stand_in_keeps_and_refuses_what_a_robots_memory_would(robot: Robot) -> None:
+    session = robot.open_session(robot.url, None, RobotLimits(), threading.Event())
+    session.connect()
+    session.call("ALMemory", "raiseEvent", "Pad/Float", 0.1, limit_s=5)
+    for event, value in (("Pad/Int", 2**31), ("Pad/List", [1, [-(2**31) - 1]]), ("Pad/Float", 1e39)):
+        with pytest.raises(RobotRefused, match="4 bytes"):
+            session.call("ALMemory", "raiseEvent", event, value, limit_s=5)
+    session.close()
+    robot.calls.wait_for(lambda call: "4 bytes" in call.refused and call.arguments[0] == "Pad/Float")
+    assert robot.calls.raised("Pad/Float") == [float(np.float32(0.1))]
+
+
+def test_the_robot_says_what_it_felt(robot: Robot) -> None:
+    with linked(robot, actions=(SAY,)) as (link, _):
+        link.publish(message("pat", confidence=0.654))
+        said = robot.calls.wait_for(lambda call: call.service == "ALTextToSpeech")
+        assert said.arguments == ("That was a pat, I am 65 percent sure",)
+
+
+def test_a_reaction_is_carried_out_in_the_order_written(robot: Robot) -> None:
+    rule = ActionRule(
+        do=(
+            Action(leds=Leds(color="#ff8000", fade_s=0.5)),
+            Action(animated_say="A {gesture}!"),
+            Action(behavior="animations/Stand/Gestures/Hey_1"),
+            Action(say="Bye"),
+        )
+    )
+    with linked(robot, actions=(rule,)) as (link, _):
+        link.publish(message("tickle"))
+        robot.calls.wait_for(lambda call: call.arguments == ("Bye",))
+        done = [
+            (call.service, call.arguments) for call in robot.calls.all() if call.service not in ("ALMemory",)
+        ]
+        assert done == [
+            ("ALLeds", ("FaceLeds", 0xFF8000, 0.5)),
+            ("ALAnimatedSpeech", ("A tickle!",)),
+            ("ALBehaviorManager", ("animations/Stand/Gestures/Hey_1",)),
+            ("ALTextToSpeech", ("Bye",)),
+        ]
+
+
+@every_robot
+def test_speech_that_takes_long_delays_no_event(make_robot: type[Robot]) -> None:
+    with make_robot(say_s=60) as robot, linked(robot, actions=(SAY,)) as (link, _):
+        link.publish(message("stroke", 1))
+        robot.calls.wait_for(lambda call: call.method == "say")
+        link.publish(message("pat", 2))
+        robot.calls.wait_for_raise(GESTURE, "pat")
+        assert len(robot.calls.said()) == 1
+
+
+@every_robot
+def test_what_the_robot_cannot_do_is_left_out_and_the_rest_done(
+    make_robot: type[Robot], caplog: pytest.LogCaptureFixture
+) -> None:
+    rule = ActionRule(do=(Action(behavior="nosuch"), Action(animated_say="no"), Action(say="{gesture}")))
+    with make_robot(without=["ALAnimatedSpeech"]) as robot, linked(robot, actions=(rule,)) as (link, states):
+        for touch, gesture in enumerate(["stroke", "pat"]):
+            link.publish(message(gesture, touch))
+        robot.calls.wait_for(lambda call: call.arguments == ("pat",))
+        states.wait_for("up")
+    warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]
+    assert len(warnings) == 1
+    assert "nosuch" in warnings[0]
+    assert "ALAnimatedSpeech" in warnings[0]
+    assert robot.calls.said() == ["stroke", "pat"]
+
+
+def test_without_qi_a_configured_robot_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "qi", None)
+    with pytest.raises(
+        RobotError, match=r"qi, the library that speaks to NAOqi, is not installed; pip install"
+    ) as error:
+        RobotLink(RobotSettings(url="tcp://nao.local:9559"))
+    assert "\n" not in str(error.value)
+
+
+def test_nothing_loads_qi_before_a_robot_is_configured() -> None:
+    script = "import sys, drivers.robot.link, drivers.fakes.fake_robot; sys.exit('qi' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", script], check=False, timeout=20).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"url": "nao.local:9559"}, "is not an address such as tcp://"),
+        ({"url": "tcp://nao.local"}, "is not an address such as tcp://"),
+        ({"url": "tcp://nao.local:port"}, "is not an address such as tcp://"),
+        ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file or token_env"),
+        ({"url": "tcps://nao:9503", "token_env": "TOKEN"}, "no user"),
+        ({"url": "tcp://nao:9559", "user": "nao", "token_env": "TOKEN"}, "unencrypted; use tcps://"),
+        ({"url": "tcps://nao:9503", "user": "nao", "token_env": "NO_SUCH"}, "NO_SUCH is empty or missing"),
+        (
+            {"url": "tcps://nao:9503", "user": "nao", "token_file": "/no/such"},
+            r"/no/such cannot be read \(No such",
+        ),
+        ({"url": "tcps://nao:9503", "user": "nao", "token_file": "/dev/zero"}, "larger than 4096 bytes"),
+        ({"url": "tcps://nao:9503", "user": "nao", "token_file": "/dev/null"}, "/dev/null is empty"),
+    ],
+)
+def test_a_robot_that_cannot_be_logged_in_to_is_one_clear_line(
+    settings: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(RobotError, match=complaint):
+        RobotLink(RobotSettings(**settings), open_session=lambda *_: pytest.fail("a session was opened"))
+
+
+@needs_qi
+def test_the_fake_robot_command_shows_each_call_as_a_line_of_json() -> None:
+    command = [sys.executable, "-m", "drivers.fakes.fake_robot", "--port=0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        url = msgspec.json.decode(process.stdout.readline())["listening"]
+        session = QiSession(url, None, RobotLimits(), threading.Event())
+        session.connect()
+        session.call("ALTextToSpeech", "say", "Hello", limit_s=5)
+        call = msgspec.json.decode(process.stdout.readline(), type=Call)
+        session.close()
+        process.terminate()
+        assert process.wait(5) == 0
+    assert (call.service, call.method, call.arguments) == ("ALTextToSpeech", "say", ("Hello",))
+
+
+@pytest.mark.parametrize("wrong", ["--port=99999", "--call-s=-1", "--say-s=nan", "--without=ALNothing"])
+def test_the_fake_robot_command_refuses_what_makes_no_sense(
+    wrong: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as exit_code:
+        fake_robot.main([wrong])
+    assert exit_code.value.code == 2
+    assert wrong.partition("=")[0] in capsys.readouterr().err
+
+
+@needs_qi
+def test_the_fake_robot_command_says_in_one_line_that_its_port_is_taken() -> None:
+    with LoopbackRobot() as robot:
+        port = robot.url.rsplit(":", 1)[1]
+        command = [sys.executable, "-m", "drivers.fakes.fake_robot", f"--port={port}"]
+        second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
+    assert second.returncode == 2
+    assert second.stderr.count("\n") == 1
+    assert f"port {port}" in second.stderr

@@ -1,0 +1,120 @@
+"""Which answers have the robot do what, and how the configuration says it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import msgspec
+import pytest
+import yaml
+from rigs.robots import message
+
+from drivers.robot import actions as robot_actions
+from drivers.robot.actions import Action, ActionRule, spoken
+from drivers.robot.reactions import Reactions
+
+Rules = tuple[ActionRule, ...]
+
+
+def rules(text: str) -> Rules:
+    return msgspec.convert(yaml.safe_load(text), Rules)
+
+
+def done(chosen: Reactions, *args: Any, now_s: float = 0.0, **other: Any) -> list[str]:
+    """What a message has the robot say."""
+    reaction = chosen.choose(message(*args, **other), now_s)
+    return [str(action.say) for action in reaction.actions] if reaction else []
+
+
+def test_the_example_in_the_documentation_is_valid() -> None:
+    example = robot_actions.__doc__
+    assert example is not None
+    first, second = msgspec.convert(yaml.safe_load(example.partition("\n\n")[2])["actions"], Rules)
+    assert first.do[0].leds is not None
+    assert first.do[0].leds.rgb == 0x00FF00
+    assert first.refractory_s == 5
+    assert second.changed
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("[{}]", "missing required field `do`"),
+        ("[{do: []}]", "length >= 1"),
+        ("[{do: [{}]}]", "exactly one of say, animated_say, behavior, leds; here: none"),
+        ("[{do: [{say: a, behavior: b}]}]", "here: say, behavior"),
+        ("[{do: [{shout: a}]}]", "unknown field `shout`"),
+        ("[{do: [{say: '{gestur}'}]}]", "may hold {gesture} and {confidence}"),
+        ("[{do: [{say: '{gesture.__class__}'}]}]", "may hold {gesture} and {confidence}"),
+        ("[{do: [{say: '{confidence:.3f}'}]}]", "may hold {gesture} and {confidence}"),
+        ("[{do: [{say: 'a {'}]}]", "write {{ for a brace"),
+        ("[{do: [{leds: {color: pink}}]}]", "'pink' is neither #rrggbb nor one of white, red"),
+        ("[{do: [{say: a}], stages: [middle]}]", "Invalid enum value 'middle'"),
+        ("[{do: [{say: a}], refractory_s: -1}]", ">= 0"),
+    ],
+)
+def test_a_wrong_rule_is_refused_with_what_is_wrong(text: str, complaint: str) -> None:
+    with pytest.raises(msgspec.ValidationError) as error:
+        rules(text)
+    assert complaint in str(error.value)
+
+
+def test_a_confidence_is_spoken_in_whole_percent_and_braces_can_be_said() -> None:
+    assert Action(say="{{{gesture}}} {confidence}").say is not None
+    assert spoken("{{{gesture}}} {confidence}", "pat", 0.994) == "{pat} 99"
+
+
+def test_a_rule_without_a_stage_answers_news_only() -> None:
+    chosen = Reactions(rules("[{do: [{say: any}]}]"))
+    assert done(chosen, "stroke", 1, stage="early") == ["any"]
+    assert done(chosen, "stroke", 1, stage="final") == []
+    assert done(chosen, "pat", 1, stage="ongoing") == ["any"]
+    assert done(chosen, "pat", 2, stage="early") == ["any"]
+
+
+def test_a_rule_with_stages_answers_at_these_each_time() -> None:
+    chosen = Reactions(rules("[{do: [{say: any}], stages: [early, final]}]"))
+    stages = ["early", "revised", "final"]
+    assert [done(chosen, "stroke", 1, stage=stage) for stage in stages] == [["any"], [], ["any"]]
+
+
+def test_a_rule_with_gestures_answers_these_only() -> None:
+    chosen = Reactions(rules("[{do: [{say: soft}], gestures: [stroke, tickle]}]"))
+    gestures = ["stroke", "pat", "tickle"]
+    assert [done(chosen, g, touch) for touch, g in enumerate(gestures)] == [["soft"], [], ["soft"]]
+
+
+def test_uncertain_is_answered_only_by_a_rule_that_names_it() -> None:
+    chosen = Reactions(rules("[{do: [{say: any}]}, {do: [{say: hm}], gestures: [uncertain]}]"))
+    assert done(chosen, "uncertain", 1, stage="uncertain") == ["hm"]
+
+
+def test_a_changed_answer_can_have_an_action_of_its_own() -> None:
+    chosen = Reactions(
+        rules(
+            "[{do: [{say: a tickle}], gestures: [tickle]},"
+            " {do: [{say: 'oh, a tickle'}], gestures: [tickle], changed: true},"
+            " {do: [{say: a pat}], gestures: [pat]}]"
+        )
+    )
+    assert done(chosen, "tickle", 1) == ["a tickle"]
+    assert done(chosen, "stroke", 2) == []
+    assert done(chosen, "tickle", 2) == ["oh, a tickle"]
+    assert done(chosen, "pat", 2) == ["a pat"]
+
+
+def test_every_rule_that_fits_is_carried_out_in_the_order_written() -> None:
+    chosen = Reactions(
+        rules("[{do: [{say: one}, {say: two}]}, {do: [{say: never}], gestures: [rub]}, {do: [{say: three}]}]")
+    )
+    assert done(chosen, "pat", 1) == ["one", "two", "three"]
+
+
+def test_a_rule_rests_for_its_refractory_time_and_others_do_not() -> None:
+    chosen = Reactions(rules("[{do: [{say: slow}], refractory_s: 5}, {do: [{say: quick}]}]"))
+    times = [0.0, 4.9, 5.1]
+    assert [done(chosen, "pat", touch, now_s=now) for touch, now in enumerate(times)] == [
+        ["slow", "quick"],
+        ["quick"],
+        ["slow", "quick"],
+    ]

@@ -1,0 +1,131 @@
+"""Leaving takes less than two seconds and is clean whatever the robot does; on the stub and on real qi."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from rigs.robots import (
+    IMPATIENT,
+    LOGIN,
+    Robot,
+    States,
+    every_robot,
+    link_threads,
+    linked,
+    message,
+    needs_openssl,
+    needs_qi,
+)
+
+from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.robot.actions import Action, ActionRule
+from drivers.robot.link import RobotLimits, RobotLink
+
+SAY = ActionRule(do=(Action(say="{gesture}"),))
+
+
+def _idle(robot: Robot, link: RobotLink, states: States) -> None:
+    states.wait_for("up")
+
+
+def _dead(robot: Robot, link: RobotLink, states: States) -> None:
+    states.wait_for("up")
+    robot.kill()
+    states.wait_for("up", "down")
+
+
+def _hung_in_a_call(robot: Robot, link: RobotLink, states: States) -> None:
+    states.wait_for("up")
+    robot.hang()
+    link.publish(message())
+
+
+def _hung_while_connecting(robot: Robot, link: RobotLink, states: States) -> None:
+    states.wait_for("up")
+    robot.hang()
+    states.wait_for("up", "down")
+    time.sleep(0.2)
+
+
+def _speaking(robot: Robot, link: RobotLink, states: States) -> None:
+    states.wait_for("up")
+    link.publish(message())
+    robot.calls.wait_for(lambda call: call.method == "say")
+
+
+@every_robot
+@pytest.mark.parametrize("state", [_idle, _dead, _hung_in_a_call, _hung_while_connecting, _speaking])
+def test_stopping_takes_less_than_two_seconds_and_leaves_no_thread(
+    make_robot: type[Robot], state: Callable[[Robot, RobotLink, States], None]
+) -> None:
+    with make_robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, actions=(SAY,)) as (link, states):
+        state(robot, link, states)
+        started_s = time.monotonic()
+        link.stop()
+        assert time.monotonic() - started_s < 2.0
+        assert link_threads() == []
+        link.stop()
+
+
+@needs_qi
+def test_a_listener_that_never_speaks_is_down_and_can_be_left() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute, LoopbackRobot() as robot:
+        url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
+        with linked(robot, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
+            assert "connecting: no answer" in states.wait_for("down")
+            started_s = time.monotonic()
+        assert time.monotonic() - started_s < 2.0
+
+
+EXIT_STATES = (
+    "up",
+    "busy",
+    "refused",
+    "killed",
+    "hung",
+    "hung-connect",
+    "mute",
+    "tls",
+    "wrong-token",
+    "forgotten",
+)
+
+
+def _exits_cleanly(state: str) -> str:
+    """Run a program that ends while the link is in a state; returns what is not clean about it."""
+    script = Path(__file__).parents[1] / "rigs" / "robot_exit.py"
+    environment = os.environ | {"ROBOT_TOKEN": LOGIN.token}
+    done = subprocess.run(
+        [sys.executable, str(script), state],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=25,
+        env=environment | {"PYTHONPATH": str(script.parents[1])},
+    )
+    return "" if (done.returncode, done.stdout, done.stderr) == (0, "", "") else f"{state}: {done}"
+
+
+@needs_qi
+@needs_openssl
+@pytest.mark.parametrize("state", ["busy", "hung"])
+def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
+    assert _exits_cleanly(state) == ""
+
+
+@needs_qi
+@needs_openssl
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("state", EXIT_STATES)
+def test_fifty_of_fifty_programs_end_cleanly_in_every_state(state: str) -> None:
+    with ThreadPoolExecutor(2) as pool:
+        assert [trouble for trouble in pool.map(_exits_cleanly, [state] * 50) if trouble] == []

@@ -1,0 +1,253 @@
+"""Whatever becomes of the robot, the daemon goes on and the link comes back; on the stub and on real qi."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rigs.robots import (
+    GESTURE,
+    IMPATIENT,
+    LOGIN,
+    STATUS,
+    Robot,
+    States,
+    every_robot,
+    linked,
+    message,
+    needs_openssl,
+    needs_qi,
+)
+
+from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
+from drivers.robot.actions import Action, ActionRule
+from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
+from drivers.robot.worker import Backoff
+
+SAY = ActionRule(do=(Action(say="{gesture}"),))
+
+
+@every_robot
+def test_a_robot_that_is_not_there_yet_is_found_when_it_comes(make_robot: type[Robot]) -> None:
+    with make_robot() as robot:
+        robot.kill()
+        with linked(robot) as (link, states):
+            assert "refused" in states.wait_for("down")
+            robot.start()
+            states.wait_for("down", "up")
+            link.publish(message("pat"))
+            robot.calls.wait_for_raise(GESTURE, "pat")
+
+
+@every_robot
+def test_a_kill_in_the_middle_of_a_call_is_noticed_and_survived(make_robot: type[Robot]) -> None:
+    limits = RobotLimits(call_s=20)
+    with make_robot(call_s=0.1) as robot, linked(robot, limits=limits) as (link, states):
+        states.wait_for("up")
+        link.publish(message("stroke"))
+        robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
+        robot.kill()
+        states.wait_for("up", "down", timeout_s=2)
+        robot.start()
+        states.wait_for("up", "down", "up")
+        link.publish(message("pat"))
+        robot.calls.wait_for_raise(GESTURE, "pat")
+        # What was under way may have been carried out, so it is not repeated.
+        assert robot.calls.raised(GESTURE) == ["pat"]
+        assert link.counts.failed == 1
+
+
+@every_robot
+def test_a_kill_while_all_is_quiet_is_noticed(make_robot: type[Robot]) -> None:
+    with make_robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (_, states):
+        states.wait_for("up")
+        robot.kill()
+        states.wait_for("up", "down", timeout_s=2)
+
+
+@every_robot
+def test_a_hang_is_noticed_and_events_flow_again_after_it(make_robot: type[Robot]) -> None:
+    with make_robot() as robot, linked(robot) as (link, states):
+        states.wait_for("up")
+        robot.hang()
+        assert "no answer within" in states.wait_for("up", "down", timeout_s=5)
+        robot.resume()
+        states.wait_for("up", "down", "up", timeout_s=5)
+        link.publish(message("pat"))
+        robot.calls.wait_for_raise(GESTURE, "pat")
+
+
+@every_robot
+def test_a_slow_robot_gets_everything_in_order(make_robot: type[Robot]) -> None:
+    with make_robot(call_s=0.03) as robot, linked(robot) as (link, states):
+        gestures = [f"gesture {number}" for number in range(5)]
+        for touch, gesture in enumerate(gestures):
+            link.publish(message(gesture, touch))
+        robot.calls.wait_for_raise(GESTURE, gestures[-1])
+        assert robot.calls.raised(GESTURE) == gestures
+        states.wait_for("up")
+
+
+@every_robot
+def test_a_robot_that_comes_and_goes_is_told_the_status_each_time(make_robot: type[Robot]) -> None:
+    with make_robot() as robot, linked(robot) as (link, states):
+        states.wait_for("up")
+        link.set_status("down")
+        robot.calls.wait_for_raise(STATUS, "down")
+        robot.kill()
+        states.wait_for("up", "down")
+        robot.start()
+        states.wait_for("up", "down", "up")
+        robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
+
+
+@every_robot
+def test_late_news_is_dropped_and_fresh_news_told(make_robot: type[Robot]) -> None:
+    limits = RobotLimits(stale_s=0.1)
+    with make_robot() as robot:
+        robot.kill()
+        with linked(robot, limits=limits) as (link, states):
+            link.publish(message("stale"))
+            states.wait_for("down")
+            time.sleep(0.15)
+            robot.start()
+            states.wait_for("down", "up")
+            link.publish(message("fresh"))
+            robot.calls.wait_for_raise(GESTURE, "fresh")
+            assert robot.calls.raised(GESTURE) == ["fresh"]
+            assert (link.counts.queued, link.counts.stale) == (2, 1)
+
+
+@every_robot
+def test_a_robot_without_its_memory_is_down_and_says_why(make_robot: type[Robot]) -> None:
+    with make_robot(without=["ALMemory"]) as robot, linked(robot) as (_, states):
+        assert "looking for ALMemory" in states.wait_for("down")
+
+
+@every_robot
+def test_the_heartbeat_does_without_the_service_it_asks(make_robot: type[Robot]) -> None:
+    limits = RobotLimits(heartbeat_s=0.02)
+    with make_robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
+        states.wait_for("up")
+        time.sleep(0.1)
+        link.publish(message())
+        robot.calls.wait_for_raise(GESTURE, "stroke")
+        states.wait_for("up")
+
+
+@every_robot
+@needs_openssl
+def test_the_right_login_lets_in_and_never_shows_the_token(
+    make_robot: type[Robot], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    token = tmp_path / "token"
+    token.write_text(f"{LOGIN.token}\n")
+    with make_robot(login=LOGIN) as robot:
+        assert robot.url.startswith("tcps://")
+        with linked(robot, user="nao", token_file=str(token), actions=(SAY,)) as (link, states):
+            states.wait_for("up")
+            link.publish(message("tickle"))
+            robot.calls.wait_for_raise(GESTURE, "tickle")
+            robot.calls.wait_for(lambda call: call.method == "say")
+            assert LOGIN.token not in repr([LOGIN, vars(link), states.told, caplog.text])
+
+
+@every_robot
+@needs_openssl
+def test_a_wrong_login_is_told_with_advice_and_not_the_token(
+    make_robot: type[Robot], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    monkeypatch.setenv("ROBOT_TOKEN", "wr0ng-token")
+    with make_robot(login=LOGIN) as robot, linked(robot, user="nao", token_env="ROBOT_TOKEN") as (_, states):
+        assert "check user and token" in states.wait_for("down")
+    assert "wr0ng-token" not in repr(states.told) + caplog.text
+
+
+@needs_qi
+@needs_openssl
+@pytest.mark.parametrize("encrypted", [True, False])
+def test_the_wrong_one_of_tcp_and_tcps_is_told_with_advice(encrypted: bool) -> None:
+    with LoopbackRobot(login=LOGIN if encrypted else None) as robot:
+        url = robot.url.replace("tcps://", "tcp://") if encrypted else robot.url.replace("tcp://", "tcps://")
+        with linked(robot, url=url) as (_, states):
+            assert "tcp:// or tcps://" in states.wait_for("down")
+
+
+@every_robot
+def test_publishing_to_a_hung_robot_returns_at_once_and_keeps_only_the_newest(
+    make_robot: type[Robot],
+) -> None:
+    limits = replace(IMPATIENT, capacity=5, stale_s=60)
+    with make_robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):
+        states.wait_for("up")
+        robot.hang()
+        states.wait_for("up", "down", timeout_s=5)
+        started_s = time.monotonic()
+        for number in range(500):
+            link.publish(message(f"gesture {number}", number))
+        # A thousandth of the time that a single call to the robot may take, each, and generously so.
+        assert time.monotonic() - started_s < 1.0
+        assert link.counts.dropped == 495
+        robot.resume()
+        robot.calls.wait_for_raise(GESTURE, "gesture 499")
+        assert robot.calls.raised(GESTURE) == [f"gesture {number}" for number in range(495, 500)]
+
+
+def test_a_robot_that_stays_away_is_one_warning_and_its_return_one_line(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO)
+    limits = RobotLimits(backoff_first_s=0.001, backoff_cap_s=0.001)
+    robot = StubRobot()
+    with linked(robot, limits=limits) as (_, states):
+        states.wait_for("down")
+        time.sleep(0.1)
+        robot.start()
+        states.wait_for("down", "up")
+    lines = [(record.levelname, record.getMessage()) for record in caplog.records]
+    assert [level for level, _ in lines] == ["WARNING", "INFO"]
+    assert "up again after 0." in lines[1][1]
+
+
+def test_attempts_become_rarer_up_to_a_cap_and_quick_again_after_a_success() -> None:
+    backoff = Backoff(0.1, 1.0)
+    pauses = [backoff.pause_s() for _ in range(8)]
+    for pause, longest in zip(pauses, [0.1, 0.2, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0], strict=True):
+        assert longest / 2 <= pause <= longest
+    backoff.reset()
+    assert backoff.pause_s() <= 0.1
+
+
+def test_whoever_is_told_the_state_may_fail_without_ending_the_link(caplog: pytest.LogCaptureFixture) -> None:
+    def fail(state: str, reason: str) -> None:
+        raise ZeroDivisionError(state + reason)
+
+    with StubRobot() as robot:
+        link = RobotLink(RobotSettings(url=robot.url), on_state=fail, open_session=robot.open_session)
+        link.start()
+        link.publish(message())
+        robot.calls.wait_for_raise(GESTURE, "stroke")
+        link.stop()
+    assert "ZeroDivisionError" in caplog.text
+
+
+def test_a_session_that_fails_in_a_way_not_foreseen_is_tried_again() -> None:
+    robot = StubRobot()
+    robot.start()
+    failures = iter([TypeError("no such thing")])
+
+    def open_session(*args: object) -> object:
+        for failure in failures:
+            raise failure
+        return robot.open_session(*args)  # type: ignore[arg-type]
+
+    states = States()
+    link = RobotLink(RobotSettings(url=robot.url), states, open_session)  # type: ignore[arg-type]
+    link.start()
+    states.wait_for("down", "up")
+    link.stop()

@@ -1,0 +1,111 @@
+"""The sensor delivers every intact frame of whatever speaks the pad's language, at once, and ends at once."""
+
+from __future__ import annotations
+
+import socket
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
+
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.line_faults import Faults
+from drivers.frame import Counts
+from drivers.pad.protocol import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
+from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
+
+
+@pytest.mark.parametrize("speed", [None, 20.0])
+def test_it_says_up_and_then_delivers_every_frame_in_order(speed: float | None) -> None:
+    stream = stream_of(60)
+    with FakePort(stream, encode_fabric_grid, speed=speed) as port, sensing(port.path) as queue:
+        first = queue.get(5.0)
+        assert first == SensorState("up", f"frames arrive from {port.path}")
+        frames = next_frames(queue, 60)
+    assert_played(frames, stream, range(60))
+    assert [frame.number for frame in frames] == list(range(60))
+
+
+@pytest.mark.parametrize(
+    ("faults", "lost"),
+    [
+        (Faults(chunk_bytes=1), []),
+        (Faults(chunk_bytes=50), []),
+        (Faults(drop_frame_every=5), [4, 9, 14, 19, 24, 29]),
+        (Faults(flip_bit_every=5, garbage_every=3), [4, 9, 14, 19, 24, 29]),
+        (Faults(cut_frame_every=10, repeat_frame_every=4), [9, 19, 29]),
+    ],
+)
+def test_on_a_chopped_or_lossy_line_every_intact_frame_is_delivered_once(
+    faults: Faults, lost: list[int]
+) -> None:
+    stream = stream_of(32)
+    intact = [index for index in range(32) if index not in lost]
+    with FakePort(stream, encode_fabric_grid, speed=20.0, faults=faults) as port, sensing(port.path) as queue:
+        assert_played(next_frames(queue, len(intact)), stream, intact)
+
+
+def test_a_pad_that_prints_lines_is_read_too() -> None:
+    stream = stream_of(20)
+    with FakePort(stream, encode_csv_line, speed=20.0) as port, sensing(port.path, CsvLines()) as queue:
+        assert_played(next_frames(queue, 19), stream, range(1, 20))
+
+
+def test_a_frame_bears_the_time_its_last_byte_arrived() -> None:
+    stream = stream_of(40)
+    with FakePort(stream, encode_fabric_grid, speed=2.0) as port, sensing(port.path) as queue:
+        frames = next_frames(queue, 40)
+    delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s
+    assert delay_s.min() > 0.0
+    assert np.median(delay_s) < 0.01
+
+
+def test_frames_that_come_in_a_burst_after_a_stall_keep_their_true_arrival() -> None:
+    stream = stream_of(30)
+    stalled_s = 0.0
+
+    def stall_once(counts: Counts, sensor_ms: int) -> bytes:
+        nonlocal stalled_s
+        if sensor_ms == stream.sensor_ms[10]:
+            time.sleep(0.4)
+            stalled_s = time.monotonic()
+        return encode_fabric_grid(counts, sensor_ms)
+
+    with FakePort(stream, stall_once) as port, sensing(port.path, silence_s=1.0) as queue:
+        frames = next_frames(queue, 30)
+    assert_played(frames, stream, range(30))
+    assert frames[9].host_s < stalled_s <= frames[10].host_s
+    assert frames[20].host_s - frames[10].host_s < 0.15
+
+
+def test_any_address_pyserial_knows_will_do() -> None:
+    stream = stream_of(60)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"socket://127.0.0.1:{server.getsockname()[1]}"
+        check_port(address, BAUD)
+        with sensing(address) as queue:
+            connection, _ = server.accept()
+            with connection:
+                for counts, ms in zip(stream.counts, stream.sensor_ms.tolist(), strict=True):
+                    connection.sendall(encode_fabric_grid(counts, ms))
+                    time.sleep(0.002)
+                frames = next_frames(queue, 10)
+    # What is sent while the port is being opened is discarded, as on a cable.
+    first = stream.sensor_ms.tolist().index(frames[0].sensor_ms)
+    assert_played(frames, stream, range(first, first + 10))
+
+
+def test_it_stops_at_once_while_nothing_is_there_and_before_it_began(tmp_path: Path) -> None:
+    with sensing(str(tmp_path / "none")) as queue:
+        next_state(queue)
+    Sensor("/dev/none", BAUD, FabricGrid(), FrameQueue()).stop()
+
+
+def test_it_stops_at_once_while_frames_pour_in() -> None:
+    with (
+        FakePort(stream_of(), encode_fabric_grid, speed=None, loop=True) as port,
+        sensing(port.path) as queue,
+    ):
+        next_frames(queue, 100)

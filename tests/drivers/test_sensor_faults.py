@@ -1,0 +1,245 @@
+"""Whatever a lab does to the pad's cable: it is said once, and right frames come again when it is over."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+from rigs.sensor_rig import (
+    Encode,
+    Switch,
+    assert_played,
+    next_frames,
+    next_state,
+    sensing,
+    silence,
+    stream_of,
+)
+
+from drivers.fakes.fake_port import FakePort
+from drivers.frame import Counts, Frame
+from drivers.pad import sensor as sensor_module
+from drivers.pad import sensor_state
+from drivers.pad.protocol import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
+from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState
+from drivers.pad.sensor_state import Announcer
+from drivers.recording import Stream
+
+
+def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels: str) -> None:
+    """Right frames come within two seconds from now, and this is all that was logged."""
+    begun_s = time.monotonic()
+    assert next_state(queue).state == "up"
+    next_frames(queue, 5)
+    assert time.monotonic() - begun_s < 2.0
+    assert [record.levelname for record in caplog.records] == list(levels)
+
+
+def test_a_pad_that_falls_silent_is_down_and_up_again_when_it_goes_on(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO)
+    switch = Switch(encode_fabric_grid)
+    with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
+        next_frames(queue, 5)
+        switch.encode = silence
+        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 0.5 s")
+        switch.encode = encode_fabric_grid
+        assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
+    assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again after 0.")
+
+
+def noise(counts: Counts, sensor_ms: int) -> bytes:
+    return np.random.default_rng(sensor_ms).bytes(200)
+
+
+def half_frames(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_fabric_grid(counts, sensor_ms)[: 20 + sensor_ms % 150]
+
+
+def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_fabric_grid(counts, sensor_ms, rows=8, columns=8, crop=0)
+
+
+def clock_stands(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_fabric_grid(counts, 77)
+
+
+@pytest.mark.parametrize(
+    ("trouble", "reason"),
+    [
+        (noise, "noise, wrong baud rate?"),
+        (half_frames, "frames begin but none of fabric-grid 10x10 is whole"),
+        (as_8x8, "looks like fabric-grid 8x8, configured fabric-grid 10x10"),
+        (encode_csv_line, "looks like csv 10x10, configured fabric-grid 10x10"),
+        (clock_stands, "frames of fabric-grid 10x10 arrive, but their clock stands still or jumps"),
+    ],
+)
+def test_bytes_without_frames_are_recognised_and_frames_come_again_when_they_are_right(
+    trouble: Encode, reason: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    switch = Switch(trouble)
+    with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
+        assert reason in next_state(queue).reason
+        time.sleep(0.6)
+        switch.encode = encode_fabric_grid
+        assert_is_over(queue, caplog, "WARNING", "INFO")
+
+
+def test_a_10x10_pad_is_recognised_where_8x8_or_lines_were_configured() -> None:
+    with FakePort(stream_of(), encode_fabric_grid) as port:
+        with sensing(port.path, FabricGrid(8, 8, 0)) as queue:
+            assert "looks like fabric-grid 10x10, configured fabric-grid 8x8" in next_state(queue).reason
+        with sensing(port.path, CsvLines()) as queue:
+            assert "looks like fabric-grid 10x10, configured csv 10x10" in next_state(queue).reason
+
+
+def test_a_pad_unplugged_and_back_under_another_name_is_found_again_by_its_link(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    link = tmp_path / "touchd-pad"
+    first, second = (FakePort(stream_of(), encode_fabric_grid) for _ in range(2))
+    link.symlink_to(first.path)
+    # As the daemon does it: the pause between two looks has grown to what it is at most.
+    with sensing(str(link), longest_retry_s=1.0) as queue:
+        first.start()
+        next_frames(queue, 5)
+        first.stop()
+        link.unlink()
+        assert "touchd-pad" in next_state(queue).reason
+        time.sleep(0.8)
+        link.symlink_to(second.path)
+        second.start()
+        assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
+        assert next_frames(queue, 1)[0].number > 5
+    second.stop()
+
+
+def test_a_pad_plugged_in_late_is_waited_for(tmp_path: Path) -> None:
+    link = tmp_path / "touchd-pad"
+    with sensing(str(link)) as queue:
+        assert next_state(queue) == SensorState(
+            "down", f"{link} is not there: is the pad plugged in and switched on?"
+        )
+        with FakePort(stream_of(), encode_fabric_grid) as port:
+            link.symlink_to(port.path)
+            assert next_state(queue).state == "up"
+
+
+def test_a_loose_plug_is_warned_of_once(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    caplog.set_level(logging.INFO)
+    link = tmp_path / "touchd-pad"
+    with sensing(str(link)) as queue:
+        for _ in range(4):
+            with FakePort(stream_of(), encode_fabric_grid) as port:
+                link.unlink(missing_ok=True)
+                link.symlink_to(port.path)
+                while next_state(queue).state != "up":
+                    pass
+            assert next_state(queue).state == "down"
+    assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
+
+
+def test_a_pad_that_goes_for_good_soon_after_it_came_back_is_warned_of(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.WARNING)
+    states: list[SensorState] = []
+    announcer = Announcer(states.append)
+    announcer.down("missing", "gone")
+    announcer.up("pad")
+    announcer.down("missing", "gone again")
+    announcer.down("missing", "still gone")
+    assert [record.message for record in caplog.records] == ["gone"]
+    monkeypatch.setattr(sensor_state, "STEADY_S", 0.0)
+    announcer.down("missing", "gone for good")
+    announcer.down("missing", "gone for good")
+    assert [record.message for record in caplog.records] == ["gone", "gone for good"]
+    assert [state.state for state in states] == ["down", "up", "down", "down"]
+
+
+def test_a_busy_port_is_named_and_taken_when_it_is_free(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    with FakePort(stream_of(), encode_fabric_grid) as port:
+        other = serial.Serial(port.path, exclusive=True)
+        with sensing(port.path) as queue:
+            assert "busy: another program reads it" in next_state(queue).reason
+            other.close()
+            assert_is_over(queue, caplog, "WARNING", "INFO")
+
+
+def test_a_failure_nobody_foresaw_is_told_and_gone_when_its_cause_is() -> None:
+    class Fragile(FabricGrid):
+        broken = True
+
+        def feed(self, data: bytes, host_s: float) -> list[Frame]:
+            if self.broken:
+                raise ZeroDivisionError("unforeseen")
+            return super().feed(data, host_s)
+
+    protocol = Fragile()
+    with FakePort(stream_of(), encode_fabric_grid) as port, sensing(port.path, protocol) as queue:
+        assert "internal error" in next_state(queue).reason
+        protocol.broken = False
+        assert next_state(queue).state == "up"
+
+
+def test_what_is_only_passed_through_on_the_way_back_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    states: list[SensorState] = []
+    announcer = Announcer(states.append)
+    for kind in ("missing", "denied", "missing", "busy", "busy", "busy"):
+        announcer.down(kind, kind)
+    assert [state.reason for state in states] == ["missing", "busy"]
+    assert [record.message for record in caplog.records] == ["missing", "busy"]
+
+
+def test_however_long_it_is_gone_it_is_looked_for_at_least_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked = threading.Semaphore(0)
+
+    def not_there(port: str, baud: int) -> None:
+        looked.release()
+        raise SensorError("missing", "not there")
+
+    monkeypatch.setattr(sensor_module, "open_port", not_there)
+    sensor = Sensor("pad", 512000, FabricGrid(), FrameQueue(), first_retry_s=0.001, longest_retry_s=0.004)
+    sensor.start()
+    assert all(looked.acquire(timeout=5.0) for _ in range(50))
+    sensor.stop()
+
+
+@pytest.mark.parametrize("rate_hz", [43.2, 64.8])
+def test_a_pad_20_percent_too_slow_or_too_fast_loses_nothing(
+    rate_hz: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    counts = stream_of(40).counts
+    stream = Stream(counts, np.rint(np.arange(40) * 1000 / rate_hz).astype(np.int64), ())
+    with FakePort(stream, encode_fabric_grid, speed=5.0) as port, sensing(port.path, silence_s=5.0) as queue:
+        assert_played(next_frames(queue, 40), stream, range(40))
+    assert [record.levelname for record in caplog.records] == ["INFO"]
+
+
+@pytest.mark.parametrize(
+    ("before_ms", "after_ms"), [(0, -1300), (0, 86_400_000), (2**32 - 1300, 2**32 - 1300)]
+)
+def test_a_clock_that_restarts_jumps_or_wraps_loses_nothing(
+    before_ms: int, after_ms: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    stream = stream_of(40)
+
+    def encode(counts: Counts, sensor_ms: int) -> bytes:
+        return encode_fabric_grid(counts, sensor_ms + (before_ms if sensor_ms < 1300 else after_ms))
+
+    with FakePort(stream, encode, speed=5.0) as port, sensing(port.path, silence_s=5.0) as queue:
+        frames = next_frames(queue, 40)
+    np.testing.assert_array_equal([frame.pressure for frame in frames], stream.counts)
+    assert [record.levelname for record in caplog.records] == ["INFO"]

@@ -1,0 +1,196 @@
+"""From bytes on a serial port to lines on standard output: the spawned daemon, a pty, recordings."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+from rigs.expectations import RECORDINGS, answers, expected, stream_of
+
+from daemon.config import RobotConfig, SensorSettings, Settings
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from daemon.pipeline import Pipeline
+from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.stream import with_quiet
+from daemon.service import load_model
+from daemon.wire import encoder_for, parser_for
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.fakes.hand import simulate
+from drivers.fakes.line_faults import Faults
+from drivers.recording import Recording, Selection, Stream, read_recordings, realign, splice
+from drivers.robot.session import qi_installed
+from model.classifier import Classifier
+
+# As fast as leaves the daemon time on a busy machine: the sensor's clock counts, not the arrival.
+SPEED = 20.0
+# A pad at rest takes the daemon less time, and a frame lost to a busy machine changes nothing.
+SPEED_AT_REST = 50.0
+PLAY_S = 25.0
+BEGINNING = 650
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+
+
+def beginning(stream: Stream) -> Stream:
+    """The first twelve seconds, which hold three short touches."""
+    return Stream(stream.counts[:BEGINNING], stream.sensor_ms[:BEGINNING], ())
+
+
+def touches(events: list[Event]) -> list[int]:
+    """The numbers of the touches that came to an end."""
+    return [event.touch for event in events if isinstance(event, TouchEnded)]
+
+
+requires_haart = pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART is not set")
+
+
+@pytest.fixture(scope="module")
+def classifier() -> Classifier:
+    return load_model(Settings())
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Callable[..., list[Event]]:
+    """What the spawned daemon says to a stream that a fake port plays to it."""
+
+    def run(
+        stream: Stream,
+        *,
+        protocol: str = "fabric-grid",
+        faults: Faults | None = None,
+        robot: RobotConfig | None = None,
+        speed: float = SPEED,
+    ) -> list[Event]:
+        sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
+        with (
+            FakePort(stream, encoder_for(sensor), speed=speed, faults=faults or Faults()) as port,
+            (tmp_path / "log").open("w+b") as log,
+        ):
+            sensor = msgspec.structs.replace(sensor, port=port.path)
+            daemon = SpawnedDaemon(Settings(sensor=sensor, robot=robot), tmp_path, log)
+            try:
+                assert port.wait(PLAY_S), "the daemon did not take what was played"
+            finally:
+                daemon.process.terminate()
+                events = list(daemon.events())
+                exit_code = daemon.stop()
+            log.seek(0)
+            assert exit_code == 0, log.read().decode()
+        return events
+
+    return run
+
+
+@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
+def test_the_daemon_says_what_is_expected_of_a_shipped_recording(
+    run: Callable[..., list[Event]], recording: Path
+) -> None:
+    assert outline(run(stream_of(recording))) == expected(recording)
+
+
+@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
+def test_classify_says_the_same_as_the_daemon(recording: Path, classifier: Classifier) -> None:
+    assert outline(answers(stream_of(recording), classifier)) == expected(recording)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [{"protocol": "csv"}, {"faults": Faults(chunk_bytes=40)}, {"faults": Faults(garbage_every=31)}],
+    ids=["lines of numbers", "bytes in pieces", "garbage between frames"],
+)
+def test_another_line_gives_the_same_answers(
+    run: Callable[..., list[Event]], classifier: Classifier, line: dict[str, object]
+) -> None:
+    stream = beginning(stream_of(LENGTHS))
+    assert outline(run(stream, **line)) == outline(answers(stream, classifier))
+
+
+def test_a_line_with_damaged_frames_gives_the_same_touches_marked_degraded(
+    run: Callable[..., list[Event]], classifier: Classifier
+) -> None:
+    stream = beginning(stream_of(LENGTHS))
+    said = run(stream, faults=Faults(flip_bit_every=50))
+    assert touches(said) == touches(answers(stream, classifier))
+    assert any(event.degraded for event in said if isinstance(event, Prediction))
+
+
+@pytest.mark.parametrize("size", [1, 7, 208, 210, 5000, None])
+def test_predictions_are_identical_however_the_bytes_were_cut(
+    size: int | None, classifier: Classifier
+) -> None:
+    stream = beginning(stream_of(LENGTHS))
+    sensor = SensorSettings()
+    data = b"".join(map(encoder_for(sensor), stream.counts, stream.sensor_ms.tolist()))
+    chance = random.Random(1)
+    parser = parser_for(sensor)
+    events: list[Event] = []
+    pipeline = Pipeline(Settings().pipeline, classifier, events.append)
+    position = 0
+    while position < len(data):
+        step = size or chance.randrange(1, 500)
+        for frame in parser.feed(data[position : position + step], host_s=0.0):
+            pipeline.on_frame(frame)
+        position += step
+    pipeline.flush()
+    given = [event.probabilities for event in events if isinstance(event, Prediction)]
+    assert given
+    whole = answers(stream, classifier)
+    assert given == [event.probabilities for event in whole if isinstance(event, Prediction)]
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
+    with LoopbackRobot() as robot:
+        said = run(beginning(stream_of(LENGTHS)), robot=RobotConfig(url=robot.url))
+        told = [event.gesture for event in said if isinstance(event, Prediction) and event.told]
+        assert told
+        robot.calls.wait_for_raise("TouchGesture/Status", "down")
+        assert robot.calls.raised("TouchGesture/Gesture") == told
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
+    with LoopbackRobot() as robot:
+        at_rest = splice(simulate([("notouch", 60.0)], seed=5))
+        said = run(at_rest, robot=RobotConfig(url=robot.url), speed=SPEED_AT_REST)
+        robot.calls.wait_for_raise("TouchGesture/Status", "down")
+        assert robot.calls.raised("TouchGesture/Gesture") == []
+    assert not [event for event in said if isinstance(event, TouchBegan | Prediction)]
+
+
+def test_a_minute_without_a_touch_says_nothing(classifier: Classifier) -> None:
+    assert answers(splice(simulate([("notouch", 60.0)], seed=6)), classifier) == []
+
+
+def four_seconds_of(recording: Recording) -> Recording:
+    return replace(recording, counts=recording.counts[:216], sensor_ms=recording.sensor_ms[:216])
+
+
+@requires_haart
+def test_one_real_recording_of_each_gesture_is_felt_as_one_touch_each(
+    run: Callable[..., list[Event]], classifier: Classifier
+) -> None:
+    path = Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz"
+    condition = Selection(participants=("P4",), substrates=("none",), covers=("none",))
+    recordings = [four_seconds_of(realign(recording)) for recording in read_recordings(path, condition)]
+    assert sorted(recording.gesture for recording in recordings) == sorted(classifier.labels)
+    stream = with_quiet(recordings, [recording for recording in recordings if recording.gesture == "notouch"])
+    said = run(stream)
+    assert outline(said) == outline(answers(stream, classifier))
+
+    begins_ms = [event.sensor_ms for event in said if isinstance(event, TouchBegan)]
+    touching = [span for span in stream.spans if span.gesture != "notouch"]
+    assert begins_ms == pytest.approx([int(stream.sensor_ms[span.start]) for span in touching], abs=300)
+    named = {
+        span.gesture: [event for event in said if isinstance(event, Prediction) and event.touch == touch]
+        for touch, span in enumerate(touching, 1)
+    }
+    for gesture, predictions in named.items():
+        assert [event.stage for event in predictions][:3] == ["early", "revised", "final"]
+        if gesture in ("constant", "pat"):
+            assert {event.gesture for event in predictions} == {gesture}

@@ -1,0 +1,83 @@
+"""The floors: drivers are the ground, the model stands on them, the daemon on both; none imports upward."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+MODEL_STANDS_ON = {"drivers.errors", "drivers.frame", "drivers.recording"}
+
+
+def imports(path: Path) -> set[str]:
+    """The dotted names of the modules that a file imports, wherever in it."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            assert node.level == 0, f"{path} imports relatively"
+            found.add(node.module)
+            found.update(f"{node.module}.{alias.name}" for alias in node.names)
+    return found
+
+
+def from_package(names: set[str], package: str) -> set[str]:
+    return {name for name in names if name == package or name.startswith(f"{package}.")}
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("drivers/**/*.py")), ids=lambda path: path.name)
+def test_drivers_import_nothing_above_them(path: Path) -> None:
+    names = imports(path)
+    assert not from_package(names, "model") | from_package(names, "daemon")
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.glob("model/**/*.py")), ids=lambda path: path.name)
+def test_the_model_stands_on_frames_recordings_and_errors_alone(path: Path) -> None:
+    names = imports(path)
+    assert not from_package(names, "daemon")
+    for name in from_package(names, "drivers"):
+        assert name in MODEL_STANDS_ON or name.rpartition(".")[0] in MODEL_STANDS_ON, f"{path.name}: {name}"
+
+
+WHAT_IS_LOADED = """
+import sys
+from daemon.commands import run
+from daemon.config import Settings
+from daemon.service import load_model
+load_model(Settings())
+print(*sorted({name.partition(".")[0] for name in sys.modules}))
+"""
+
+
+@pytest.fixture(scope="module")
+def loaded() -> set[str]:
+    """The top-level modules in the process of a daemon that is ready to run."""
+    done = subprocess.run(
+        [sys.executable, "-c", WHAT_IS_LOADED], capture_output=True, text=True, check=True, timeout=30
+    )
+    return set(done.stdout.split())
+
+
+def test_the_running_daemon_never_imports_torch(loaded: set[str]) -> None:
+    assert "onnxruntime" in loaded
+    assert not loaded & {"torch", "onnx", "sklearn", "matplotlib", "scipy"}
+
+
+def test_the_running_daemon_imports_nothing_that_only_view_page_or_robot_need(loaded: set[str]) -> None:
+    assert not loaded & {"rich", "qi", "websockets", "asyncio"}
+
+
+def test_the_command_line_starts_without_loading_anything_heavy() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "import sys, daemon.cli; print(*sys.modules)"],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=30,
+    )
+    assert not set(done.stdout.split()) & {"numpy", "onnxruntime", "msgspec", "yaml", "rich", "torch"}

@@ -1,0 +1,164 @@
+"""`make install` puts the service in place, an upgrade keeps its configuration, `make uninstall` ends it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import setuptools
+
+from daemon.config import Settings, load
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = [path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("__init__.py")]
+CONFIGURATION = "etc/touchd/touchd.yaml"
+INSTALLED = {
+    "etc/systemd/system/touchd.service",
+    "etc/sysusers.d/touchd.conf",
+    "etc/tmpfiles.d/touchd.conf",
+    "etc/touchd/touchd.example.yaml",
+    CONFIGURATION,
+    "etc/udev/rules.d/99-touchd.rules",
+}
+
+Make = Callable[..., str]
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Make:
+    """Runs make with tmp_path as DESTDIR; returns what it prints."""
+
+    def make(*arguments: str, source: Path = ROOT) -> str:
+        done = subprocess.run(
+            ["make", "-C", str(source), "--no-print-directory", *arguments, f"DESTDIR={tmp_path}"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    return make
+
+
+def files_in(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
+def test_every_file_of_the_service_is_put_in_place(make: Make, tmp_path: Path) -> None:
+    assert "sudo systemctl enable --now touchd" in make("install-files")
+    assert files_in(tmp_path) == INSTALLED
+    assert stat.S_IMODE((tmp_path / CONFIGURATION).stat().st_mode) == 0o640
+    assert isinstance(load(tmp_path / CONFIGURATION), Settings)
+
+
+def test_an_upgrade_keeps_the_configuration_and_renews_the_rest(make: Make, tmp_path: Path) -> None:
+    make("install-files")
+    unit = (tmp_path / "etc/systemd/system/touchd.service").read_text()
+    for path in INSTALLED:
+        (tmp_path / path).write_text("mine")
+    make("install-files")
+    assert (tmp_path / CONFIGURATION).read_text() == "mine"
+    assert (tmp_path / "etc/systemd/system/touchd.service").read_text() == unit
+    assert "mine" not in {(tmp_path / path).read_text() for path in INSTALLED - {CONFIGURATION}}
+
+
+def test_the_unit_runs_the_program_where_it_was_installed(make: Make, tmp_path: Path) -> None:
+    make("install-files", "PREFIX=/srv/lab")
+    unit = (tmp_path / "etc/systemd/system/touchd.service").read_text()
+    assert "ExecStart=/srv/lab/touchd/bin/touchd run -c /etc/touchd/touchd.yaml" in unit
+    assert "/opt" not in unit
+
+
+def test_uninstalling_leaves_the_configuration_and_nothing_else(make: Make, tmp_path: Path) -> None:
+    make("install-files")
+    program = tmp_path / "opt/touchd"
+    program.mkdir(parents=True)
+    (program / "pyvenv.cfg").write_text("")
+    make("uninstall")
+    make("uninstall")
+    assert files_in(tmp_path) == {CONFIGURATION}
+    assert not program.exists()
+
+
+def test_uninstalling_deletes_no_folder_that_is_not_its_own(make: Make, tmp_path: Path) -> None:
+    (tmp_path / "opt/touchd").mkdir(parents=True)
+    (tmp_path / "opt/touchd/thesis.tex").write_text("")
+    make("uninstall")
+    assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
+
+
+def test_installing_deletes_no_folder_that_is_not_its_own(tmp_path: Path) -> None:
+    thesis = tmp_path / "opt/touchd/thesis.tex"
+    thesis.parent.mkdir(parents=True)
+    thesis.write_text("")
+    done = subprocess.run(
+        ["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode != 0
+    assert "is there and is not an installed touchd" in done.stdout
+    assert thesis.exists()
+
+
+def test_every_package_there_is_is_installed() -> None:
+    tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    packages = {str(path.parent.relative_to(ROOT)).replace("/", ".") for path in PACKAGES}
+    found = setuptools.find_packages(
+        str(ROOT), include=project["tool"]["setuptools"]["packages"]["find"]["include"]
+    )
+    assert set(found) == packages
+
+
+@pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="systemd-tmpfiles is not installed")
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
+def test_systemd_gives_the_configuration_to_the_service_and_nobody_else(make: Make, tmp_path: Path) -> None:
+    make("install-files")
+    for table, line in (
+        ("passwd", "root:x:0:0::/root:/bin/sh\ntouchd:x:977:976::/:/bin/false"),
+        ("group", "root:x:0:\ntouchd:x:976:"),
+    ):
+        (tmp_path / "etc" / table).write_text(f"{line}\n")
+    done = subprocess.run(
+        ["systemd-tmpfiles", "--create", f"--root={tmp_path}", "touchd.conf"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    folder, file = (tmp_path / CONFIGURATION).parent.stat(), (tmp_path / CONFIGURATION).stat()
+    assert (stat.S_IMODE(folder.st_mode), folder.st_gid) == (0o750, 976)
+    assert (stat.S_IMODE(file.st_mode), file.st_uid, file.st_gid) == (0o640, 0, 976)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(
+    Path(sys.executable).resolve().is_relative_to(Path.home()) and not Path("/usr/bin/python3").exists(),
+    reason="there is only a Python in the home folder",
+)
+def test_the_installed_program_runs(make: Make, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info"))
+    make("install", "PYTHON=/usr/bin/python3", source=source)
+    program = tmp_path / "opt/touchd/bin/touchd"
+    assert program.read_text().startswith("#!/opt/touchd/bin/python")
+    done = subprocess.run(
+        [program.with_name("python"), "-m", "daemon", "demo"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd="/",
+    )
+    assert done.returncode == 0, done.stderr
+    make("uninstall")
+    assert files_in(tmp_path / "opt") == set()

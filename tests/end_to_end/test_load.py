@@ -1,0 +1,152 @@
+"""The real daemon while both cores are taken by others, at the pad's rate and far beyond it.
+
+To see the figures: pytest -m slow tests/test_load.py -s
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from rigs.expectations import RECORDINGS, expected, stream_of
+
+from daemon.config import SensorSettings, Settings
+from daemon.events import Event, Prediction, TouchBegan
+from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import read_recordings, splice
+
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
+
+Play = Callable[[float], tuple[list[Event], int, int]]
+
+
+@pytest.fixture
+def busy() -> Iterator[None]:
+    """Every core is taken."""
+    burners = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 2)
+    ]
+    yield
+    for burner in burners:
+        burner.kill()
+        burner.wait()
+
+
+@pytest.fixture
+def play(tmp_path: Path) -> Play:
+    """Plays a recording to the daemon so many times faster; returns events, frames processed and dropped."""
+
+    def play(speed: float) -> tuple[list[Event], int, int]:
+        with (
+            FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=speed) as port,
+            (tmp_path / "log").open("w+") as log,
+        ):
+            daemon = SpawnedDaemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, log.buffer)
+            assert port.wait(90)
+            daemon.process.terminate()
+            events = list(daemon.events())
+            assert daemon.stop() == 0
+            log.seek(0)
+            said = IN_ALL.search(log.read())
+        assert said is not None
+        return events, int(said[1]), int(said[3])
+
+    return play
+
+
+def test_what_it_says_at_the_end_adds_up_to_what_was_sent(play: Play) -> None:
+    _, processed, dropped = play(100.0)
+    assert processed + dropped == len(stream_of(LENGTHS).counts)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+@pytest.mark.usefixtures("busy")
+def test_at_the_pads_rate_no_frame_is_lost_while_every_core_is_busy(play: Play) -> None:
+    events, processed, dropped = play(1.0)
+    assert (processed, dropped) == (len(stream_of(LENGTHS).counts), 0)
+    assert outline(events) == expected(LENGTHS)
+    slowest_ms = max(event.latency_ms for event in events if isinstance(event, Prediction))
+    sys.stdout.write(f"1 times: {processed} frames, {dropped} dropped, slowest answer {slowest_ms:.1f} ms\n")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+@pytest.mark.usefixtures("busy")
+@pytest.mark.parametrize("speed", [10.0, 50.0])
+def test_far_beyond_the_pads_rate_it_says_what_it_dropped(play: Play, speed: float) -> None:
+    _, processed, dropped = play(speed)
+    assert processed + dropped == len(stream_of(LENGTHS).counts)
+    sys.stdout.write(f"{speed:g} times: {processed} frames, {dropped} dropped\n")
+
+
+HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_overrun_it_counts_and_says_every_frame_given_up_and_then_answers_right_again(tmp_path: Path) -> None:
+    # Held up for eight turns of the recording, it then gets all of them as fast as the line can carry.
+    stream = splice(read_recordings(LENGTHS) * TURNS)
+    held_up_s = HELD_UP_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / SPEED
+    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    manager.bind(str(tmp_path / "notify"))
+    with (
+        manager,
+        FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port,
+        (tmp_path / "log").open("w+") as log,
+    ):
+        settings = Settings(sensor=SensorSettings(port=port.path))
+        environment = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
+        daemon = SpawnedDaemon(settings, tmp_path, log.buffer, environment)
+        manager.settimeout(20)
+        assert manager.recv(4096) == b"READY=1"
+        daemon.process.send_signal(signal.SIGSTOP)
+        assert not port.wait(held_up_s)
+        daemon.process.send_signal(signal.SIGCONT)
+        assert port.wait(60)
+        daemon.process.terminate()
+        events = list(daemon.events())
+        assert daemon.stop() == 0
+        statuses = _heard(manager)
+        log.seek(0)
+        said = log.read()
+    in_all = IN_ALL.search(said)
+    assert in_all is not None
+    processed, dropped = int(in_all[1]), int(in_all[3])
+    assert dropped > 0
+    assert processed + dropped == len(stream.counts)
+    assert "frames dropped: the machine is too busy for the pad" in said
+    assert any(re.search(r"frames/s, \d+ touches, [1-9]\d* frames dropped", status) for status in statuses)
+    assert _last_turn(events) == expected(LENGTHS)
+    sys.stdout.write(f"held up for {held_up_s:.0f} s: {processed} frames, {dropped} dropped\n")
+
+
+def _heard(manager: socket.socket) -> list[str]:
+    """Return everything that has come."""
+    manager.setblocking(False)
+    messages = []
+    while True:
+        try:
+            messages.append(manager.recv(4096).decode())
+        except BlockingIOError:
+            return messages
+
+
+def _last_turn(events: list[Event]) -> list[dict[str, object]]:
+    """Return the outline of the recording's last turn, with its touches numbered from 1."""
+    touches = max(int(str(entry["touch"])) for entry in expected(LENGTHS))
+    before = max(event.touch for event in events if isinstance(event, TouchBegan)) - touches
+    last = [entry | {"touch": int(str(entry["touch"])) - before} for entry in outline(events)]
+    return [entry for entry in last if entry["touch"] >= 1]

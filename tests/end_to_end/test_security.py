@@ -1,0 +1,177 @@
+"""What comes from outside is data: nothing listens, nothing is run, nothing is without bound."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import socket
+import subprocess
+import sys
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+from rigs.expectations import RECORDINGS, stream_of
+from rigs.sockets import LISTENS, LOOPBACK, sockets
+
+from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings
+from daemon.events import RobotEvent, SensorEvent
+from daemon.playback.rig import SpawnedDaemon
+from daemon.strict_yaml import _StrictLoader
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+from drivers.robot.session import qi_installed
+from model.settings import SettingsError
+from model.training.recipe import MAX_BYTES, read_recipe
+
+ROOT = Path(__file__).parents[2]
+SOURCES = sorted(path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("*.py"))
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+# Modules that run what they read.
+RUNS_WHAT_IT_READS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
+
+
+def dangers(source: str) -> Iterator[str]:
+    """Yield what in a source file could run what it reads."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (name.name for name in node.names if name.name.split(".")[0] in RUNS_WHAT_IT_READS)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in RUNS_WHAT_IT_READS:
+            yield node.module or ""
+        elif isinstance(node, ast.Call):
+            called = ast.unparse(node.func)
+            given = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+            if called in ("eval", "exec", "os.system", "os.popen") or given.get("shell") == "True":
+                yield called
+            if called == "torch.load" and given.get("weights_only") != "True":
+                yield "torch.load without weights_only"
+            if called in ("np.load", "numpy.load") and given.get("allow_pickle", "False") != "False":
+                yield "np.load with allow_pickle"
+            loads_yaml = called in ("yaml.load", "yaml.unsafe_load", "yaml.full_load", "yaml.load_all")
+            if loads_yaml and "_StrictLoader" not in ast.unparse(node):
+                yield called
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import pickle",
+        "from joblib import load",
+        "torch.load(path)",
+        "torch.load(path, weights_only=False)",
+        "np.load(path, allow_pickle=True)",
+        "yaml.unsafe_load(text)",
+        "subprocess.run(command, shell=True)",
+        "eval(text)",
+    ],
+)
+def test_what_runs_what_it_reads_would_be_found(source: str) -> None:
+    assert list(dangers(source))
+
+
+def test_nothing_in_the_sources_runs_what_it_reads() -> None:
+    assert len(SOURCES) > 50
+    assert {str(path): found for path in SOURCES if (found := list(dangers(path.read_text())))} == {}
+
+
+def test_configuration_is_read_by_a_loader_that_makes_no_objects() -> None:
+    assert issubclass(_StrictLoader, yaml.SafeLoader | yaml.CSafeLoader)
+
+
+def test_a_checkpoint_that_holds_a_program_is_refused_and_not_run(tmp_path: Path) -> None:
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    from model.training import checkpoint
+
+    ran = tmp_path / "ran"
+
+    class Trap:
+        def __reduce__(self) -> tuple[object, ...]:
+            return os.mkdir, (str(ran),)
+
+    torch.save({"state": Trap()}, tmp_path / "trap.pt")
+    with pytest.raises(Exception, match=r"trap\.pt"):
+        checkpoint.load(tmp_path / "trap.pt")
+    assert not ran.exists()
+    torch.load(tmp_path / "trap.pt", weights_only=False)
+    assert ran.exists(), "the trap would not have caught anything"
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_any_of_ours_is_refused_unread(tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="torch is not installed")
+    from model.training import checkpoint
+
+    path = tmp_path / "huge.pt"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        with archive.open("archive/data/0", "w", force_zip64=True) as entry:
+            for _ in range(checkpoint.MAX_FILE_BYTES // 2**20):
+                entry.write(bytes(2**20))
+        archive.writestr("archive/data.pkl", b"x")
+    assert path.stat().st_size < 2**20
+    with pytest.raises(checkpoint.CheckpointError, match="larger than 128 MiB"):
+        checkpoint.load(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"#" * (MAX_BYTES + 1), "larger than 64 KiB"),
+        (b"\xff\xfe\xfd: [", "recipe.yaml: "),
+        (b"name: [", "recipe.yaml: while parsing"),
+    ],
+)
+def test_a_recipe_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+    path = tmp_path / "recipe.yaml"
+    path.write_bytes(content)
+    with pytest.raises(SettingsError, match=message) as refusal:
+        read_recipe(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_socket_that_listens_would_be_found() -> None:
+    with socket.create_server(("127.0.0.1", 0)):
+        assert ("tcp", LISTENS) in [(protocol, state) for protocol, _, state in sockets(os.getpid())]
+
+
+def test_the_models_runtime_keeps_no_record_of_what_it_runs_and_tells_nobody(tmp_path: Path) -> None:
+    # It sends from a database in the home folder, and is silent by itself where it takes this for a test.
+    silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
+    environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
+    load = "from daemon.service import load_model, Settings; load_model(Settings())"
+    environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", load], env=environment, check=True, timeout=25)
+    assert list(tmp_path.rglob("*")) == []
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_the_daemon_listens_nowhere_and_the_stand_in_robot_on_this_computer_only(tmp_path: Path) -> None:
+    fake_robot = [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"]
+    with (
+        subprocess.Popen(fake_robot, stdout=subprocess.PIPE) as robot,
+        FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as pad,
+    ):
+        assert robot.stdout is not None
+        settings = Settings(
+            sensor=SensorSettings(port=pad.path),
+            robot=RobotConfig(url=json.loads(robot.stdout.readline())["listening"]),
+            journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
+        )
+        daemon = SpawnedDaemon(settings, tmp_path)
+        await_both(daemon)
+        daemons, robots = sockets(daemon.process.pid), sockets(robot.pid)
+        assert daemon.stop() == 0
+        robot.terminate()
+    assert [one for one in daemons if one[2] == LISTENS or one[0].startswith("udp")] == []
+    assert {address.partition(":")[0] for _, address, _ in daemons + robots} == {LOOPBACK}
+    assert LISTENS in [state for _, _, state in robots]
+
+
+def await_both(daemon: SpawnedDaemon) -> None:
+    """Wait until pad and robot are there."""
+    waited_for = {SensorEvent, RobotEvent}
+    for event in daemon.events():
+        waited_for.discard(type(event))
+        if not waited_for:
+            return

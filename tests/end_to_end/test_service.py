@@ -1,0 +1,258 @@
+"""The service: systemd hears the truth, the unit is sound, and the daemon ends when told."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from rigs.expectations import RECORDINGS, expected, stream_of
+
+from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings
+from daemon.events import SensorEvent, decode
+from daemon.health import Health
+from daemon.notify import Notifier
+from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.wire import encoder_for
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.hand import simulate
+from drivers.recording import splice
+from drivers.robot.session import qi_installed
+
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+UNITS = Path(__file__).parents[2] / "systemd"
+
+
+class Manager:
+    """What systemd is to a service: a socket that takes its notifications."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(str(path))
+        self._socket.settimeout(15)
+        self.environ = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "3600000000"}
+
+    def hear(self) -> str:
+        return self._socket.recv(4096).decode()
+
+    def heard(self) -> list[str]:
+        """Everything that has come so far."""
+        self._socket.setblocking(False)
+        messages = []
+        while True:
+            try:
+                messages.append(self.hear())
+            except BlockingIOError:
+                return messages
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+@pytest.fixture
+def manager(tmp_path: Path) -> Iterator[Manager]:
+    manager = Manager(tmp_path / "notify")
+    yield manager
+    manager.close()
+
+
+@pytest.fixture
+def health(manager: Manager) -> Iterator[Health]:
+    notifier = Notifier(manager.environ)
+    yield Health(notifier)
+    notifier.close()
+
+
+def test_without_systemd_nothing_is_sent_and_nothing_fails() -> None:
+    notifier = Notifier({})
+    notifier.send(READY=1)
+    assert notifier.watchdog_s == 0
+
+
+def test_a_manager_that_is_gone_is_left_alone(tmp_path: Path) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "nobody")})
+    notifier.send(READY=1)
+    notifier.close()
+
+
+def test_a_watchdog_meant_for_another_process_is_not_ours() -> None:
+    assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}).watchdog_s == 0
+    assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}).watchdog_s == 1.0
+
+
+def test_ready_is_said_once_when_the_pad_is_first_known_to_be_there_or_away(
+    manager: Manager, health: Health
+) -> None:
+    health.idle()
+    assert manager.heard() == []
+    health.pad_state(up=False)
+    health.pad_state(up=True)
+    assert manager.heard().count("READY=1") == 1
+
+
+def test_the_watchdog_is_fed_by_a_processed_frame(manager: Manager, health: Health) -> None:
+    health.frame_processed()
+    assert manager.heard() == ["WATCHDOG=1"]
+
+
+def test_the_watchdog_is_fed_while_the_pad_is_known_to_be_away(manager: Manager, health: Health) -> None:
+    health.pad_state(up=False)
+    assert "WATCHDOG=1" in manager.heard()
+
+
+def test_the_watchdog_is_not_fed_while_a_pad_thought_to_be_there_sends_nothing(
+    manager: Manager, health: Health
+) -> None:
+    health.pad_state(up=True)
+    manager.heard()
+    health.report(touches=0, dropped=0)
+    health.idle()
+    assert manager.heard() == []
+
+
+def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, health: Health) -> None:
+    for _ in range(1000):
+        health.frame_processed()
+    assert manager.heard() == ["WATCHDOG=1"]
+
+
+def test_the_status_shows_rate_touches_and_drops(
+    manager: Manager, health: Health, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = time.monotonic()
+    for _ in range(540):
+        health.frame_processed()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
+    health.report(touches=3, dropped=7)
+    status = manager.heard()[-1]
+    assert status.startswith("STATUS=5")
+    assert status.endswith(" frames/s, 3 touches, 7 frames dropped")
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+    root = tmp_path / "root"
+    shutil.copytree("/usr/lib/systemd/system", root / "usr/lib/systemd/system", symlinks=True)
+    (root / "etc/systemd/system").mkdir(parents=True)
+    shutil.copy(UNITS / "touchd.service", root / "etc/systemd/system")
+    for program in (root / "opt/touchd/bin/touchd", root / "bin/kill"):
+        program.parent.mkdir(parents=True)
+        program.write_text("#!/bin/sh\n")
+        program.chmod(0o755)
+    done = subprocess.run(
+        ["systemd-analyze", "verify", f"--root={root}", "touchd.service"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "touchd" not in done.stderr
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_the_unit_is_exposed_as_little_as_a_serial_port_and_a_robot_allow() -> None:
+    done = subprocess.run(
+        [
+            "systemd-analyze",
+            "security",
+            "--offline=true",
+            "--no-pager",
+            "--threshold=20",
+            str(UNITS / "touchd.service"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout[-400:]
+
+
+@pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
+def test_systemd_accepts_the_user() -> None:
+    done = subprocess.run(
+        ["systemd-sysusers", "--dry-run", str(UNITS / "touchd.sysusers.conf")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture
+def pad() -> Iterator[FakePort]:
+    stream = splice(simulate([("notouch", 2.0), ("rub", 3.0), ("notouch", 30.0)], seed=3))
+    with FakePort(stream, encoder_for(SensorSettings()), speed=4.0) as port:
+        yield port
+
+
+def spawn(settings: Settings, folder: Path, manager: Manager) -> SpawnedDaemon:
+    return SpawnedDaemon(settings, folder, None, manager.environ)
+
+
+def await_ready(manager: Manager) -> None:
+    while manager.hear() != "READY=1":
+        pass
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_daemon_with_exit_code_0_within_two_seconds(
+    tmp_path: Path, manager: Manager, pad: FakePort, number: signal.Signals
+) -> None:
+    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)), tmp_path, manager)
+    await_ready(manager)
+    asked_s = time.monotonic()
+    daemon.process.send_signal(number)
+    assert daemon.process.wait(10) == 0
+    assert time.monotonic() - asked_s < 2.0
+    assert daemon.stop() == 0
+    assert "STOPPING=1" in manager.heard()
+
+
+def test_a_pad_that_is_not_there_is_waited_for_and_said_in_an_event(tmp_path: Path, manager: Manager) -> None:
+    daemon = spawn(Settings(sensor=SensorSettings(port=str(tmp_path / "pad"))), tmp_path, manager)
+    await_ready(manager)
+    event = next(daemon.events())
+    assert isinstance(event, SensorEvent)
+    assert event.state == "down"
+    assert "is not there" in event.reason
+    assert daemon.stop() == 0
+
+
+@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+def test_a_stalled_reader_and_a_dead_robot_neither_cost_the_journal_a_line_nor_delay_the_end(
+    tmp_path: Path, manager: Manager
+) -> None:
+    with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=16.0) as pad:
+        settings = Settings(
+            sensor=SensorSettings(port=pad.path),
+            robot=RobotConfig(url="tcp://127.0.0.1:9"),
+            journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
+        )
+        daemon = spawn(settings, tmp_path, manager)
+        assert daemon.process.stdout is not None
+        fcntl.fcntl(daemon.process.stdout, fcntl.F_SETPIPE_SZ, 4096)
+        assert pad.wait(25)
+        asked_s = time.monotonic()
+        daemon.process.terminate()
+        assert daemon.process.wait(10) == 0
+        assert time.monotonic() - asked_s < 2.0
+        daemon.stop()
+    lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
+    assert outline(map(decode, lines)) == expected(LENGTHS)
+
+
+def test_a_reader_that_goes_away_ends_the_daemon_cleanly(
+    tmp_path: Path, manager: Manager, pad: FakePort
+) -> None:
+    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)), tmp_path, manager)
+    assert daemon.process.stdout is not None
+    daemon.process.stdout.readline()
+    daemon.process.stdout.close()
+    assert daemon.process.wait(20) == 0

@@ -1,0 +1,87 @@
+"""The soak itself: minutes of it hold, and what it looks for would be found."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from by_hand.soak import Soak
+from rigs.soak_audit import Audit
+from rigs.soak_line import pad
+
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded
+
+ROOT = Path(__file__).parents[2]
+BEGAN = TouchBegan(touch=1, time="", sensor_ms=0)
+ENDED = TouchEnded(touch=1, gesture="rub", frames=200, reason="released", time="")
+
+
+def final(touch: int = 1) -> Prediction:
+    return Prediction(
+        touch=touch,
+        stage="final",
+        frames=144,
+        elapsed_s=2.7,
+        gesture="rub",
+        confidence=1.0,
+        probabilities={},
+        changed=True,
+        told=True,
+        degraded=False,
+        latency_ms=1.0,
+        model="",
+        time="",
+    )
+
+
+def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("TOUCHD_HAART", raising=False)
+    with pad() as line:
+        figures = Soak(tmp_path).run(line, hours=0.03, until_s=float("inf"))
+    holds = figures["holds"]
+    assert isinstance(holds, dict)
+    assert [what for what, held in holds.items() if not held] == []
+
+
+@pytest.mark.parametrize(
+    "events",
+    [
+        [BEGAN, ENDED],
+        [BEGAN, final(), final(), ENDED],
+        [BEGAN, final(2), ENDED],
+        [BEGAN, BEGAN],
+        [BEGAN, final(), ENDED, BEGAN],
+        [BEGAN, final(), ENDED, ENDED],
+        [final()],
+    ],
+    ids=[
+        "no answer",
+        "an answer twice",
+        "the answer of another",
+        "two at once",
+        "a number twice",
+        "two ends",
+        "no touch",
+    ],
+)
+def test_a_touch_without_its_answers_or_with_one_twice_is_found(events: list[Event]) -> None:
+    audit = Audit()
+    for event in events:
+        audit.see(event)
+    assert len(audit.wrong) >= 1
+
+
+def test_a_touch_with_its_answers_is_right() -> None:
+    audit = Audit()
+    for event in [BEGAN, final(), ENDED]:
+        audit.see(event)
+    assert not audit.wrong
+
+
+def test_the_published_day_holds_and_was_run_with_the_memory_settings_of_the_service() -> None:
+    published = json.loads((ROOT / "docs" / "soak.json").read_text(encoding="utf-8"))
+    assert published["sensor_hours"] >= 24.0
+    assert [what for what, held in published["holds"].items() if not held] == []
+    unit = (ROOT / "systemd" / "touchd.service").read_text(encoding="utf-8")
+    assert f"Environment=MALLOC_MMAP_THRESHOLD_={published['malloc_mmap_threshold']}\n" in unit

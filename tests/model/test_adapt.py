@@ -1,0 +1,499 @@
+"""Adapting to a lab's own recordings: another label set, a file that runs, honest figures, clear refusals."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rich.console import Console
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+pytestmark = pytest.mark.timeout(120)
+
+import torch  # noqa: E402
+
+from daemon import cli  # noqa: E402
+from daemon.config import Settings  # noqa: E402
+from daemon.doctor.machine import check_model  # noqa: E402
+from daemon.events import decode  # noqa: E402
+from daemon.terminal.view import View  # noqa: E402
+from docs.studies.speed import one_torch_thread  # noqa: E402
+from drivers.fakes.hand import simulate  # noqa: E402
+from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
+from model.adapt.adapt import Material, Start, adapt, prepare  # noqa: E402
+from model.adapt.backbone import crops, windows  # noqa: E402
+from model.adapt.folder import ExtraError, read_folder  # noqa: E402
+from model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
+from model.adapt.measure import Answers, compare, mean_interval, wilson_interval  # noqa: E402
+from model.adapt.plan import plan  # noqa: E402
+from model.adapt.report import report_lines  # noqa: E402
+from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
+from model.training.grid import on_grid  # noqa: E402
+
+# What a simulated hand does when it "hugs": nothing the shipped model was ever shown under that name.
+DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
+SETTINGS = AdaptSettings(crops=2, steps=40)
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    with one_torch_thread():
+        yield
+
+
+def simulated(
+    participants: Sequence[str], each: int, gestures: Sequence[str] = tuple(DONE)
+) -> list[Recording]:
+    """Recordings of a lab of its own: each participant does every gesture `each` times."""
+    made = []
+    for seed, participant in enumerate(participants):
+        for number in range(each):
+            script = [(DONE.get(gesture, gesture), SECONDS) for gesture in gestures]
+            hands = simulate(script, seed=100 * seed + number)
+            made += [
+                replace(hand, participant=participant, cover=f"cover{number}", gesture=gesture)
+                for hand, gesture in zip(hands, gestures, strict=True)
+            ]
+    return made
+
+
+def keep(folder: Path, recordings: Sequence[Recording]) -> Path:
+    """A folder as `touchd record` leaves it: a file a recording."""
+    folder.mkdir(exist_ok=True)
+    for number, recording in enumerate(recordings):
+        write_recordings(folder / f"{number:03}.csv.gz", [recording], {"source": "made for a test"})
+    return folder
+
+
+def weights(head: torch.nn.Module) -> torch.Tensor:
+    return torch.cat([weight.detach().flatten() for weight in head.parameters()])
+
+
+@pytest.fixture(scope="module")
+def start() -> Start:
+    return Start.shipped()
+
+
+@pytest.fixture(scope="module")
+def material(start: Start) -> Material:
+    return prepare(start, simulated(("Ann", "Bo"), 2), SETTINGS)
+
+
+# --- the whole way, as a lab goes it ---
+
+
+@pytest.fixture(scope="module")
+def adapted_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """What `touchd train --extra` wrote for two people and five gestures, one new, and what it said."""
+    home = tmp_path_factory.mktemp("lab")
+    lab, output = keep(home / "lab", simulated(("Ann", "Bo"), 2)), home / "lab.onnx"
+    with pytest.MonkeyPatch.context() as patch:
+        said: list[str] = []
+        patch.setattr("sys.stdout.write", said.append)
+        assert cli.main(["train", "--extra", str(lab), "--output", str(output)]) == 0
+    return output, "".join(said)
+
+
+def test_the_file_knows_the_labs_gestures_and_says_where_it_is_from(adapted_file: tuple[Path, str]) -> None:
+    metadata = Classifier.load(adapted_file[0]).metadata
+    assert metadata.labels == ("hug", "notouch", "pat", "scratch", "stroke")
+    assert metadata.name == "lab"
+    origin = metadata.training["adapted"]
+    assert origin["from_sha256"] == hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest()
+    assert (origin["participants"], origin["recordings"], origin["rehearsed_haart"]) == (2, 20, False)
+    assert metadata.scores["adapted"]["left_out"] == "participants"
+    assert [row["frames"] for row in metadata.scores["adapted"]["lengths"]] == [54, 81, 144]
+
+
+def test_no_name_of_a_person_is_in_the_file(adapted_file: tuple[Path, str]) -> None:
+    content = adapted_file[0].read_bytes()
+    assert b"Ann" not in content
+    assert str(adapted_file[0].parent).encode() not in content
+
+
+def test_the_report_shows_before_and_after_for_each_gesture_within_80_columns(
+    adapted_file: tuple[Path, str],
+) -> None:
+    said = adapted_file[1].split("\n\nWritten:")[0]
+    assert "20 recordings of 5 gestures by 2 participants" in said
+    assert "New to the model: hug" in said
+    assert all(any(line.startswith(gesture) for line in said.splitlines()) for gesture in DONE)
+    assert "95 % interval" in said
+    assert "no longer knows constant, rub, tickle" in " ".join(said.split())
+    assert max(map(len, said.splitlines())) <= 80
+
+
+def test_touchd_classify_answers_with_the_new_gesture(
+    adapted_file: tuple[Path, str], tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    unseen = tmp_path / "unseen.csv.gz"
+    write_recordings(unseen, simulated(("Cy",), 1, ("notouch", "hug", "pat")), {})
+    config = tmp_path / "touchd.yaml"
+    config.write_text(
+        f"model: {adapted_file[0]}\n"
+        "scene: {gestures: [hug, pat], actions: [{gestures: [hug], do: [{say: x}]}]}\n"
+    )
+    assert cli.main(["classify", str(unseen), "-c", str(config)]) == 0
+    events = [json.loads(line) for line in capfdbinary.readouterr().out.splitlines()]
+    answers = [event for event in events if event["type"] == "prediction"]
+    assert set(answers[0]["probabilities"]) == set(DONE)
+    assert answers[0]["model"] == "lab"
+    ended = [event["gesture"] for event in events if event["type"] == "touch_ended"]
+    assert ended == ["hug", "pat"]
+
+
+def test_the_doctor_finds_that_the_model_fits(adapted_file: tuple[Path, str]) -> None:
+    check = check_model(Settings(model=str(adapted_file[0])))
+    assert check.verdict == "ok"
+
+
+@pytest.mark.parametrize("gestures", [["hug", "pat"], [f"a-gesture-with-a-long-name-{i}" for i in range(12)]])
+def test_the_terminal_view_has_room_for_any_gestures(gestures: list[str]) -> None:
+    screen = io.StringIO()
+    view = View("a title", Console(file=screen, width=80, height=24, color_system=None))
+    probabilities = {gesture: 1.0 / 2.0 ** (len(gestures) - i) for i, gesture in enumerate(gestures)}
+    answer = decode(
+        msgspec.json.encode(
+            {
+                **{"type": "prediction", "touch": 1, "stage": "early", "frames": 54, "elapsed_s": 1.0},
+                **{"gesture": gestures[-1], "confidence": 0.5, "probabilities": probabilities},
+                **{"changed": True, "told": True, "degraded": False, "latency_ms": 1.0},
+                **{"model": "lab", "time": ""},
+            }
+        )
+    )
+    view.put(answer)
+    Console(file=screen, width=80, height=24, color_system=None).print(view.render(), end="")
+    lines = screen.getvalue().splitlines()
+    assert len(lines) <= 23
+    assert any(gestures[-1][:12] in line and "50%" in line for line in lines)
+    assert any("early, after 1.0 s" in line for line in lines)
+
+
+def test_a_gesture_the_new_model_dropped_is_refused_in_the_scene(
+    adapted_file: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "touchd.yaml"
+    config.write_text(f"model: {adapted_file[0]}\nscene: {{gestures: [tickle]}}\n")
+    assert cli.main(["run", "-c", str(config)]) == 2
+    assert (
+        "tickle is no gesture of the model lab; it knows hug, pat, scratch, stroke" in capsys.readouterr().err
+    )
+
+
+def test_nothing_that_is_there_is_written_over(
+    adapted_file: tuple[Path, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = adapted_file[0].read_bytes()
+    lab = adapted_file[0].with_name("lab")
+    assert cli.main(["train", "--extra", str(lab), "--output", str(adapted_file[0])]) == 2
+    assert "is never written over" in capsys.readouterr().err
+    assert adapted_file[0].read_bytes() == before
+    assert sorted(path.name for path in adapted_file[0].parent.iterdir()) == ["lab", "lab.onnx"]
+
+
+# --- what is learnt ---
+
+
+def test_the_same_recordings_and_seed_give_the_same_model(start: Start, material: Material) -> None:
+    again = prepare(start, material.recordings, SETTINGS)
+    one, other = (adapt(start, each, None, SETTINGS) for each in (material, again))
+    assert torch.equal(weights(one.head), weights(other.head))
+    assert one.temperatures == other.temperatures
+    assert one.comparison == other.comparison
+
+
+def test_known_gestures_keep_their_rows_and_a_new_one_begins_as_their_mean(start: Start) -> None:
+    known = start.saved.labels
+    head = rebuilt(start.head, known, ("hug", "pat", "notouch"))
+    assert torch.equal(head[-1].weight[1], start.head[-1].weight[known.index("pat")])
+    assert torch.equal(head[-1].bias[2], start.head[-1].bias[known.index("notouch")])
+    assert torch.allclose(head[-1].weight[0], start.head[-1].weight.mean(dim=0))
+
+
+def test_the_fewer_the_recordings_the_less_a_network_moves(start: Start, material: Material) -> None:
+    labels = tuple(sorted(DONE))
+    begin = rebuilt(start.head, start.saved.labels, labels)
+    moved = [
+        float(
+            (
+                weights(fit(begin, labels, [], material.shown.of(chosen), None, SETTINGS)) - weights(begin)
+            ).norm()
+        )
+        for chosen in (range(5), range(20))
+    ]
+    assert moved[0] < moved[1]
+
+
+def test_a_gesture_that_is_never_shown_is_not_unlearnt(start: Start, material: Material) -> None:
+    """A lab that recorded no pad at rest keeps what the shipped model knows of it."""
+    touching = [i for i, recording in enumerate(material.recordings) if recording.gesture != "notouch"]
+    recordings = [material.recordings[i] for i in touching]
+    adapted = adapt(start, prepare(start, recordings, SETTINGS), None, SETTINGS)
+    assert "notouch" in adapted.labels
+    resting = [recording for recording in material.recordings if recording.gesture == "notouch"]
+    with torch.no_grad():
+        answers = adapted.head(windows(start.front, resting)[144].values).argmax(dim=1)
+    assert {adapted.labels[i] for i in answers.tolist()} == {"notouch"}
+    assert any("No recording of notouch" in line for line in report_lines(adapted))
+
+
+def test_rehearsal_keeps_the_gestures_that_the_folder_lacks(start: Start, material: Material) -> None:
+    haart_like = crops(
+        start.front,
+        simulated(("P3",), 2, start.saved.labels),
+        start.saved.settings.augmentation,
+        SETTINGS.crops,
+        seed=0,
+    )
+    adapted = adapt(start, material, haart_like, SETTINGS)
+    assert adapted.labels == tuple(sorted({"hug", *start.saved.labels}))
+    assert not any("no longer knows" in line for line in report_lines(adapted))
+
+
+def test_touches_too_short_for_the_later_answers_are_learnt_from_all_the_same(start: Start) -> None:
+    short = [
+        replace(recording, counts=recording.counts[:70], sensor_ms=recording.sensor_ms[:70])
+        for recording in simulated(("Ann",), 2, ("pat", "hug"))
+    ]
+    adapted = adapt(start, prepare(start, short, SETTINGS), None, SETTINGS)
+    assert [row.frames for row in adapted.comparison.lengths] == [54]
+    assert adapted.temperatures[144] == start.temperatures[144]
+
+
+# --- what is measured ---
+
+
+def labelled(*people_and_gestures: tuple[str, str]) -> list[Recording]:
+    counts = np.zeros((60, 8, 8), np.uint16)
+    return [
+        Recording(who, "none", "none", gesture, counts, ideal_clock_ms(60), "live")
+        for who, gesture in people_and_gestures
+    ]
+
+
+def test_with_two_participants_whole_participants_are_left_out() -> None:
+    recordings = labelled(("A", "pat"), ("B", "pat"), ("A", "hug"), ("B", "hug"))
+    planned = plan(recordings)
+    assert planned.left_out == "participants"
+    assert {(fold.learnt, fold.asked) for fold in planned.folds} == {((1, 3), (0, 2)), ((0, 2), (1, 3))}
+
+
+def test_with_one_participant_whole_recordings_are_left_out() -> None:
+    planned = plan(labelled(*[("A", "pat"), ("A", "hug")] * 3))
+    assert planned.left_out == "recordings"
+    assert sorted(planned.asked) == list(range(6))
+    assert all(not set(fold.learnt) & set(fold.asked) for fold in planned.folds)
+
+
+def test_a_gesture_is_asked_about_only_where_it_was_learnt_from_another() -> None:
+    planned = plan(labelled(("A", "pat"), ("B", "pat"), ("A", "rub"), ("B", "rub"), ("B", "hug")))
+    assert sorted(planned.asked) == [0, 1, 2, 3]
+
+
+def test_one_recording_a_gesture_leaves_nothing_out() -> None:
+    assert plan(labelled(("A", "pat"), ("A", "hug"))).left_out == "nothing"
+
+
+def compared(after_right: Sequence[bool], left_out: str = "participants") -> object:
+    people = [(who, gesture) for who in "ABC" for gesture in ("pat", "rub")]
+    recordings = labelled(*people)
+    truth = np.array([0, 1] * 3)
+    before = np.eye(2)[truth[::-1]]
+    after = np.eye(2)[np.where(after_right, truth, 1 - truth)]
+    answers = {54: Answers(np.arange(6), before, after)}
+    return compare(answers, recordings, ("pat", "rub"), ("pat", "rub"), left_out).lengths[0]  # type: ignore[arg-type]
+
+
+def test_the_difference_is_after_less_before_with_an_interval_over_participants() -> None:
+    row = compared([True, True, True, True, True, False])
+    assert (row.before, row.after) == (0.0, pytest.approx(5 / 6))
+    low, high = row.interval
+    # t with 2 degrees of freedom: 4.303 standard errors of three participants' 1, 1 and 1/2.
+    assert (high - low) / 2 == pytest.approx(4.303 * np.std([1, 1, 0.5], ddof=1) / np.sqrt(3), rel=1e-3)
+
+
+def test_two_values_have_the_wide_interval_that_two_values_deserve() -> None:
+    low, high = mean_interval([np.array([0.0, 0.1])]) or (0.0, 0.0)
+    assert (low, high) == (
+        pytest.approx(0.05 - 12.706 * 0.05, rel=1e-3),
+        pytest.approx(0.05 + 12.706 * 0.05, rel=1e-3),
+    )
+    assert mean_interval([np.array([0.1])]) is None
+
+
+def test_three_right_of_three_may_still_be_a_coin() -> None:
+    assert wilson_interval(3, 3) == (pytest.approx(0.438, abs=1e-3), 1.0)
+
+
+# --- what a lab is warned of ---
+
+
+@pytest.mark.parametrize(
+    ("participants", "each", "said"),
+    [
+        (("Ann",), 1, "whether this is better than the shipped model cannot be told"),
+        (("Ann",), 2, "One participant: how well others are known cannot be told"),
+        (("Ann",), 2, "Fewer than 4 recordings of hug, pat"),
+        (("Ann",), 3, "Too little to tell whether this is better or worse"),
+        (("Ann", "Bo"), 1, "Fewer than 3 participants: too few to tell whether others"),
+    ],
+)
+def test_too_little_is_said_to_be_too_little(
+    start: Start, participants: Sequence[str], each: int, said: str
+) -> None:
+    recordings = simulated(participants, each, ("pat", "hug"))
+    adapted = adapt(start, prepare(start, recordings, SETTINGS), None, SETTINGS)
+    assert said in " ".join(" ".join(report_lines(adapted)).split())
+
+
+# --- another pad ---
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 60.0])
+def test_another_pads_frames_are_laid_on_the_models_grid(rate_hz: float) -> None:
+    clock_ms = np.rint(np.arange(round(8 * rate_hz)) * 1000 / rate_hz).astype(np.int64)
+    swing = np.rint(500 + 400 * np.sin(2 * np.pi * clock_ms / 1000)).astype(np.uint16)
+    counts = np.broadcast_to(swing[:, None, None], (len(swing), 8, 8)).copy()
+    laid = on_grid(Recording("A", "none", "none", "pat", counts, clock_ms + 5000, "live"))
+    assert abs(len(laid.counts) - 8 * 54) <= 1
+    expected = 500 + 400 * np.sin(2 * np.pi * np.arange(len(laid.counts)) / 54)
+    assert np.abs(laid.counts[:, 3, 3] - expected).max() < 8
+
+
+def test_a_pad_in_step_is_taken_as_it_is() -> None:
+    (recording,) = simulate([("pat", 2.0)], seed=1)
+    np.testing.assert_array_equal(on_grid(recording).counts, recording.counts)
+
+
+def test_what_lies_before_a_gap_is_not_joined_to_what_lies_after() -> None:
+    (recording,) = simulate([("pat", 3.0)], seed=1)
+    clock_ms = recording.sensor_ms.copy()
+    clock_ms[40:] += 400
+    laid = on_grid(replace(recording, sensor_ms=clock_ms))
+    np.testing.assert_array_equal(laid.counts, recording.counts[40:])
+
+
+# --- what cannot be learnt from ---
+
+Make = Callable[[Path], object]
+
+
+def named(gesture: str, other: str = "pat") -> Make:
+    def make(folder: Path) -> None:
+        keep(
+            folder,
+            [*simulated(("A",), 1, (other,)), replace(simulated(("A",), 1, ("rub",))[0], gesture=gesture)],
+        )
+
+    return make
+
+
+def with_twin(folder: Path) -> None:
+    pat, hug = simulated(("A",), 1, ("pat", "hug"))
+    keep(folder, [pat, hug, replace(pat, cover="other")])
+
+
+def too_short(folder: Path) -> None:
+    pat, hug = simulated(("A",), 1, ("pat", "hug"))
+    keep(folder, [pat, replace(hug, counts=hug.counts[:53], sensor_ms=hug.sensor_ms[:53])])
+
+
+def nameless(folder: Path) -> None:
+    keep(folder, [replace(recording, participant="") for recording in simulated(("A",), 1, ("pat", "hug"))])
+
+
+def damaged(folder: Path) -> None:
+    folder.mkdir()
+    (folder / "a.csv.gz").write_bytes(b"not gzip")
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda folder: None, "cannot be read (No such file or directory)"),
+        (lambda folder: folder.write_text("x"), "is a file; name the folder"),
+        (lambda folder: folder.mkdir(), "holds no recordings; make some with `touchd record"),
+        (damaged, "a.csv.gz: cannot be read as a recording"),
+        (
+            lambda folder: keep(folder, simulated(("A",), 2, ("pat",))),
+            "nothing but pat; telling apart takes two",
+        ),
+        (lambda folder: keep(folder, simulated(("A",), 2, ("notouch",))), "nothing but notouch"),
+        (named("high five"), "'high five' cannot name a gesture"),
+        (named(""), "'' cannot name a gesture"),
+        (named("uncertain"), "'uncertain' cannot name a gesture"),
+        (named("unlabelled"), "nobody has said what it shows"),
+        (named("Stroke"), "Stroke and stroke differ in writing only"),
+        (named("no-touch"), "no-touch and notouch differ in writing only"),
+        (too_short, "0.98 s of hug without a gap, and at least 1 s is needed"),
+        (nameless, "does not say who touches"),
+        (with_twin, "002.csv.gz: the same recording as in"),
+    ],
+)
+def test_a_folder_that_cannot_be_learnt_from_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Make, message: str
+) -> None:
+    lab = tmp_path / "lab"
+    make(lab)
+    output = tmp_path / "lab.onnx"
+    assert cli.main(["train", "--extra", str(lab), "--output", str(output)]) == 2
+    shown = capsys.readouterr()
+    assert message in shown.err
+    assert len(shown.err.splitlines()) == 1
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    ("output", "message"),
+    [("lab.pt", "a model's name ends with .onnx"), ("nowhere/lab.onnx", "nothing can be written there")],
+)
+def test_an_output_that_cannot_be_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], output: str, message: str
+) -> None:
+    assert cli.main(["train", "--extra", str(tmp_path), "--output", str(tmp_path / output)]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_without_torch_it_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert cli.main(["train", "--extra", str(tmp_path)]) == 2
+    assert "pip install 'touchd[train]'" in capsys.readouterr().err
+
+
+def test_what_only_a_recipe_or_only_adapting_takes_is_not_passed_over(tmp_path: Path) -> None:
+    for arguments in (["--output", "x.onnx"], ["--extra", str(tmp_path), "--recipe", "x.yaml"]):
+        with pytest.raises(SystemExit) as ended:
+            cli.main(["train", *arguments])
+        assert ended.value.code == 2
+
+
+def test_a_folder_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("model.adapt.folder.MOST_FRAMES", 200)
+    with pytest.raises(ExtraError, match="more than 200 frames"):
+        read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
+
+
+def test_more_gestures_than_can_be_told_apart_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("model.adapt.folder.MOST_GESTURES", 4)
+    with pytest.raises(ExtraError, match="5 gestures; at most 4"):
+        read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
+
+
+def test_what_a_session_was_writing_when_it_was_cut_off_is_passed_over(tmp_path: Path) -> None:
+    lab = keep(tmp_path / "lab", simulated(("A",), 1))
+    (lab / ".partial-x.csv.gz").write_bytes(b"half")
+    assert len(read_folder(lab, ())) == 5

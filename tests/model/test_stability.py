@@ -1,0 +1,89 @@
+"""`touchd stability`: the shipped model on windows that strain its arithmetic."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from drivers.frame import MAX_COUNT
+from model.checks import stability
+from model.checks.hard_cases import hard_cases
+from model.checks.stability import FLOAT64, LATER, TOLERANCES, Check
+from model.classifier import SHIPPED_MODEL
+
+# Every case is asked in both runtimes; a busy machine takes its time.
+pytestmark = pytest.mark.timeout(120)
+CASES = {case.name: case for case in hard_cases(longest=432)}
+
+
+@pytest.fixture(scope="module")
+def checks() -> list[Check]:
+    return stability.run(SHIPPED_MODEL)
+
+
+@pytest.mark.parametrize("measure", TOLERANCES)
+def test_the_shipped_model_holds_in_every_case(checks: list[Check], measure: str) -> None:
+    measured = [check for check in checks if check.measure == measure]
+    if not measured and measure in (FLOAT64, LATER):
+        pytest.skip(f"{measure} needs the extra `train` and the shipped checkpoint")
+    assert measured
+    assert [check for check in measured if not check.passed] == []
+
+
+def test_every_case_is_checked(checks: list[Check]) -> None:
+    assert set(CASES) < {check.case for check in checks}
+
+
+def test_a_model_whose_logits_overflow_is_found_out(tmp_path: Path) -> None:
+    pytest.importorskip("onnx", reason="needs the extra `train`")
+    from model.checks.scale_logits import steeper
+
+    broken = tmp_path / "broken.onnx"
+    steeper(SHIPPED_MODEL, 3e38, broken)
+    failed = [check for check in stability.run(broken) if not check.passed]
+    assert {check.measure for check in failed} >= {"sums to 1"}
+    assert "inf FAILS" in render(failed)
+
+
+def test_the_table_has_a_row_a_case_and_a_column_a_measure(checks: list[Check]) -> None:
+    shown = render(checks)
+    for name in (*CASES, *TOLERANCES):
+        assert name in shown
+
+
+def render(checks: list[Check]) -> str:
+    console = Console(width=250, file=io.StringIO(), record=True)
+    console.print(stability.table(checks))
+    return console.export_text()
+
+
+def test_the_cases_are_what_a_pad_can_send() -> None:
+    for case in CASES.values():
+        for window in case.windows:
+            assert window.dtype == np.float32
+            assert window.shape[1:] == (8, 8)
+            assert window.min() >= 0
+            assert window.max() <= MAX_COUNT
+
+
+def test_the_drift_takes_the_offset_from_nothing_to_hundreds_of_counts() -> None:
+    lowest = [int(window[-1].min()) for window in CASES["offset drift over an hour"].windows]
+    assert lowest == sorted(lowest)
+    assert lowest[0] <= 4
+    assert lowest[-1] >= 300
+
+
+def test_the_tiny_values_are_denormal() -> None:
+    (window,) = CASES["tiny values"].windows
+    bits = window.view(np.uint32)
+    assert bits.min() > 0
+    assert (bits < 0x0080_0000).mean() > 0.99
+
+
+def test_the_longest_window_and_the_shortest_are_there() -> None:
+    assert {len(window) for window in CASES["the longest window"].windows} == {432}
+    assert {len(window) for window in CASES["a window of 1 frame"].windows} == {1}

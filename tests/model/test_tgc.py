@@ -1,0 +1,170 @@
+"""The network: causal, one for every length, and the same in ONNX Runtime as in PyTorch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("onnx", reason="needs the extra `train`")
+# The first export of a process takes long to import its machinery.
+pytestmark = pytest.mark.timeout(120)
+
+import torch  # noqa: E402
+from torch import Tensor  # noqa: E402
+
+from docs.studies.speed import one_torch_thread  # noqa: E402
+from model.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
+from model.classifier import Classifier, ModelMetadata  # noqa: E402
+from model.settings import NetworkSettings  # noqa: E402
+from model.tgc import TGC, FeatureDropout  # noqa: E402
+from model.training.export import CalibratedTGC, export  # noqa: E402
+
+SMALL = NetworkSettings(
+    stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12
+)
+LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
+TEMPERATURES = {54: 1.5, 81: 1.2, 144: 0.6}
+LENGTHS = (1, 2, 17, 54, 60, 143)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    with one_torch_thread():
+        yield
+
+
+def random_network(settings: NetworkSettings = SMALL) -> TGC:
+    """A network whose every parameter is random, so that none hides behind a zero or a one."""
+    torch.manual_seed(0)
+    network = TGC(settings, len(LABELS))
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+        network.dense.get_submodule("5").get_parameter("weight").mul_(5.0)
+    return network.eval()
+
+
+def batch(counts: np.ndarray) -> Tensor:
+    return torch.from_numpy(counts.astype(np.float64))[None]
+
+
+@pytest.fixture(scope="module")
+def network() -> TGC:
+    return random_network().double()
+
+
+@torch.no_grad()
+def test_one_pass_answers_at_every_length_as_a_pass_over_that_length_alone(network: TGC) -> None:
+    window = batch(hand(144))
+    together = network.at_lengths(window, LENGTHS)
+    for place, length in enumerate(LENGTHS):
+        alone = network(window[:, :length])
+        assert (together[:, place] - alone).abs().max().item() <= 1e-6
+
+
+@torch.no_grad()
+@pytest.mark.parametrize(
+    "later", [flat(0.0, 90), flat(1023.0, 90), checkerboard(90)], ids=["0", "1023", "both"]
+)
+def test_an_answer_does_not_depend_on_what_comes_later(network: TGC, later: np.ndarray) -> None:
+    for length in LENGTHS:
+        now = hand(length)
+        answer = network.at_lengths(batch(np.concatenate([now, later])), (length,))[:, 0]
+        assert (answer - network(batch(now))).abs().max().item() <= 1e-6
+
+
+@torch.no_grad()
+def test_an_answer_does_depend_on_every_frame_before(network: TGC) -> None:
+    window = batch(hand(30))
+    answer = network(window)
+    for frame in (0, 13, 29):
+        changed = window.clone()
+        changed[:, frame] = 500.0
+        assert (network(changed) - answer).abs().max().item() > 1e-3
+
+
+@torch.no_grad()
+def test_windows_in_a_batch_do_not_see_each_other(network: TGC) -> None:
+    windows = torch.cat([batch(hand(54)), batch(checkerboard(54)), batch(flat(3.0, 54))])
+    together = network(windows)
+    for place in range(3):
+        assert (together[place] - network(windows[place : place + 1])[0]).abs().max().item() <= 1e-9
+
+
+def test_in_training_whole_features_are_dropped_and_the_mean_is_kept() -> None:
+    torch.manual_seed(0)
+    dropped = FeatureDropout(0.25).train()(torch.ones(500, 7, 40))
+    assert dropped.unique().tolist() == pytest.approx([0.0, 1 / 0.75])
+    assert torch.equal(dropped.amin(dim=1), dropped.amax(dim=1))
+    assert dropped.mean().item() == pytest.approx(1.0, abs=0.02)
+    assert torch.equal(FeatureDropout(0.25).eval()(torch.ones(2, 3, 4)), torch.ones(2, 3, 4))
+
+
+class TestCalibration:
+    """The temperature that the logits are divided by."""
+
+    @staticmethod
+    @torch.no_grad()
+    def temperature_at(frames: int, temperatures: dict[int, float]) -> float:
+        """Read the temperature off the probabilities: log p is logits / temperature, up to a constant."""
+        calibrated = CalibratedTGC(random_network(), temperatures).double().eval()
+        window = batch(hand(frames))
+        logits = calibrated.network(window)[0]
+        logs = calibrated(window)[0].log()
+        return float((logits[0] - logits[1]) / (logs[0] - logs[1]))
+
+    @pytest.mark.parametrize(
+        ("frames", "temperature"),
+        [(1, 1.5), (54, 1.5), (63, 1.4), (81, 1.2), (102, 1.0), (144, 0.6), (200, 0.6)],
+    )
+    def test_it_is_interpolated_between_the_calibrated_lengths(self, frames: int, temperature: float) -> None:
+        assert self.temperature_at(frames, TEMPERATURES) == pytest.approx(temperature, abs=1e-5)
+
+    def test_one_calibrated_length_serves_all(self) -> None:
+        for frames in (10, 144, 200):
+            assert self.temperature_at(frames, {144: 0.8}) == pytest.approx(0.8, abs=1e-6)
+
+
+def metadata() -> ModelMetadata:
+    return ModelMetadata(
+        name="small",
+        labels=LABELS,
+        frame_rate_hz=54.0,
+        framing="live",
+        lengths=tuple(TEMPERATURES),
+        max_length=432,
+        temperatures={str(length): value for length, value in TEMPERATURES.items()},
+        training={"seed": 0},
+        code_version="0",
+        data_sha256="0",
+        scores={},
+    )
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("exported") / "folder" / "small.onnx"
+    export(random_network(), metadata(), path)
+    return path
+
+
+def test_the_exported_file_says_what_it_is(exported: Path) -> None:
+    assert Classifier.load(exported).metadata == metadata()
+
+
+def test_the_exported_file_does_not_say_where_it_was_made(exported: Path) -> None:
+    assert str(Path(__file__).parents[2]).encode() not in exported.read_bytes()
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("frames", [1, 2, 9, 27, 54, 67, 81, 108, 144, 216, 432])
+def test_the_exported_file_answers_as_pytorch_does_in_float64(exported: Path, frames: int) -> None:
+    calibrated = CalibratedTGC(random_network(), TEMPERATURES).double().eval()
+    classifier = Classifier.load(exported)
+    for window in (hand(frames), checkerboard(frames), flat(3.0, frames)):
+        expected = calibrated(batch(window))[0].numpy()
+        assert np.abs(classifier.probabilities(window) - expected).max() <= 1e-4

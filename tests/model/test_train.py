@@ -1,0 +1,185 @@
+"""Training: the same for a seed, resumable to the same weights; checkpoints say where they are from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+pytestmark = pytest.mark.timeout(120)
+
+import torch  # noqa: E402
+
+from docs.studies.speed import one_torch_thread  # noqa: E402
+from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
+from model.settings import NetworkSettings, TrainSettings  # noqa: E402
+from model.training import checkpoint, haart  # noqa: E402
+from model.training.checkpoint import Checkpoint, CheckpointError  # noqa: E402
+from model.training.train import CHECKPOINT_NAME, Training, learning_rate_at, train  # noqa: E402
+
+NETWORK = NetworkSettings(
+    stem_width=2, width=8, dilations=(1,), blocks=1, heads=2, feed_forward=8, dense=8, dropout=0.1
+)
+SETTINGS = TrainSettings(
+    name="tiny",
+    seed=3,
+    epochs=3,
+    crops_per_recording=2,
+    batch=4,
+    window=12,
+    lengths=(4, 12),
+    learning_rate=1e-2,
+    network=NETWORK,
+)
+# Torch is asked for determinism, not for equal sums on different machines: equality is within one run.
+DEVICE = "cpu"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    with one_torch_thread():
+        yield
+
+
+def recordings(participants: tuple[str, ...] = ("P3", "P4"), seed: int = 0) -> list[Recording]:
+    """A still pad and a busy one, made up."""
+    rng = np.random.default_rng(seed)
+    made: list[Recording] = []
+    for participant in participants:
+        for gesture, most in (("notouch", 4), ("rub", 400)):
+            counts = rng.integers(most, size=(40, 8, 8)).astype(np.uint16)
+            clock = ideal_clock_ms(len(counts))
+            made.append(Recording(participant, "foam", "fur", gesture, counts, clock, "live"))
+    return made
+
+
+def same(one: Checkpoint, other: Checkpoint) -> bool:
+    return all(torch.equal(one.network[name], other.network[name]) for name in one.network)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Checkpoint, Path]:
+    folder = tmp_path_factory.mktemp("finished")
+    return train(recordings(), SETTINGS, folder, DEVICE), folder / CHECKPOINT_NAME
+
+
+def test_the_same_seed_gives_the_same_network(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
+    assert same(train(recordings(), SETTINGS, tmp_path, DEVICE), finished[0])
+
+
+def test_another_seed_gives_another_network(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
+    other = msgspec.structs.replace(SETTINGS, seed=4)
+    assert not same(train(recordings(), other, tmp_path, DEVICE), finished[0])
+
+
+@pytest.mark.parametrize("epochs_before", [1, 2])
+def test_an_interrupted_training_ends_in_the_same_network(
+    finished: tuple[Checkpoint, Path], tmp_path: Path, epochs_before: int
+) -> None:
+    interrupted = Training(recordings(), SETTINGS, DEVICE)
+    for _ in range(epochs_before):
+        interrupted.run_epoch()
+    checkpoint.save(interrupted.snapshot(), tmp_path / CHECKPOINT_NAME)
+    torch.manual_seed(99)
+    torch.rand(5)
+    resumed = train(recordings(), SETTINGS, tmp_path, DEVICE)
+    assert resumed.epoch == SETTINGS.epochs
+    assert same(resumed, finished[0])
+
+
+def test_a_finished_training_is_not_trained_on(finished: tuple[Checkpoint, Path]) -> None:
+    done, path = finished
+    before = path.stat().st_mtime_ns
+    assert same(train(recordings(), SETTINGS, path.parent, DEVICE), done)
+    assert path.stat().st_mtime_ns == before
+
+
+def test_two_gestures_that_differ_plainly_are_learnt(tmp_path: Path) -> None:
+    longer = msgspec.structs.replace(SETTINGS, epochs=25, average_decay=0.9)
+    network = train(recordings(), longer, tmp_path, DEVICE).build()
+    unseen = recordings(("P9",), seed=7)
+    with torch.no_grad():
+        answers = [network(torch.from_numpy(each.counts.astype(np.float32))[None]) for each in unseen]
+    assert [int(answer.argmax()) for answer in answers] == [0, 1]
+
+
+def test_a_checkpoint_says_where_it_is_from(finished: tuple[Checkpoint, Path]) -> None:
+    saved = checkpoint.load(finished[1])
+    assert saved.settings == SETTINGS
+    assert saved.labels == ("notouch", "rub")
+    assert saved.epoch == SETTINGS.epochs
+    assert saved.data_sha256 == haart.data_hash(recordings())
+    assert saved.code_version == checkpoint.code_version()
+    assert saved.code_version.startswith(f"{metadata.version('touchd')}+")
+
+
+def test_a_checkpoint_holds_the_averaged_network(finished: tuple[Checkpoint, Path]) -> None:
+    saved = checkpoint.load(finished[1])
+    assert same(saved, finished[0])
+    raw = saved.training["network"]
+    assert any(not torch.equal(raw[name], saved.network[name]) for name in raw)
+    assert not saved.build().training
+
+
+@pytest.mark.parametrize(
+    ("settings", "data"),
+    [
+        (msgspec.structs.replace(SETTINGS, learning_rate=2e-3), recordings()),
+        (msgspec.structs.replace(SETTINGS, epochs=4), recordings()),
+        (SETTINGS, recordings(seed=1)),
+    ],
+    ids=["other rate", "other epochs", "other data"],
+)
+def test_the_folder_of_another_training_is_refused(
+    finished: tuple[Checkpoint, Path], settings: TrainSettings, data: list[Recording]
+) -> None:
+    before = finished[1].read_bytes()
+    with pytest.raises(CheckpointError, match="made with other settings or data; choose another folder"):
+        train(data, settings, finished[1].parent, DEVICE)
+    assert finished[1].read_bytes() == before
+
+
+class Evil:
+    """What a pickle can do to whoever opens it."""
+
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> tuple[object, tuple[Path]]:
+        return Path.touch, (self.mark,)
+
+
+def test_a_checkpoint_cannot_run_code(tmp_path: Path) -> None:
+    path, mark = tmp_path / CHECKPOINT_NAME, tmp_path / "ran"
+    torch.save({"settings": Evil(mark)}, path)
+    with pytest.raises(CheckpointError, match="not a checkpoint of touchd"):
+        checkpoint.load(path)
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"PK\x03\x04" + bytes(100)])
+def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / CHECKPOINT_NAME
+    path.write_bytes(content)
+    with pytest.raises(CheckpointError) as raised:
+        checkpoint.load(path)
+    assert str(raised.value).startswith(f"{path}: not a checkpoint of touchd")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_missing_checkpoint_says_how_to_make_one(tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match="there is no checkpoint; make one with `touchd train`"):
+        checkpoint.load(tmp_path / CHECKPOINT_NAME)
+
+
+def test_the_learning_rate_rises_for_a_tenth_and_falls_to_nothing() -> None:
+    rates = [learning_rate_at(step, 100, 1.0) for step in range(100)]
+    assert rates[:10] == sorted(rates[:10])
+    assert max(rates) == rates[9] == rates[10] == 1.0
+    assert rates[10:] == sorted(rates[10:], reverse=True)
+    assert rates[-1] < 0.001

@@ -1,0 +1,64 @@
+"""A pad for the doctor to listen to, over a pty, and a systemd that says what a test wants."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.sensor_rig import Encode
+
+from daemon.config import Settings
+from daemon.doctor.check import Check
+from daemon.doctor.listening import Heard, listen
+from daemon.wire import parser_for
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.hand import simulate
+from drivers.fakes.line_faults import NO_FAULTS, Faults
+from drivers.frame import Counts
+from drivers.pad.port import open_port
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.recording import Stream
+
+SETTINGS = Settings()
+
+
+def resting(seconds: float = 8.0) -> Counts:
+    """What a sound pad sends while nothing touches it."""
+    (recording,) = simulate((("notouch", seconds),), seed=3)
+    return np.array(recording.counts)
+
+
+def heard(
+    counts: Counts,
+    encode: Encode = encode_fabric_grid,
+    rate_hz: float = 54.0,
+    faults: Faults = NO_FAULTS,
+) -> Heard:
+    """What is heard of these counts over a pty, flat out."""
+    clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
+    almost_all_s = (len(counts) - 3) / rate_hz
+    with (
+        FakePort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
+        open_port(port.path, 512_000) as opened,
+    ):
+        return listen(opened, parser_for(SETTINGS.sensor), almost_all_s)
+
+
+def the(name: str, checks: Iterator[Check]) -> Check:
+    (check,) = [check for check in checks if check.name == name]
+    return check
+
+
+def systemd_says(answer: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a systemctl in the way that gives this answer, and fails where it is none."""
+    program = folder / "systemctl"
+    program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
+
+
+def noise(counts: Counts, sensor_ms: int) -> bytes:
+    return np.random.default_rng(sensor_ms).bytes(200)

@@ -1,0 +1,92 @@
+"""The shipped recordings and what is expected of them.
+
+    python tests/expectations.py             rebuilds the expected events (make expectations)
+    python tests/expectations.py --record    first records the simulated hands anew
+
+Read the difference before committing it: every changed line is a changed answer.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from daemon.commands.classify import play
+from daemon.commands.demo import RECORDING as DEMO
+from daemon.config import Settings
+from daemon.events import Event
+from daemon.pipeline import Pipeline
+from daemon.playback.rig import outline
+from daemon.service import load_model
+from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, record
+from drivers.recording import Stream, read_recordings, splice
+from model.classifier import Classifier
+
+FOLDER = Path(__file__).parents[1] / "recordings"
+GAP_S = 1.8
+
+Script = Sequence[tuple[str, float]]
+
+
+def _with_gaps(touches: Script) -> Script:
+    script = [("notouch", 2.5)]
+    for touch in touches:
+        script += [touch, ("notouch", GAP_S)]
+    return script
+
+
+# Touches that end in each stage, and one in which a lying hand begins to pat.
+LENGTHS = [
+    *_with_gaps([("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]),
+    ("constant", 3.6),
+    ("pat", 4.0),
+    ("notouch", GAP_S),
+]
+GESTURES = _with_gaps(
+    [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
+)
+RECORDINGS: dict[Path, tuple[Script, int]] = {
+    DEMO: (DEMO_SCRIPT, DEMO_SEED),
+    FOLDER / "gestures.csv.gz": (GESTURES, 11),
+    FOLDER / "lengths.csv.gz": (LENGTHS, 12),
+}
+
+
+def expectation_of(recording: Path) -> Path:
+    """Return the file with the expected events of a recording."""
+    return FOLDER / f"{recording.name.removesuffix('.csv.gz')}.expected.jsonl"
+
+
+def stream_of(recording: Path) -> Stream:
+    """Return a shipped recording as the stream of a pad."""
+    return splice(read_recordings(recording))
+
+
+def expected(recording: Path) -> list[dict[str, object]]:
+    """Return the expected events of a recording."""
+    return [json.loads(line) for line in expectation_of(recording).read_text().splitlines()]
+
+
+def answers(stream: Stream, classifier: Classifier) -> list[Event]:
+    """Return what the pipeline says to a stream, without a port."""
+    events: list[Event] = []
+    play(stream, Pipeline(Settings().pipeline, classifier, events.append))
+    return events
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Rebuild what was asked for."""
+    if "--record" in arguments:
+        for path, (script, seed) in RECORDINGS.items():
+            path.unlink(missing_ok=True)
+            record(path, script, seed)
+    classifier = load_model(Settings())
+    for path in RECORDINGS:
+        lines = [json.dumps(line) for line in outline(answers(stream_of(path), classifier))]
+        expectation_of(path).write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

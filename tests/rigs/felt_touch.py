@@ -1,0 +1,30 @@
+"""A made touch as the daemon's touch sink gathers it, for the tests of where touches are kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daemon.events import TouchBegan, TouchEnded, timestamp
+from daemon.kept.touch_frames import FeltTouch
+from drivers.frame import Frame
+
+FRAMES = 20
+FIRST_S = 1795168800.0
+
+
+def felt(number: int, rest_frames: int = 10, after_s: float = 0.0) -> FeltTouch:
+    """The number-th touch, a second after the one before: 20 frames, with so many of rest around."""
+    counts = np.full((8, 8), number % 1024, np.uint16)
+    frames = tuple(Frame(i, 19 * i, 0.0, counts) for i in range(FRAMES + 2 * rest_frames))
+    first_ms, last_ms = 19 * rest_frames, 19 * (rest_frames + FRAMES - 1)
+    when = timestamp(FIRST_S + number + after_s)
+    return FeltTouch(
+        TouchBegan(touch=number, time=when, sensor_ms=first_ms),
+        TouchEnded(
+            touch=number, gesture="rub", frames=FRAMES, reason="released", time=when, sensor_ms=last_ms
+        ),
+        frames,
+        rest_frames + 3,
+        last_ms,
+        None,
+    )

@@ -1,0 +1,146 @@
+"""A live page: of the spawned daemon on a fake pad, or served in this process; for the tests of it."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from websockets.sync.client import ClientConnection, connect
+
+from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.events import Event
+from daemon.live.messages import encode_frame
+from daemon.live.sink import LiveSink
+from daemon.playback.rig import SpawnedDaemon
+from daemon.service import load_model
+from drivers.frame import Frame
+from model.classifier import Classifier
+
+SERVED = re.compile(r"live page: (http://\S+)/")
+IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
+STARTS_WITHIN_S = 20.0
+
+
+class LiveDaemon:
+    """A daemon that serves its page on loopback, at `port` (0: any that is free), and reads `pad`."""
+
+    def __init__(self, pad: str, folder: Path, port: int = 0) -> None:
+        settings = Settings(sensor=SensorSettings(port=pad), live=LiveSettings(port=port))
+        self._log_path = folder / "log"
+        self._log = self._log_path.open("wb")
+        self._daemon = SpawnedDaemon(settings, folder, self._log)
+        self.process = self._daemon.process
+        self.events: list[Event] = []
+        self._reader = threading.Thread(target=self._collect)
+        self._reader.start()
+        self.url = self._await_url()
+
+    @property
+    def port(self) -> int:
+        return int(self.url.rpartition(":")[2])
+
+    @property
+    def log(self) -> str:
+        return self._log_path.read_text()
+
+    def in_all(self) -> tuple[int, int, int]:
+        """Frames, touches and dropped frames that it told of when it ended."""
+        said = IN_ALL.search(self.log)
+        assert said is not None, self.log
+        return int(said[1]), int(said[2]), int(said[3])
+
+    def kill(self) -> None:
+        """End it as a power cut would."""
+        self.process.kill()
+        self.process.wait()
+
+    def stop(self) -> int:
+        if self.process.poll() is None:
+            self.process.terminate()
+        code = self.process.wait(10)
+        self._reader.join()
+        self._daemon.stop()
+        self._log.close()
+        return code
+
+    def _collect(self) -> None:
+        for event in self._daemon.events():
+            self.events.append(event)
+
+    def _await_url(self) -> str:
+        until_s = time.monotonic() + STARTS_WITHIN_S
+        while (served := SERVED.search(self.log)) is None:
+            assert self.process.poll() is None, self.log
+            assert time.monotonic() < until_s, self.log
+            time.sleep(0.02)
+        return served[1]
+
+
+@contextmanager
+def live_daemon(pad: str, folder: Path, port: int = 0) -> Iterator[LiveDaemon]:
+    daemon = LiveDaemon(pad, folder, port)
+    try:
+        yield daemon
+    finally:
+        daemon.stop()
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        return int(listening.getsockname()[1])
+
+
+class Served:
+    """A page that is served in this process, and frames to show on it."""
+
+    def __init__(self, classifier: Classifier) -> None:
+        self.port = free_port()
+        self.settings = Settings(live=LiveSettings(port=self.port))
+        self.classifier = classifier
+        self.sink = LiveSink()
+        self.sink.use(self.settings, classifier)
+        self._frames = 0
+
+    @contextmanager
+    def look(self, **options: Any) -> Iterator[ClientConnection]:
+        """A viewer."""
+        with connect(f"ws://127.0.0.1:{self.port}/stream", compression=None, **options) as viewer:
+            yield viewer
+
+    def put_frame(self) -> bytes:
+        """Put a frame unlike any before; return what of it a viewer gets."""
+        self._frames += 1
+        counts = np.full((8, 8), self._frames % 1024, np.uint16)
+        frame = Frame(self._frames, 18 * self._frames, 0.0, counts)
+        self.sink.put_frame(frame, 0)
+        return encode_frame(frame)
+
+    def ask(self, path: str = "/", **headers: str) -> http.client.HTTPResponse:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+        connection.request("GET", path, headers=headers)
+        return connection.getresponse()
+
+
+@contextmanager
+def serving() -> Iterator[Served]:
+    """A page that is served; afterwards nothing of it is left."""
+    served = Served(load_model(Settings()))
+    yield served
+    served.sink.stop(1.0)
+    assert "touchd-live" not in [thread.name for thread in threading.enumerate()]
+
+
+def frames_among(viewer: ClientConnection, wanted: bytes) -> list[str | bytes]:
+    """Return everything that comes up to and with the wanted frame."""
+    got: list[str | bytes] = []
+    while wanted not in got:
+        got.append(viewer.recv(timeout=5))
+    return got

@@ -1,0 +1,118 @@
+"""The sketch, compiled for an Arduino Mega and run on a simulated one that is wired to a made-up pad."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import MAX_COUNT
+
+FIRMWARE = Path(__file__).parents[2] / "drivers" / "firmware"
+SKETCH = FIRMWARE / "fabric_grid" / "fabric_grid.ino"
+HARNESS = Path(__file__).parent / "simulated_mega.c"
+ARDUINO_CORE = Path("/usr/share/arduino/hardware/arduino/avr")
+SIMAVR = Path("/usr/include/simavr")
+SUPPLY_MV = 5000
+
+
+def compiler_missing() -> bool:
+    """Whether the sketch cannot be compiled for the Mega here."""
+    tools = map(shutil.which, ("avr-g++", "make"))
+    return not (all(tools) and ARDUINO_CORE.is_dir())
+
+
+def simulator_missing() -> bool:
+    """Whether the compiled sketch cannot be run here."""
+    return compiler_missing() or shutil.which("cc") is None or not SIMAVR.is_dir()
+
+
+def build(folder: Path, rows: int = 10, columns: int = 10, baud: int = 512_000) -> Path:
+    """Compile the sketch with these settings; warnings are errors. `folder` is shared by all of them."""
+    settings = [f"BUILD={folder}", f"ROWS={rows}", f"COLUMNS={columns}", f"BAUD={baud}"]
+    subprocess.run(["make", "--silent", "-C", FIRMWARE, *settings], check=True)
+    return folder / f"{rows}x{columns}-{baud}" / "fabric_grid.elf"
+
+
+def build_board(folder: Path) -> Path:
+    """Compile the board that runs the sketch."""
+    board = folder / "simulated_mega"
+    flags = ["-O2", "-Wall", "-Wextra", "-Werror", f"-I{SIMAVR}"]
+    subprocess.run(["cc", *flags, HARNESS, "-o", board, "-lsimavr"], check=True)
+    return board
+
+
+@dataclass(frozen=True)
+class Board:
+    """A simulated Mega with the sketch on it.
+
+    rows, columns: as compiled. What is put on its pins are pictures of raw values (pictures, rows, columns),
+    one a scan and round again.
+    """
+
+    program: Path
+    sketch: Path
+    folder: Path
+    rows: int
+    columns: int
+
+    def start(
+        self, pictures: NDArray[np.uint16], seconds: float, output: int, *, paced: bool = False
+    ) -> subprocess.Popen[str]:
+        """Switch it on for so many seconds of its own time; it sends to the file descriptor `output`."""
+        path = self.folder / "pictures"
+        path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
+        grid = [str(self.rows), str(self.columns)]
+        command = [
+            str(self.program),
+            str(self.sketch),
+            str(path),
+            *grid,
+            str(seconds),
+            *(["paced"] if paced else []),
+        ]
+        return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
+
+    def run(self, pictures: NDArray[np.uint16], seconds: float) -> Run:
+        """Let it run for so many seconds of its own time; return what it sent and when."""
+        with (self.folder / "sent").open("w+b") as sent:
+            board = self.start(pictures, seconds, sent.fileno())
+            _, said = board.communicate()
+            assert board.returncode == 0, said
+            sent.seek(0)
+            figures = json.loads(said.splitlines()[-1])
+            return Run(
+                sent.read(),
+                np.array(figures["began_ms"]),
+                figures["scan_ms"],
+                figures["until_sent_ms"],
+                figures["least_settling_us"],
+            )
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a board sent, and by its crystal: when each scan began, how long the first took until its last
+    reading and until its last byte was sent, and the least time between switching a row and reading it."""
+
+    sent: bytes
+    began_ms: NDArray[np.float64]
+    scan_ms: float
+    until_sent_ms: float
+    least_settling_us: float
+
+    def raw(self, rows: int, columns: int) -> NDArray[np.uint16]:
+        """The raw values (frames, rows, columns) of a run that was not cut off within a frame."""
+        size = 9 + 2 * rows * columns
+        frames = np.frombuffer(self.sent, np.uint8).reshape(-1, size)
+        return np.ascontiguousarray(frames[:, 8:-1]).view(np.uint16).reshape(-1, rows, columns)
+
+
+def _millivolts(raw: NDArray[np.uint16]) -> NDArray[np.int64]:
+    """The least voltage that the Mega's converter reads as that value."""
+    return -(-raw.astype(np.int64) * SUPPLY_MV // MAX_COUNT)

@@ -1,0 +1,66 @@
+"""A program that ends while its link to a robot is in the state named on the command line."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import sys
+import time
+from typing import Any
+
+from rigs.robots import States, message
+
+from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.robot.actions import Action, ActionRule
+from drivers.robot.link import RobotLink, RobotSettings
+from drivers.robot.session import Login
+
+SAY = ActionRule(do=(Action(say="{gesture}"),))
+
+
+def main(state: str) -> int:
+    encrypted = state in ("tls", "wrong-token")
+    login = Login("nao" if state == "tls" else "nobody", "s3cret-token") if encrypted else None
+    # A clean end says nothing, so that the link's warnings may not either.
+    logging.disable()
+    mute = socket.create_server(("127.0.0.1", 0))
+    with LoopbackRobot(login=login, say_s=60) as robot:
+        url = f"tcp://127.0.0.1:{mute.getsockname()[1]}" if state == "mute" else robot.url
+        user: dict[str, Any] = {"user": "nao", "token_env": "ROBOT_TOKEN"} if encrypted else {}
+        states = States()
+        link = RobotLink(RobotSettings(url=url, actions=(SAY,), **user), states)
+        if state == "refused":
+            robot.kill()
+        link.start()
+        reach(state, robot, link, states)
+        started_s = time.monotonic()
+        if state == "forgotten":
+            raise SystemExit(0)
+        link.stop()
+        return 0 if time.monotonic() - started_s < 2.0 else 3
+
+
+def reach(state: str, robot: LoopbackRobot, link: RobotLink, states: States) -> None:
+    """Wait until the link is in a state."""
+    if state in ("refused", "wrong-token"):
+        states.wait_for("down")
+    elif state == "mute":
+        time.sleep(0.2)
+    else:
+        states.wait_for("up")
+    if state == "busy":
+        link.publish(message())
+        robot.calls.wait_for(lambda call: call.method == "say")
+    elif state == "killed":
+        robot.kill()
+        states.wait_for("up", "down")
+    elif state in ("hung", "hung-connect"):
+        robot.hang()
+        link.publish(message())
+    if state == "hung-connect":
+        states.wait_for("up", "down")
+        time.sleep(0.3)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]))

@@ -1,0 +1,76 @@
+"""The stand-ins on which the same tests run, and a link that remembers what it was told."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
+from drivers.robot.link import RobotLimits, RobotLink, RobotMessage, RobotSettings
+from drivers.robot.session import Login, qi_installed
+
+Robot = StubRobot | LoopbackRobot
+
+needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+both_kinds = [pytest.param(StubRobot, id="stub"), pytest.param(LoopbackRobot, id="qi", marks=needs_qi)]
+every_robot = pytest.mark.parametrize("make_robot", both_kinds)
+
+LOGIN = Login("nao", "s3cret-token")
+# For tests of what follows once a hang is noticed, which takes 1.3 s by default.
+IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
+GESTURE, DETAIL, STATUS = "TouchGesture/Gesture", "TouchGesture/Detail", "TouchGesture/Status"
+
+
+def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessage:
+    values: dict[str, Any] = {"confidence": 0.81, "time_s": time.time(), "stage": "early", "sequence": touch}
+    return RobotMessage(gesture=gesture, touch=touch, **(values | other))
+
+
+class States:
+    """What a link says about the robot, and when."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, str]] = []
+        self._changed = threading.Condition()
+
+    def __call__(self, state: str, reason: str) -> None:
+        with self._changed:
+            self.told.append((state, reason))
+            self._changed.notify_all()
+
+    def wait_for(self, *states: str, timeout_s: float = 10.0) -> str:
+        """Wait until exactly these states were told; returns the reason of the last."""
+        with self._changed:
+            assert self._changed.wait_for(lambda: self._names() == states, timeout_s), self.told
+            return self.told[-1][1]
+
+    def _names(self) -> tuple[str, ...]:
+        return tuple(state for state, _ in self.told)
+
+
+@contextmanager
+def linked(robot: Robot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
+    """A started link to a robot, and the states it tells; stopped at the end."""
+    states = States()
+    limits = settings.pop("limits", RobotLimits())
+    link = RobotLink(
+        RobotSettings(url=url or robot.url, limits=limits, **settings),
+        on_state=states,
+        open_session=robot.open_session,
+    )
+    link.start()
+    try:
+        yield link, states
+    finally:
+        link.stop()
+
+
+def link_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("touchd-robot")]

@@ -1,0 +1,82 @@
+"""A sensor on a fake port, and what it hands over: for the tests of the sensor."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from drivers.frame import Counts, Frame
+from drivers.pad.protocol import FabricGrid, Protocol
+from drivers.pad.sensor import FrameQueue, Sensor, SensorState
+from drivers.recording import Span, Stream, ideal_clock_ms
+
+BAUD = 512000
+Encode = Callable[[Counts, int], bytes]
+
+
+def stream_of(frames: int = 4000) -> Stream:
+    counts = np.random.default_rng(2).integers(0, 1024, (frames, 8, 8)).astype(np.uint16)
+    return Stream(counts, ideal_clock_ms(frames, 1000), (Span(0, frames, "rub"),))
+
+
+@contextmanager
+def sensing(
+    port: str, protocol: Protocol | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
+) -> Iterator[FrameQueue]:
+    """A running sensor's queue; afterwards nothing of the sensor is left."""
+    before = set(os.listdir("/proc/self/fd"))
+    queue = FrameQueue(100_000)
+    sensor = Sensor(
+        port, BAUD, protocol or FabricGrid(), queue, longest_retry_s=longest_retry_s, silence_s=silence_s
+    )
+    sensor.start()
+    try:
+        yield queue
+    finally:
+        begun_s = time.monotonic()
+        sensor.stop()
+        sensor.stop()
+        assert time.monotonic() - begun_s < 1.0
+        assert "touchd-sensor" not in [thread.name for thread in threading.enumerate()]
+        assert len(os.listdir("/proc/self/fd")) <= len(before)
+
+
+def next_frames(queue: FrameQueue, count: int) -> list[Frame]:
+    frames: list[Frame] = []
+    while len(frames) < count:
+        item = queue.get(5.0)
+        assert item is not None, f"only {len(frames)} of {count} frames came"
+        if isinstance(item, Frame):
+            frames.append(item)
+    return frames
+
+
+def next_state(queue: FrameQueue) -> SensorState:
+    while not isinstance(item := queue.get(5.0), SensorState):
+        assert item is not None, "no state was told"
+    return item
+
+
+def assert_played(frames: list[Frame], stream: Stream, indices: range | list[int]) -> None:
+    assert [frame.sensor_ms for frame in frames] == stream.sensor_ms[indices].tolist()
+    for frame, index in zip(frames, indices, strict=True):
+        np.testing.assert_array_equal(frame.pressure, stream.counts[index])
+
+
+class Switch:
+    """An encoding that can be changed while it plays."""
+
+    def __init__(self, encode: Encode) -> None:
+        self.encode = encode
+
+    def __call__(self, counts: Counts, sensor_ms: int) -> bytes:
+        return self.encode(counts, sensor_ms)
+
+
+def silence(counts: Counts, sensor_ms: int) -> bytes:
+    return b""

@@ -1,0 +1,78 @@
+"""The pad of the soak, a program of its own: what it needs in memory is none of the daemon's.
+
+Its bytes go to standard output for ever: a stream over and over, its clock going on, and some garbage.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from daemon.config import SensorSettings
+from daemon.playback.stream import with_quiet
+from daemon.wire import encoder_for
+from drivers.fakes.hand import simulate
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import Selection, Stream, read_recordings, realign, splice
+
+CHUNK_FRAMES = 20
+GARBAGE_EVERY_CHUNKS = 50
+PIECE_BYTES = 4096
+GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
+
+
+def recorded() -> Stream:
+    """HAART's test participants where there are any, else ten minutes of a simulated hand."""
+    if folder := os.environ.get("TOUCHD_HAART"):
+        path = Path(folder) / "testWITHLABELS.csv.gz"
+        found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]
+        touching = [recording for recording in found if recording.gesture != "notouch"]
+        return with_quiet(touching, [recording for recording in found if recording.gesture == "notouch"])
+    rng = random.Random(1)
+    script = [("notouch", 3.0)]
+    for _ in range(120):
+        script += [(rng.choice(GESTURES), rng.uniform(0.3, 6.0)), ("notouch", rng.uniform(1.2, 3.0))]
+    return splice(simulate(script, 1))
+
+
+def line(stream: Stream, settings: SensorSettings) -> Iterator[bytes]:
+    """Yield what the pad sends, for ever."""
+    encode_frame = encoder_for(settings)
+    rng = random.Random(2)
+    round_ms = int(stream.sensor_ms[-1] - stream.sensor_ms[0]) + round(1000 / FRAME_RATE_HZ)
+    offset_ms, chunks = 0, 0
+    while True:
+        for start in range(0, len(stream.counts), CHUNK_FRAMES):
+            part = slice(start, start + CHUNK_FRAMES)
+            clock_ms = (stream.sensor_ms[part] + offset_ms).tolist()
+            chunks += 1
+            garbage = rng.randbytes(rng.randrange(400)) if chunks % GARBAGE_EVERY_CHUNKS == 0 else b""
+            yield b"".join(map(encode_frame, stream.counts[part], clock_ms)) + garbage
+        offset_ms = (offset_ms + round_ms) % 2**32
+
+
+@contextmanager
+def pad() -> Iterator[Iterator[bytes]]:
+    """Start the pad and give its bytes, in pieces as a serial port would; ends it with the block."""
+    with subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        fd = process.stdout.fileno()
+        try:
+            yield iter(lambda: os.read(fd, PIECE_BYTES), b"")
+        finally:
+            process.kill()
+
+
+def main() -> None:
+    """Write what the pad sends to standard output."""
+    for data in line(recorded(), SensorSettings()):
+        sys.stdout.buffer.write(data)
+
+
+if __name__ == "__main__":
+    main()

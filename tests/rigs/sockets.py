@@ -1,0 +1,21 @@
+"""The network sockets of a process, as Linux lists them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+LISTENS = "0A"
+LOOPBACK = "0100007F"
+
+
+def sockets(pid: int) -> list[tuple[str, str, str]]:
+    """Return protocol, local address and state, as proc(5) writes them, of a process's network sockets."""
+    links = [link.readlink().name for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()]
+    inodes = {name[len("socket:[") : -1] for name in links if name.startswith("socket:[")}
+    found = []
+    for protocol in ("tcp", "tcp6", "udp", "udp6"):
+        for line in Path(f"/proc/{pid}/net/{protocol}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in inodes:
+                found.append((protocol, fields[1], fields[3]))
+    return found

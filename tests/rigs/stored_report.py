@@ -1,0 +1,10 @@
+"""The published report: the folder of its page, and its results."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from docs.studies.report.results import Results
+
+DOCS = Path(__file__).parents[2] / "docs"
+RESULTS = Results(DOCS / "report.json")

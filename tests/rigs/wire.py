@@ -1,0 +1,58 @@
+"""Frames on a wire, whole and damaged, and what must come of them: for the tests of the protocols."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import settings
+
+from drivers.frame import Counts, Frame
+from drivers.pad.protocol import Protocol, encode_fabric_grid
+
+PERIOD_MS = 19
+# A busy machine is no failure: examples have no deadline of their own, the test's timeout stands.
+UNHURRIED = settings(deadline=None)
+MANY = settings(deadline=None, max_examples=200)
+SIZE = 4 + 4 + 2 * 100 + 1
+TIME_BITS = range(32, 64)
+# Bits 8 and 9 of a value do not enter the checksum and leave it below 1024: no reader can see them flip.
+VISIBLE_VALUE_BITS = [64 + 16 * value + bit for value in range(100) for bit in range(16) if bit not in (8, 9)]
+VISIBLE_BITS = [*range(64), *VISIBLE_VALUE_BITS, *range(SIZE * 8 - 8, SIZE * 8)]
+
+
+def counts_of(number: int) -> Counts:
+    return np.random.default_rng(number).integers(0, 1024, (8, 8)).astype(np.uint16)
+
+
+def packet(number: int, first_ms: int = 5000) -> bytes:
+    return encode_fabric_grid(counts_of(number), first_ms + number * PERIOD_MS)
+
+
+def packets(numbers: Sequence[int], first_ms: int = 5000) -> bytes:
+    return b"".join(packet(number, first_ms) for number in numbers)
+
+
+def flip(data: bytes, bit: int) -> bytes:
+    flipped = bytearray(data)
+    flipped[bit // 8] ^= 1 << bit % 8
+    return bytes(flipped)
+
+
+def fed(parser: Protocol, data: bytes, cuts: Sequence[int] = ()) -> list[Frame]:
+    edges = [0, *sorted(cuts), len(data)]
+    pieces = [data[start:stop] for start, stop in pairwise(edges)]
+    return [frame for piece in pieces for frame in parser.feed(piece, 1.0)]
+
+
+def assert_are(frames: Sequence[Frame], numbers: Sequence[int], first_ms: int = 5000) -> None:
+    assert [frame.sensor_ms for frame in frames] == [
+        (first_ms + number * PERIOD_MS) % 2**32 for number in numbers
+    ]
+    for frame, number in zip(frames, numbers, strict=True):
+        np.testing.assert_array_equal(frame.pressure, counts_of(number))
+
+
+def contents(frames: Sequence[Frame]) -> list[tuple[int, int, bytes]]:
+    return [(frame.number, frame.sensor_ms, frame.pressure.tobytes()) for frame in frames]

@@ -1,0 +1,187 @@
+"""Training the paper's networks: as its code does, resumable to the same weights, every epoch kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+pytestmark = pytest.mark.timeout(120)
+
+import torch  # noqa: E402
+
+from docs.studies.report import paper_training  # noqa: E402
+from docs.studies.report.paper_cells import (  # noqa: E402
+    Grid,
+    PaperCell,
+    parse,
+    predictions_path,
+    read_grid,
+    trained_cells,
+    trained_networks,
+)
+from docs.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, is_at, train, trained  # noqa: E402
+from docs.studies.report.results import Results  # noqa: E402
+from docs.studies.report.study import Study  # noqa: E402
+from docs.studies.speed import one_torch_thread  # noqa: E402
+from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
+from model.settings import SettingsError  # noqa: E402
+from model.training import haart  # noqa: E402
+from model.training.checkpoint import CheckpointError  # noqa: E402
+from model.training.haart import GESTURES, Windows  # noqa: E402
+
+GRID = Grid(learning_rate=1e-4, batch=8, whole=(), feasible=())
+CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_thread() -> Iterator[None]:
+    with one_torch_thread():
+        yield
+
+
+def windows(seed: int) -> Windows:
+    """Two windows a gesture; each gesture presses harder than the one before."""
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(np.arange(len(GESTURES)), 2)
+    counts = rng.integers(0, 8 * (labels[:, None, None, None] + 1), size=(len(labels), 9, 8, 8))
+    return Windows(counts.astype(np.uint16), labels, np.repeat("P3", len(labels)))
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Study:
+    """A study over made-up windows, in an empty folder."""
+    made = [
+        Recording("P3", "foam", "fur", gesture, counts, ideal_clock_ms(len(counts)), "published")
+        for gesture, counts in zip(GESTURES, windows(0).counts[::2], strict=True)
+    ]
+    monkeypatch.setattr(haart, "PUBLISHED_FRAMES", 9)
+    monkeypatch.setattr(haart, "read_training", lambda folder: made)
+    monkeypatch.setattr(haart, "read_test", lambda folder: made)
+    docs = tmp_path / "docs"
+    return Study(tmp_path, tmp_path / "runs", Results(docs / "report.json"), threads=1, docs=docs)
+
+
+def training(cell: PaperCell = CELL) -> PaperTraining:
+    return PaperTraining(cell, GRID, windows(0), windows(1), "cpu")
+
+
+def test_a_cut_off_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    cell = PaperCell("printed", blocks=1, frames=9, epochs=2, seed=0)
+    whole = training(cell)
+    whole.run_epoch()
+    whole.run_epoch()
+    first = training(cell)
+    first.run_epoch()
+    first.save(tmp_path / "checkpoint.pt")
+    second = training(cell)
+    second.resume(tmp_path / "checkpoint.pt")
+    second.run_epoch()
+    assert second.accuracies == whole.accuracies
+    for name, value in whole.network.state_dict().items():
+        torch.testing.assert_close(second.network.state_dict()[name], value, rtol=0.0, atol=0.0)
+
+
+def test_every_epoch_is_scored_on_test_with_its_weights_at_rest() -> None:
+    paper = training()
+    probabilities = paper.run_epoch()
+    assert paper.epoch == 1
+    np.testing.assert_array_equal(probabilities, paper_training.answer(paper.network, windows(1).counts))
+    assert paper.accuracies[-1] == paper_training.macro_accuracy(probabilities, windows(1).labels)
+
+
+def test_a_cell_keeps_every_epoch_and_the_last_ones_answers(study: Study) -> None:
+    train(study, GRID, CELL)
+    values = study.results.get(CELL.key)
+    assert len(values["accuracies"]) == len(values["losses"]) == 2
+    with np.load(predictions_path(study.docs, CELL)) as stored:
+        again = paper_training.macro_accuracy(stored["probabilities"], stored["labels"].astype(np.int64))
+    assert again == pytest.approx(values["accuracies"][-1], abs=1e-5)
+
+
+def test_more_epochs_go_on_from_the_checkpoint_and_stand_as_another_cell(study: Study) -> None:
+    train(study, GRID, CELL)
+    longer = PaperCell("public", 1, 9, epochs=3, seed=0)
+    train(study, GRID, longer)
+    before, after = (study.results.get(cell.key)["accuracies"] for cell in (CELL, longer))
+    assert after[:2] == before
+    assert trained_cells(study.results, "public", 1, 9) == [longer]
+    assert is_at(study, longer)
+    assert not is_at(study, CELL)
+    assert len(trained(study, longer).encoder) == 1
+
+
+def test_a_training_that_went_on_for_longer_is_left_as_it_is(
+    study: Study, caplog: pytest.LogCaptureFixture
+) -> None:
+    train(study, GRID, CELL)
+    path = study.checkpoints / CELL.training / CHECKPOINT_NAME
+    before = path.read_bytes()
+    train(study, GRID, PaperCell("public", 1, 9, epochs=1, seed=0))
+    assert "left as it is" in caplog.text
+    assert path.read_bytes() == before
+    assert study.results.keys() == [CELL.key]
+
+
+def test_a_training_that_another_process_is_busy_with_is_left_to_it(
+    study: Study, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = study.checkpoints / CELL.training
+    folder.mkdir(parents=True)
+    with paper_training.claim(folder) as claimed:
+        assert claimed
+        train(study, GRID, CELL)
+    assert "another process" in caplog.text
+    assert study.results.keys() == []
+
+
+def test_a_damaged_checkpoint_is_named_in_one_line(study: Study) -> None:
+    path = study.checkpoints / CELL.training / CHECKPOINT_NAME
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"no checkpoint")
+    with pytest.raises(CheckpointError, match="move it away") as raised:
+        train(study, GRID, CELL)
+    assert "\n" not in str(raised.value)
+
+
+def test_the_whole_grid_is_tables_2_and_3_at_the_papers_epochs_in_both_variants() -> None:
+    grid = read_grid()
+    cells = {cell for entry in grid.whole for cell in entry.cells()}
+    assert (grid.learning_rate, grid.batch) == (1e-4, 64)
+    assert {cell.epochs for cell in cells} == {100}
+    for variant in ("public", "printed"):
+        own = [cell for cell in cells if cell.variant == variant]
+        assert {cell.frames for cell in own if cell.blocks == 6} == {9, 27, 54, 72, 81, 108, 144, 216}
+        assert {cell.blocks for cell in own if cell.frames == 144} == set(range(1, 9))
+        assert {cell.seed for cell in own} == {0, 1, 2}
+
+
+def test_a_mistake_in_the_grid_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "grid.yaml"
+    path.write_text("learning_rate: 1.0e-4\nbatch: 64\nepoch: 3\n")
+    with pytest.raises(SettingsError, match=r"grid\.yaml"):
+        read_grid(path)
+
+
+def test_a_key_names_its_cell() -> None:
+    assert parse(CELL.key) == CELL
+
+
+def test_networks_are_listed_public_first_then_by_frames_then_by_blocks(tmp_path: Path) -> None:
+    results = Results(tmp_path / "report.json")
+    for variant, blocks, frames in (
+        ("printed", 1, 9),
+        ("public", 6, 144),
+        ("public", 1, 144),
+        ("public", 6, 54),
+    ):
+        results.put(PaperCell(variant, blocks, frames, 1, 0).key, {}, 0.0)  # type: ignore[arg-type]
+    assert trained_networks(results) == [
+        ("public", 6, 54),
+        ("public", 1, 144),
+        ("public", 6, 144),
+        ("printed", 1, 9),
+    ]

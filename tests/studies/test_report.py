@@ -1,0 +1,161 @@
+"""The report: its page says what its results say, and they hold when measured again from stored files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.haart_folder import HAART, needs_haart
+from rigs.stored_report import DOCS, RESULTS
+
+pytest.importorskip("torch", reason="needs the extra train")
+pytest.importorskip("sklearn", reason="needs the extra train")
+
+from docs.studies.commands.report import PART_NAMES, main
+from docs.studies.report import (
+    kept_int8,
+    ours,
+    page,
+    paper_cells,
+    paper_kept,
+    paper_training,
+    representation,
+    table2,
+    table3,
+)
+from docs.studies.report.paper_cells import predictions_path
+from docs.studies.report.results import Results
+from docs.studies.report.study import Study
+from docs.studies.speed import one_torch_thread
+from drivers.recording import Recording
+from model.checks import evaluate
+from model.classifier import Classifier
+from model.training import haart
+
+ALL_KEYS = RESULTS.keys()
+PAPER_KEYS = RESULTS.keys(paper_cells.PREFIX)
+TOLERANCE = 0.002
+"""A window or two may fall the other way on another processor, or when probabilities are rounded."""
+
+
+@pytest.fixture(scope="module")
+def test_recordings() -> list[Recording]:
+    """The recordings of the test participants, as published."""
+    return haart.read_test(Path(str(HAART)))
+
+
+def test_the_page_says_what_the_results_say() -> None:
+    assert (DOCS / page.PAGE_NAME).read_text(encoding="utf-8") == "\n".join(page.page_lines(RESULTS)) + "\n"
+
+
+def test_every_picture_on_the_page_is_there() -> None:
+    text = (DOCS / page.PAGE_NAME).read_text(encoding="utf-8")
+    pictures = [line.partition("](")[2].rstrip(")") for line in text.splitlines() if line.startswith("![")]
+    assert pictures
+    assert [picture for picture in pictures if not (DOCS / picture).is_file()] == []
+
+
+def test_every_cell_says_which_command_commit_and_machine_made_it() -> None:
+    for key in ALL_KEYS:
+        cell = RESULTS.cell(key)
+        assert "report" in cell.command, key
+        assert cell.commit, key
+        assert "cores" in cell.machine, key
+
+
+@pytest.mark.parametrize("key", PAPER_KEYS)
+def test_the_papers_network_scores_as_its_stored_answers(key: str) -> None:
+    values = RESULTS.get(key)
+    with np.load(predictions_path(DOCS, paper_cells.parse(key))) as stored:
+        labels = stored["labels"].astype(np.int64)
+        again = paper_training.macro_accuracy(stored["probabilities"].astype(np.float64), labels)
+    assert len(labels) == values["windows"]
+    assert again == pytest.approx(values["accuracies"][-1], abs=TOLERANCE)
+
+
+@needs_haart
+@pytest.mark.parametrize("key", PAPER_KEYS)
+def test_the_stored_answers_are_over_the_test_participants_windows(
+    key: str, test_recordings: list[Recording]
+) -> None:
+    cell = paper_cells.parse(key)
+    with np.load(predictions_path(DOCS, cell)) as stored:
+        np.testing.assert_array_equal(stored["labels"], haart.cut(test_recordings, cell.frames).labels)
+
+
+@needs_haart
+@pytest.mark.timeout(120)
+def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list[Recording]) -> None:
+    cell = paper_kept.kept_cell(RESULTS)
+    assert cell is not None
+    windows = haart.cut(test_recordings, cell.frames)
+    with one_torch_thread():
+        probabilities = paper_training.answer(paper_kept.load_kept(DOCS, cell), windows.counts)
+    again = paper_training.macro_accuracy(probabilities, windows.labels)
+    assert again == pytest.approx(RESULTS.get(cell.key)["accuracies"][-1], abs=TOLERANCE)
+
+
+@needs_haart
+@pytest.mark.slow
+@pytest.mark.timeout(180)
+def test_the_kept_network_costs_in_int8_what_is_reported(tmp_path: Path) -> None:
+    cell = paper_kept.kept_cell(RESULTS)
+    assert cell is not None
+    again = Study(Path(str(HAART)), tmp_path, Results(tmp_path / "report.json"), 1, DOCS)
+    again.results.put(cell.key, RESULTS.get(cell.key), 0.0)
+    kept_int8.run(again)
+    reported = RESULTS.get(kept_int8.key(cell))
+    # Processors round int8 products differently.
+    assert again.results.get(kept_int8.key(cell)) == pytest.approx(reported, abs=5 * TOLERANCE)
+
+
+@needs_haart
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(("file", "frames"), [(0, 54), (1, 144)])
+def test_our_networks_score_in_the_papers_windows_as_reported(
+    file: int, frames: int, test_recordings: list[Recording]
+) -> None:
+    reported = ours.accuracies(RESULTS, "published", frames)
+    assert len(reported) == len(ours.model_files())
+    again = evaluate.score([(Classifier.load(ours.model_files()[file]), test_recordings)], frames)
+    assert again.accuracy == pytest.approx(reported[file], abs=TOLERANCE)
+
+
+def test_the_page_is_written_without_measuring_when_no_part_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--only", "--docs", str(tmp_path)]) == 0
+    text = (tmp_path / page.PAGE_NAME).read_text(encoding="utf-8")
+    assert capsys.readouterr().out == f"{tmp_path / page.PAGE_NAME}\n"
+    assert "not trained" in text
+    assert "missing" in text
+    assert not (tmp_path / page.RESULTS_NAME).exists()
+
+
+def test_a_part_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as raised:
+        main(["--only", "table9"])
+    assert raised.value.code == 2
+    assert "table9" in capsys.readouterr().err
+
+
+def test_the_command_knows_every_part_of_the_page() -> None:
+    assert {part.name for part in page.PARTS} == set(PART_NAMES)
+
+
+def test_every_table_of_the_paper_is_on_the_page_with_its_printed_figures() -> None:
+    text = (DOCS / page.PAGE_NAME).read_text(encoding="utf-8")
+    for frames, printed in table3.PAPER.items():
+        assert f"| {frames} | {frames / 54:.2f} | {printed} |" in text
+    for blocks, printed in table2.PAPER.items():
+        assert f"| {blocks} | {printed} |" in text
+
+
+def test_the_nearest_windows_are_sought_among_other_participants_alone() -> None:
+    features = np.array([[0.0], [0.1], [5.0], [5.2]])
+    labels = np.array([0, 1, 1, 0])
+    people = np.array(["T1", "T1", "T2", "T2"])
+    windows = haart.Windows(np.zeros((4, 1, 8, 8), dtype=np.uint16), labels, people)
+    # Each is nearest to one of its own participant; of the other's, the first two to the third, and so on.
+    assert representation.nearest_agree(features, windows) == 0.5

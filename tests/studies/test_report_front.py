@@ -1,0 +1,328 @@
+"""Speed against error, and cost: what is counted, fitted and shown is right; what is stored still holds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from rigs.haart_folder import HAART, needs_haart
+from rigs.stored_report import RESULTS
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+onnx = pytest.importorskip("onnx", reason="needs the extra `train`")
+pytestmark = pytest.mark.timeout(180)
+
+from docs.studies.report import cost, cost_page, front, front_rows, law, networks, sizes  # noqa: E402
+from docs.studies.report.front_rows import Error, Row  # noqa: E402
+from docs.studies.report.macs import multiply_adds  # noqa: E402
+from docs.studies.report.paper_tgc import PaperSettings  # noqa: E402
+from docs.studies.report.peak import idle_bytes, peak_bytes  # noqa: E402
+from docs.studies.report.results import Results  # noqa: E402
+from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
+from model.checks.hard_cases import hand  # noqa: E402
+from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
+from model.settings import LENGTHS  # noqa: E402
+from model.training import haart  # noqa: E402
+from model.training.recipe import final_jobs, read_recipe  # noqa: E402
+
+measured_front = pytest.mark.skipif(not RESULTS.keys("front/"), reason="the front is not measured yet")
+TOLERANCE = 0.004
+"""A few windows may fall the other way on another processor."""
+
+
+def shipped_by_hand(frames: int) -> int:
+    """Count the shipped network's multiply-adds, layer by layer."""
+    stem = 64 * 16 * (2 * 9) + 16 * 32 * (16 * 9) + 128 * 96
+    motion = 4 * (3 * 96 * 192 + 96 * 96)
+    encoder = 4 * 96 * 96 + 2 * 96 * 192
+    attention = 2 * frames * 96
+    return frames * (stem + motion + encoder + attention) + 288 * 96 + 96 * 7
+
+
+def timed(name: str, ms: float, error: float | None) -> Row:
+    return Row(
+        name=name,
+        family="touchd",
+        arithmetic="float32",
+        width=96,
+        blocks=1,
+        frames=144,
+        multiply_adds=1,
+        p50_ms=ms,
+        p99_ms=ms,
+        processor_ms=ms,
+        eager_p50_ms=None,
+        eager_p99_ms=None,
+        eager_processor_ms=None,
+        file_bytes=1,
+        peak_bytes=1,
+        error=error and Error(error, "measured"),
+    )
+
+
+def made_up(work: int, **score: float) -> dict[str, Any]:
+    """Figures at one length, all in proportion to the work."""
+    times = {"p50_ms": work / 100, "p99_ms": work / 50, "processor_ms": work / 100}
+    return {"multiply_adds": 1000 * work, "onnx_runtime": times, **score}
+
+
+def cell(family: str, width: int, blocks: int, at: dict[str, Any]) -> dict[str, Any]:
+    described = {"family": family, "width": width, "blocks": blocks, "answers_timed": 2}
+    return {**described, "file_bytes": 1, "peak_bytes": 2, "idle_bytes": 1, "at": at}
+
+
+def recordings() -> list[Recording]:
+    counts = hand(432).astype(np.uint16)
+    return [
+        Recording("T1", "foam", "fur", gesture, counts, ideal_clock_ms(432), "published")
+        for gesture in haart.GESTURES
+    ]
+
+
+@pytest.mark.parametrize("frames", [1, 54, 144])
+def test_multiply_adds_of_the_shipped_file_are_those_counted_by_hand(frames: int) -> None:
+    assert multiply_adds(SHIPPED_MODEL, frames) == shipped_by_hand(frames)
+    assert multiply_adds(SHIPPED_MODEL, frames, windows=3) == 3 * shipped_by_hand(frames)
+
+
+def test_multiply_adds_of_a_grouped_convolution_and_of_linear_layers_are_those_counted_by_hand(
+    tmp_path: Path,
+) -> None:
+    def weight(name: str, *shape: int) -> Any:
+        return onnx.numpy_helper.from_array(np.zeros(shape, np.float32), name)
+
+    node = onnx.helper.make_node
+    graph = onnx.helper.make_graph(
+        [
+            node("Conv", ["counts", "kernel"], ["image"], group=2),  # (1, 4, 8, 8) to (1, 6, 6, 6)
+            node("Flatten", ["image"], ["flat"]),  # (1, 216)
+            node("Gemm", ["flat", "turned"], ["ten"], transB=1),
+            node("MatMul", ["ten", "plain"], ["out"]),
+        ],
+        "by hand",
+        [onnx.helper.make_tensor_value_info("counts", onnx.TensorProto.FLOAT, ["batch", "frames", 8, 8])],
+        [onnx.helper.make_empty_tensor_value_info("out")],
+        [weight("kernel", 6, 2, 3, 3), weight("turned", 10, 216), weight("plain", 10, 7)],
+    )
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)], ir_version=10)
+    onnx.save(model, tmp_path / "layers.onnx")
+    assert multiply_adds(tmp_path / "layers.onnx", 4) == 6 * 6 * 6 * (2 * 3 * 3) + 216 * 10 + 10 * 7
+
+
+def test_a_law_is_found_again_from_what_it_says() -> None:
+    windows = (9, 27, 54, 81, 144, 432)
+    found = law.fit(windows, [0.2 + 0.01 * n + 3e-5 * n * n for n in windows], degree=2)
+    assert found.coefficients == pytest.approx((0.2, 0.01, 3e-5))
+    assert found.largest_miss == pytest.approx(0, abs=1e-6)
+    assert sum(found.shares(144)) == pytest.approx(1)
+
+
+def test_no_term_of_a_law_is_a_negative_cost() -> None:
+    found = law.fit((1, 2, 4, 8), [1.0, 2.5, 5.0, 10.0], degree=2)
+    assert min(found.coefficients) >= 0
+    assert 0.1 < found.largest_miss < 0.3
+
+
+def test_the_front_holds_only_who_is_not_beaten_in_both_time_and_error() -> None:
+    quick, good, beaten = timed("quick", 1.0, 0.3), timed("good", 3.0, 0.2), timed("beaten", 4.0, 0.25)
+    unknown = timed("unknown", 0.1, None)
+    assert front_rows.front([beaten, good, unknown, quick]) == [quick, good]
+
+
+def test_a_network_of_the_papers_has_the_printed_error_until_it_is_trained_as_long(tmp_path: Path) -> None:
+    results = Results(tmp_path / "report.json")
+    key = "paper/public/blocks6/frames144/epochs{}/seed0"
+    results.put(key.format(10), {"accuracies": [0.5] * 10}, 1.0)
+    assert front_rows.trained_error(results, "public", 144, 6) is None
+    printed = front_rows.printed_error(144, 6)
+    assert printed is not None
+    assert printed.share == pytest.approx(1 - 0.728)
+    results.put(key.format(100), {"accuracies": [0.7] * 99 + [0.6]}, 1.0)
+    trained = front_rows.trained_error(results, "public", 144, 6)
+    assert trained == Error(pytest.approx(0.4), "trained here, 1 seed")
+
+
+def test_a_network_of_the_challenges_has_the_error_of_table_1(tmp_path: Path) -> None:
+    results = Results(tmp_path / "report.json")
+    assert front_rows.hughes_error(results, "hughes-cnn", 144) is None
+    for seed, accuracy in enumerate((0.5, 0.6)):
+        results.put(f"table1/hughes-cnn/frames144/seed{seed}", {"macro_accuracy": accuracy}, 1.0)
+    assert front_rows.hughes_error(results, "hughes-cnn", 144) == Error(
+        pytest.approx(0.45), "trained here, 2 seeds"
+    )
+
+
+def test_the_paper_prints_no_error_for_81_frames_and_one_for_each_number_of_blocks() -> None:
+    assert front_rows.printed_error(81, 6) is None
+    one_block = front_rows.printed_error(144, 1)
+    assert one_block is not None
+    assert one_block.share == pytest.approx(1 - 0.656)
+
+
+def test_a_batch_takes_more_memory_than_a_window_and_a_network_more_than_none() -> None:
+    none, window, batch = (
+        idle_bytes(),
+        peak_bytes(SHIPPED_MODEL, 144),
+        peak_bytes(SHIPPED_MODEL, 144, windows=16),
+    )
+    assert 10e6 < none < window < batch
+
+
+def test_every_size_is_trained_as_the_shipped_network_but_for_its_widths(tmp_path: Path) -> None:
+    recipe = read_recipe()
+    shipped = final_jobs(recipe, tmp_path)[0].settings
+    for job in sizes.jobs(recipe, tmp_path):
+        same = sizes.widened(
+            job.settings.network, {"stem_width": 16, "width": 96, "feed_forward": 192, "dense": 96}
+        )
+        assert same == shipped.network
+        assert (job.settings.seed, job.settings.epochs) == (shipped.seed, shipped.epochs)
+        assert job.settings.augmentation == shipped.augmentation
+
+
+def test_a_size_that_is_stored_is_not_trained_again(tmp_path: Path) -> None:
+    for name in sizes.SHAPES:
+        (tmp_path / f"{name}.onnx").touch()
+    files = sizes.ready(tmp_path / "no recordings here", tmp_path / "runs", threads=1, stored=tmp_path)
+    assert files == {name: tmp_path / f"{name}.onnx" for name in sizes.SHAPES}
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+def test_a_size_is_trained_by_the_recipe_and_exported_where_it_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shape = {"stem_width": 2, "width": 8, "feed_forward": 8, "dense": 8}
+    monkeypatch.setattr(sizes, "SHAPES", {"touchd-8-wide": shape})
+    quick = msgspec.structs.replace(read_recipe().settings, epochs=1, crops_per_recording=1, batch=7)
+    recipe = msgspec.structs.replace(read_recipe(), settings=quick)
+    monkeypatch.setattr(sizes, "read_recipe", lambda: recipe)
+    write_recordings(tmp_path / "training.csv", recordings(), {})
+    files = sizes.ready(tmp_path, tmp_path / "runs", threads=1, stored=tmp_path / "stored")
+    classifier = Classifier.load(files["touchd-8-wide"])
+    assert classifier.metadata.training["network"]["width"] == 8
+    assert classifier.probabilities(hand(54)).shape == (7,)
+
+
+@pytest.mark.parametrize("path", sorted(sizes.SIZES_FOLDER.glob("*.onnx")), ids=lambda path: path.stem)
+def test_each_stored_size_is_the_one_that_was_declared_and_answers(path: Path) -> None:
+    classifier = Classifier.load(path)
+    shape = classifier.metadata.training["network"]
+    assert sizes.SHAPES[path.stem].items() <= shape.items()
+    assert classifier.probabilities(hand(81)).sum() == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.slow
+def test_ours_and_the_papers_are_timed_weighed_and_ours_scored(tmp_path: Path) -> None:
+    asked = networks.ours({}, recordings(), tmp_path)
+    asked += networks.papers(PaperSettings("public", frames=9, blocks=1, width=8, heads=2), tmp_path)
+    asked += networks.hughes("hughes-crnn", 54, tmp_path)
+    measured = front.measure(asked, recordings(), answers=2)
+    filters = 18 * 64 * 16 * 27 + 6 * 16 * 32 * 16 * 27
+    recurrence = 6 * 4 * 64 * (128 + 64)
+    crnn = measured["front/hughes-crnn-54-frames/float32"]["at"]["54"]
+    assert crnn["multiply_adds"] == filters + recurrence + 6 * 64 * 7
+    shipped = measured["front/touchd/float32"]
+    assert shipped["file_bytes"] == SHIPPED_MODEL.stat().st_size
+    assert shipped["peak_bytes"] > shipped["idle_bytes"]
+    assert shipped["at"]["54"]["multiply_adds"] == shipped_by_hand(54)
+    assert shipped["at"]["54"]["accuracy"] == pytest.approx(1 / 7, abs=1e-4)
+    assert measured["front/touchd/int8"]["file_bytes"] < shipped["file_bytes"] / 2
+    public = measured["front/tgc-public-9-frames-1-blocks/float32"]["at"]["9"]
+    block = 4 * 8 * 8 + 2 * 9 * 8
+    assert public["multiply_adds"] == 9 * (64 * 8 + block + 8 * 128 + 128 * 16 + 16 * 4) + 9 * 4 * 7
+    assert min(public[runtime]["p50_ms"] for runtime in ("onnx_runtime", "pytorch_eager")) > 0
+
+
+def test_the_page_and_the_picture_show_every_network_with_its_time_and_error(tmp_path: Path) -> None:
+    results = Results(tmp_path / "report.json")
+    for name, width in ((networks.SHIPPED, 96), ("touchd-24-wide", 24)):
+        for arithmetic in ("float32", "int8"):
+            at = {str(frames): made_up(frames, accuracy=0.8) for frames in LENGTHS}
+            results.put(f"front/{name}/{arithmetic}", cell("touchd", width, 1, at), 1.0)
+    for settings in networks.paper_settings():
+        for arithmetic in ("float32", "int8"):
+            at = {str(settings.frames): made_up(10 * settings.frames)}
+            key = f"front/{networks.paper_name(settings)}/{arithmetic}"
+            results.put(key, cell(settings.variant, 512, settings.blocks, at), 1.0)
+    page = front.section(results)
+    assert "| **touchd, 96 wide (shipped)** | float32 | 144 | 0.1 | 1.44 | 2.88 | 1.44 |" in page
+    assert "the paper's network as printed takes 10.0 times as long as the shipped one" in page
+    assert "with +7.2 points of error (printed in the paper)" in page
+    assert "| 27.2 | printed in the paper |" in page
+    assert "| the paper's, as its code has it, 1 block |" in page
+    front.draw(results, tmp_path)
+    assert (tmp_path / "front.png").stat().st_size > 10_000
+
+
+def test_pads_are_answered_in_a_batch_and_one_by_one() -> None:
+    asked = cost.pads((1, 4))
+    assert {each.key for each in asked} <= set(cost.pad_keys())
+    shapes = {each.key: [len(answer) for answer in each.answer()] for each in asked}
+    assert shapes == {
+        "cost/pads/1/batched": [1],
+        "cost/pads/1/single": [1],
+        "cost/pads/4/batched": [4],
+        "cost/pads/4/single": [1, 1, 1, 1],
+    }
+    measured = cost.measure(asked, answers=2)
+    assert measured["cost/pads/4/batched"]["p50_ms"] > 0
+    assert measured["cost/pads/4/batched"]["peak_bytes"] > measured["cost/pads/4/single"]["peak_bytes"]
+
+
+def test_the_page_tells_the_laws_that_the_costs_follow(tmp_path: Path) -> None:
+    results = Results(tmp_path / "report.json")
+    for key in cost.window_keys():
+        frames = int(key.split("/")[2])
+        ms = 0.1 + 0.01 * frames + 1e-5 * frames**2
+        results.put(
+            key, {"p50_ms": ms, "p99_ms": ms, "processor_ms": ms, "multiply_adds": 1000 * frames}, 1.0
+        )
+    for key in cost.pad_keys():
+        number, way = int(key.split("/")[2]), key.split("/")[3]
+        ms = 0.5 + number * (2.0 if way == "single" else 1.0)
+        results.put(key, {"p50_ms": ms, "p99_ms": ms, "processor_ms": ms, "peak_bytes": 1_000_000}, 1.0)
+    daemon = {"cpu_touching_percent": 2.5, "classify_times_real_time": 400.0, "memory_mb": 75.0}
+    results.put(cost_page.DAEMON_KEY, daemon, 1.0)
+    page = cost.section(results)
+    assert "| touchd | 0.100 | 10.00 | 10.0 | 0% | 6 / 82 / 12 | 0 / 100 / 0 | 1,000 frames |" in page
+    assert "| in one batch | 0.500 | 1.000 | 0% | 18 |" in page
+    assert "one daemon a pad with its port, 40, at 2.5 % of a core and" in page
+    cost.draw(results, tmp_path)
+    assert (tmp_path / "cost.png").stat().st_size > 10_000
+
+
+def test_what_is_not_measured_is_said_and_not_drawn(tmp_path: Path) -> None:
+    nothing = Results(tmp_path / "report.json")
+    assert "python -m docs.studies report --only front" in front.section(nothing)
+    assert "python -m docs.studies report --only cost" in cost.section(nothing)
+    front.draw(nothing, tmp_path)
+    cost.draw(nothing, tmp_path)
+    assert list(tmp_path.glob("*.png")) == []
+
+
+@measured_front
+def test_stored_files_are_as_large_and_as_much_work_as_the_results_say() -> None:
+    files = {networks.SHIPPED: SHIPPED_MODEL, **{p.stem: p for p in sizes.SIZES_FOLDER.glob("*.onnx")}}
+    for name, path in files.items():
+        cell = RESULTS.get(f"front/{name}/float32")
+        assert cell["file_bytes"] == path.stat().st_size
+        for frames in LENGTHS:
+            assert cell["at"][str(frames)]["multiply_adds"] == multiply_adds(path, frames)
+
+
+@measured_front
+@needs_haart
+def test_stored_errors_hold_when_a_sample_of_them_is_measured_again() -> None:
+    assert HAART is not None
+    test = haart.read_test(Path(HAART))
+    for name, path in (
+        (networks.SHIPPED, SHIPPED_MODEL),
+        ("touchd-24-wide", sizes.SIZES_FOLDER / "touchd-24-wide.onnx"),
+    ):
+        cell = RESULTS.get(f"front/{name}/float32")
+        for frames, accuracy in front.accuracies(path, test).items():
+            assert cell["at"][frames]["accuracy"] == pytest.approx(accuracy, abs=TOLERANCE)

@@ -1,0 +1,43 @@
+"""`touchd speed`: one answer of ours against the paper's network, fairly."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+pytest.importorskip("onnx", reason="needs the extra `train`")
+pytestmark = pytest.mark.timeout(120)
+
+from rich.console import Console  # noqa: E402
+
+from docs.studies import speed  # noqa: E402
+from docs.studies.report.paper_tgc import PaperSettings  # noqa: E402
+from docs.studies.speed import ONNX_RUNTIME, PYTORCH, Speed  # noqa: E402
+from model.checks.timing import Timing  # noqa: E402
+from model.classifier import SHIPPED_MODEL  # noqa: E402
+from model.settings import LENGTHS  # noqa: E402
+
+
+def timed(network: str, runtime: str, processor_ms: float) -> Speed:
+    return Speed(network, runtime, 144, 1_720_000, Timing(200, 99.0, 99.0, processor_ms))
+
+
+def test_our_share_is_held_against_what_is_allowed_in_each_runtime() -> None:
+    speeds = [timed("ours", ONNX_RUNTIME, 2.0), timed("a", ONNX_RUNTIME, 20.0), timed("a", PYTORCH, 40.0)]
+    assert [(share.of, share.share, share.met) for share in speed.shares(speeds)] == [
+        ("a", 0.1, True),
+        ("a", 0.05, False),
+    ]
+
+
+def test_the_shipped_model_and_a_small_network_of_the_papers_are_timed_and_shown() -> None:
+    small = PaperSettings("public", frames=144, blocks=1, width=8, heads=2)
+    speeds = speed.run(SHIPPED_MODEL, answers=2, paper=[small])
+    assert [each.frames for each in speeds] == [*sorted(LENGTHS, reverse=True), 144, 144]
+    assert [each.runtime for each in speeds[-2:]] == [ONNX_RUNTIME, PYTORCH]
+    assert speeds[0].file_bytes == SHIPPED_MODEL.stat().st_size
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(speed.table(speeds))
+    assert "the paper's TGC, public" in shown.get()
+    assert "1/25" in shown.get()

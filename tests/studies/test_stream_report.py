@@ -1,0 +1,82 @@
+"""What the robot hears over a touch was measured, and the defaults are what the measurement says."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rigs.haart_folder import needs_haart
+
+from daemon.decide import DecisionSettings
+from docs.studies.decision.measure import Said, Told, decide, listen
+from docs.studies.decision.report import LEAST_RIGHT_EARLY, MOST_CHANGED, MOST_HARMED, StreamReport, choose
+from docs.studies.tracker.measure import spliced
+from drivers.recording import Selection, read_recordings
+from model.classifier import SHIPPED_MODEL
+from model.training import haart
+
+LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def measured() -> StreamReport:
+    return msgspec.json.decode((DOCS / "decision.json").read_bytes(), type=StreamReport)
+
+
+def sure_of(gesture: str, confidence: float) -> np.ndarray:
+    rest = (1.0 - confidence) / (len(LABELS) - 1)
+    return np.array([confidence if label == gesture else rest for label in LABELS])
+
+
+def test_the_defaults_are_the_point_that_the_rule_picks(measured: StreamReport) -> None:
+    picked, defaults = choose(measured.curve), DecisionSettings()
+    assert (defaults.speak_above, defaults.revise_margin) == (picked.speak_above, picked.revise_margin)
+
+
+def test_what_the_robot_hears_keeps_within_what_a_scene_may_ask(measured: StreamReport) -> None:
+    assert measured.default.right_when_told_early >= LEAST_RIGHT_EARLY
+    assert measured.default.changed <= MOST_CHANGED
+    assert measured.default.harmed <= MOST_HARMED
+
+
+def test_confidence_is_calibrated_at_every_stage(measured: StreamReport) -> None:
+    assert all(stage.calibration_error <= 0.05 for stage in measured.stages)
+
+
+def test_a_right_answer_that_gives_way_to_a_wrong_one_counts_as_harm() -> None:
+    said = Said("pat", "P1", (("early", 1.0, sure_of("pat", 0.9)), ("final", 2.67, sure_of("rub", 0.9))))
+    told = decide(said, DecisionSettings(), LABELS)
+    assert told == Told(("early", "final"), (1.0, 2.67), (True, False))
+    assert told.harmed
+    assert told.settled_s is None
+
+
+def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
+    said = Said("pat", "P1", (("early", 1.0, sure_of("rub", 0.9)), ("revised", 1.5, sure_of("pat", 0.9))))
+    told = decide(said, DecisionSettings(), LABELS)
+    assert not told.harmed
+    assert told.settled_s == 1.5
+
+
+@needs_haart
+@pytest.mark.timeout(120)
+def test_one_participants_touches_are_answered_by_a_network_that_never_saw_them() -> None:
+    pytest.importorskip("torch", reason="needs the extra train")
+    from model.training.ship import left_out_split
+
+    path = haart.find(Path(os.environ["TOUCHD_HAART"]), haart.TRAINING_FILE)
+    of_one = haart.realigned(read_recordings(path, Selection(participants=("P8",))))
+    classifier = next(fold for fold, recordings in left_out_split(SHIPPED_MODEL.parent, of_one) if recordings)
+    said = list(listen(spliced(of_one, level_rest=True), classifier))
+    right = [
+        max(LABELS, key=lambda label, p=p: p[LABELS.index(label)]) == touch.gesture
+        for touch in said
+        for stage, _, p in touch.answers
+        if stage == "final"
+    ]
+    assert len(said) >= 70
+    assert np.mean(right) >= 0.8
