@@ -7,8 +7,7 @@ takes as long with any. Needs the extra `train`.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from model.checks.timing import Timing, time_in_turn
 from model.classifier import SHIPPED_MODEL, Classifier
 from model.settings import LENGTHS
 from model.training.export import OPSET
+from model.training.threads import one_torch_thread
 
 ONNX_RUNTIME = "ONNX Runtime"
 PYTORCH = "PyTorch eager"
@@ -172,17 +172,6 @@ def table(speeds: Sequence[Speed]) -> Table:
             *against,
         )
     return shown
-
-
-@contextmanager
-def one_torch_thread() -> Iterator[None]:
-    """Let PyTorch compute on one thread, as long as this lasts."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _bind(answer: Callable[[np.ndarray], object], frames: int) -> Callable[[], object]:

@@ -11,7 +11,6 @@ from pathlib import Path
 import msgspec
 import torch
 
-from docs.studies.speed import one_torch_thread
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
 from model.adapt.adapt import Adapted, Start, adapt, learnable, prepare
@@ -24,6 +23,7 @@ from model.training import haart
 from model.training.checkpoint import code_version
 from model.training.export import export
 from model.training.ship import MAX_LENGTH
+from model.training.threads import one_torch_thread
 
 SUFFIX = ".onnx"
 

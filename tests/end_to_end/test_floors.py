@@ -44,6 +44,12 @@ def test_the_model_stands_on_frames_recordings_and_errors_alone(path: Path) -> N
         assert name in MODEL_STANDS_ON or name.rpartition(".")[0] in MODEL_STANDS_ON, f"{path.name}: {name}"
 
 
+@pytest.mark.parametrize("package", ["drivers", "model", "daemon"])
+def test_nothing_installed_imports_a_study(package: str) -> None:
+    for path in ROOT.glob(f"{package}/**/*.py"):
+        assert not from_package(imports(path), "docs"), path
+
+
 WHAT_IS_LOADED = """
 import sys
 from daemon.commands import run

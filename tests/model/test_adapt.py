@@ -25,7 +25,6 @@ from daemon.config import Settings  # noqa: E402
 from daemon.doctor.machine import check_model  # noqa: E402
 from daemon.events import decode  # noqa: E402
 from daemon.terminal.view import View  # noqa: E402
-from docs.studies.speed import one_torch_thread  # noqa: E402
 from drivers.fakes.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Material, Start, adapt, prepare  # noqa: E402
@@ -37,6 +36,7 @@ from model.adapt.plan import plan  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
 from model.training.grid import on_grid  # noqa: E402
+from model.training.threads import one_torch_thread  # noqa: E402
 
 # What a simulated hand does when it "hugs": nothing the shipped model was ever shown under that name.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}

@@ -16,12 +16,12 @@ pytestmark = pytest.mark.timeout(120)
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from docs.studies.speed import one_torch_thread  # noqa: E402
 from model.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
 from model.classifier import Classifier, ModelMetadata  # noqa: E402
 from model.settings import NetworkSettings  # noqa: E402
 from model.tgc import TGC, FeatureDropout  # noqa: E402
 from model.training.export import CalibratedTGC, export  # noqa: E402
+from model.training.threads import one_torch_thread  # noqa: E402
 
 SMALL = NetworkSettings(
     stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12

@@ -15,11 +15,11 @@ pytestmark = pytest.mark.timeout(120)
 
 import torch  # noqa: E402
 
-from docs.studies.speed import one_torch_thread  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
 from model.settings import NetworkSettings, TrainSettings  # noqa: E402
 from model.training import checkpoint, haart  # noqa: E402
 from model.training.checkpoint import Checkpoint, CheckpointError  # noqa: E402
+from model.training.threads import one_torch_thread  # noqa: E402
 from model.training.train import CHECKPOINT_NAME, Training, learning_rate_at, train  # noqa: E402
 
 NETWORK = NetworkSettings(

@@ -15,13 +15,13 @@ from docs.studies.adapting.cells import DRAWS, FILE_NAME, KS, TEST_PARTICIPANTS,
 from docs.studies.adapting.figures import gains  # noqa: E402
 from docs.studies.adapting.page import page_lines  # noqa: E402
 from docs.studies.adapting.score import draw, score  # noqa: E402
-from docs.studies.speed import one_torch_thread  # noqa: E402
 from model.adapt.adapt import Start, adapt, prepare  # noqa: E402
 from model.adapt.backbone import windows  # noqa: E402
 from model.adapt.head import AdaptSettings  # noqa: E402
 from model.settings import LENGTHS  # noqa: E402
 from model.training import haart  # noqa: E402
 from model.training.recipe import read_recipe  # noqa: E402
+from model.training.threads import one_torch_thread  # noqa: E402
 
 DOCS = Path(__file__).parents[2] / "docs"
 SAMPLE = ("T1", 0, 4)

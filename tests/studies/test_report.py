@@ -27,11 +27,11 @@ from docs.studies.report import (
 from docs.studies.report.paper_cells import predictions_path
 from docs.studies.report.results import Results
 from docs.studies.report.study import Study
-from docs.studies.speed import one_torch_thread
 from drivers.recording import Recording
 from model.checks import evaluate
 from model.classifier import Classifier
 from model.training import haart
+from model.training.threads import one_torch_thread
 
 ALL_KEYS = RESULTS.keys()
 PAPER_KEYS = RESULTS.keys(paper_cells.PREFIX)

@@ -30,7 +30,6 @@ from docs.studies.adapting.cells import (
 from docs.studies.adapting.pads import other_pads
 from docs.studies.adapting.page import write_page
 from docs.studies.adapting.score import draw, per_gesture, score, truth_of
-from docs.studies.speed import one_torch_thread
 from drivers.recording import NO_TOUCH, Recording
 from model.adapt.adapt import Start, adapt, learnable, logits, prepare
 from model.adapt.backbone import Crops, windows
@@ -40,6 +39,7 @@ from model.settings import LENGTHS
 from model.training import checkpoint, haart
 from model.training.recipe import Recipe, fold_jobs, read_recipe
 from model.training.ship import fold_path
+from model.training.threads import one_torch_thread
 from model.training.train import CHECKPOINT_NAME
 
 

@@ -22,12 +22,12 @@ from docs.studies.report import challenge_networks
 from docs.studies.report.challenge_balli import SEARCH_TREES
 from docs.studies.report.challenge_selection import floating_search
 from docs.studies.report.ours import model_files
-from docs.studies.speed import one_torch_thread
 from drivers.recording import Recording
 from model.classifier import Classifier
 from model.training import haart
 from model.training.haart import PUBLISHED_FRAMES, Windows
 from model.training.metrics import Floats, Labels
+from model.training.threads import one_torch_thread
 
 LEFT_OUT_OF_NETWORKS = ("P10", "P3")
 SMOOTHED_EPOCHS = 3

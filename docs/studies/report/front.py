@@ -23,7 +23,6 @@ from docs.studies.report.networks import INT8, OURS, SHIPPED, Network
 from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
 from docs.studies.report.results import Results
 from docs.studies.report.study import Study
-from docs.studies.speed import one_torch_thread
 from drivers.recording import Recording
 from model.checks import evaluate
 from model.checks.hard_cases import hand
@@ -31,6 +30,7 @@ from model.checks.timing import Timing, time_in_turn
 from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training import haart
+from model.training.threads import one_torch_thread
 
 ONNX_RUNTIME = "onnx_runtime"
 PYTORCH = "pytorch_eager"
