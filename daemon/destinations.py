@@ -1,16 +1,25 @@
-"""What the configuration says of journal and robot, made into the things themselves."""
+"""What the configuration says of pad, journal and robot, made into the things themselves."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
-from daemon.config import ConfigError, JournalSettings, RobotConfig, SceneSettings, Settings
+from daemon.config import (
+    ConfigError,
+    JournalSettings,
+    RobotConfig,
+    SceneSettings,
+    SensorSettings,
+    Settings,
+)
 from daemon.events import Event, RobotEvent, one_line, timestamp
 from daemon.kept.journal import Journal
 from daemon.kept.touch_store import TouchStore, folder_of
-from daemon.wire import description_of
+from drivers.frame import Counts
+from drivers.pad.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
 from drivers.recording import RecordingError
 from drivers.robot.link import RobotLink, RobotSettings, State
 
@@ -61,3 +70,23 @@ def link_to_robot(
         ),
         report,
     )
+
+
+def description_of(sensor: SensorSettings) -> str:
+    """Return in a line which pad it is and how it is read, for those who use its recordings later."""
+    return (
+        f"{parser_for(sensor).description}, crop {sensor.crop}, invert {sensor.invert}, "
+        f"at {sensor.baud} baud on {sensor.port}"
+    )
+
+
+def parser_for(sensor: SensorSettings) -> Protocol:
+    """Return a parser for what the pad sends."""
+    kind = FabricGrid if sensor.protocol == "fabric-grid" else CsvLines
+    return kind(rows=sensor.rows, columns=sensor.columns, crop=sensor.crop, invert=sensor.invert)
+
+
+def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:
+    """Return what turns counts (8, 8) and the sensor's clock in ms into the bytes that the pad would send."""
+    encode = encode_fabric_grid if sensor.protocol == "fabric-grid" else encode_csv_line
+    return partial(encode, rows=sensor.rows, columns=sensor.columns, crop=sensor.crop, invert=sensor.invert)

@@ -12,14 +12,13 @@ import numpy as np
 
 from daemon.config import ConfigError, SceneSettings, SensorSettings, Settings
 from daemon.decide import NO_TOUCH
-from daemon.destinations import link_to_robot, open_journal, open_touch_store
+from daemon.destinations import link_to_robot, open_journal, open_touch_store, parser_for
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
 from daemon.kept.touch_sink import TouchSink
 from daemon.live.sink import LiveSink
 from daemon.pipeline import Pipeline
 from daemon.sinks import JournalSink, RobotSink, Sink
-from daemon.wire import parser_for
 from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, ROWS, Counts, Frame
 from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port

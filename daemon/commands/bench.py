@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from daemon.commands.classify import play
 from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, epoch_s
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.service import load_model
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.frame import FRAME_RATE_HZ

@@ -16,12 +16,12 @@ from pathlib import Path
 import msgspec
 
 from daemon.config import LiveSettings, RobotConfig, SceneSettings, SensorSettings, Settings
+from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, TouchEnded
 from daemon.live.address import listen, parse_address, require_library, url_of
 from daemon.playback.rig import SpawnedDaemon
 from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.fakes.services import Call

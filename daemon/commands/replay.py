@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 
 from daemon.config import SensorSettings, load
+from daemon.destinations import encoder_for
 from daemon.playback.stream import add_arguments, chosen_stream
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 
 

@@ -17,9 +17,8 @@ import msgspec
 
 from daemon.config import Settings, load
 from daemon.destinations import link_to_robot
-from daemon.health import Health
+from daemon.health import Health, Notifier
 from daemon.live.address import parse_address
-from daemon.notify import Notifier
 from daemon.reread import rereading
 from daemon.service import Outlet, Service, check_pad, load_model
 from daemon.sinks import LinesSink

@@ -8,6 +8,7 @@ import numpy as np
 import serial
 
 from daemon.config import Settings
+from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.line import (
     check_damage,
@@ -27,7 +28,6 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from daemon.wire import parser_for
 from drivers.pad.port import open_port
 from drivers.pad.sensor import SensorError, check_port
 

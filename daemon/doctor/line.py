@@ -9,9 +9,9 @@ import serial
 from serial.tools.list_ports import comports
 
 from daemon.config import SensorSettings
+from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
-from daemon.wire import parser_for
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import diagnose
 from drivers.pad.pace import pace_of, steps_ms

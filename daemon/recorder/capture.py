@@ -10,8 +10,8 @@ from types import TracebackType
 import numpy as np
 
 from daemon.config import Settings
+from daemon.destinations import parser_for
 from daemon.touch import Onset, Release, TouchTracker
-from daemon.wire import parser_for
 from drivers.frame import Frame
 from drivers.pad.framing import CLOCK_MODULUS
 from drivers.pad.grid import Ring

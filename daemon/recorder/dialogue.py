@@ -14,11 +14,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from daemon.config import Settings
+from daemon.destinations import description_of
 from daemon.events import timestamp
 from daemon.recorder.capture import Capture, Contact, Pad, PadLost, complaints
 from daemon.recorder.session import Session, Take, keep
 from daemon.terminal.ask import ask
-from daemon.wire import description_of
 from drivers.frame import MAX_COUNT, Counts
 from drivers.pad.pace import pace_of
 from drivers.recording import Recording

@@ -30,6 +30,7 @@ from rigs.soak_audit import Audit, Viewer
 from rigs.soak_line import pad
 
 from daemon.config import LiveSettings, Settings
+from daemon.destinations import description_of, parser_for
 from daemon.events import Event, TouchEnded, encode
 from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
@@ -39,7 +40,6 @@ from daemon.live.sink import LiveSink
 from daemon.pipeline import Pipeline
 from daemon.service import load_model
 from daemon.sinks import JournalSink, RobotSink, Sink
-from daemon.wire import description_of, parser_for
 from drivers.fakes.fake_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.sensor import SensorState

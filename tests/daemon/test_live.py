@@ -24,13 +24,13 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.destinations import encoder_for
 from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
 from daemon.live.memory import Scene
 from daemon.live.server import CAPACITY, LiveServer
 from daemon.playback.rig import outline
 from daemon.service import load_model
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")

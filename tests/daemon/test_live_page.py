@@ -20,8 +20,8 @@ from rigs.live_rig import free_port, live_daemon
 from selenium.webdriver import ActionChains, Chrome, Keys
 
 from daemon.config import SensorSettings
+from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, TouchEnded
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream
 

@@ -18,6 +18,7 @@ from rigs.terminal import Terminal
 from daemon import cli
 from daemon.commands.classify import play
 from daemon.config import JournalSettings, SensorSettings, Settings
+from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
@@ -28,7 +29,6 @@ from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
 from daemon.service import load_model
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, read_provenance, read_recordings
 

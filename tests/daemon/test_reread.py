@@ -12,13 +12,13 @@ from rigs.running_daemon import LENGTHS, SPEED, Daemon
 
 from daemon.config import JournalSettings, RobotConfig, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
+from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.playback.rig import outline
 from daemon.reread import rereading
 from daemon.service import load_model
 from daemon.touch import TouchSettings
-from daemon.wire import encoder_for
 from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot

@@ -17,11 +17,10 @@ import yaml
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 
-from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings
+from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings, _StrictLoader
+from daemon.destinations import encoder_for
 from daemon.events import RobotEvent, SensorEvent
 from daemon.playback.rig import SpawnedDaemon
-from daemon.strict_yaml import _StrictLoader
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.robot.session import qi_installed
 from model.settings import SettingsError

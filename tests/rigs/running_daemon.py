@@ -12,9 +12,9 @@ import yaml
 from rigs.expectations import RECORDINGS, stream_of
 
 from daemon.config import SensorSettings, Settings
+from daemon.destinations import encoder_for
 from daemon.events import Event
 from daemon.playback.rig import SpawnedDaemon
-from daemon.wire import encoder_for
 from drivers.fakes.fake_port import FakePort
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
