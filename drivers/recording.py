@@ -47,15 +47,16 @@ class RecordingError(TouchdError):
 class Recording:
     """One gesture by one participant under one condition.
 
-    counts: (T, 8, 8) uint16, 0 (no pressure) to 1023. sensor_ms: (T,) int64, ideal 54 Hz where the file has
-    no clock. framing: "live" holds whole scans; "published" is HAART's, rolled by two rows (see `realign`).
+    counts: (T, 8, 8), 0 (no pressure) to 1023; uint16 as sent, float32 once laid on the 54 Hz grid.
+    sensor_ms: (T,) int64, ideal 54 Hz where the file has no clock. framing: "live" holds whole scans;
+    "published" is HAART's, rolled by two rows (see `realign`).
     """
 
     participant: str
     substrate: str
     cover: str
     gesture: str
-    counts: Counts
+    counts: Counts | NDArray[np.float32]
     sensor_ms: NDArray[np.int64]
     framing: Framing
 

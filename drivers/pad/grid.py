@@ -1,4 +1,4 @@
-"""History: the sensor's frames laid on the model's 54 Hz grid by the sensor's own clock.
+"""The model's 54 Hz grid: frames of a pad, or of a recording, laid on it by the sensor's own clock.
 
 A pad whose frames keep step with the grid (54 Hz within about 1 %, whole-millisecond stamps and a little
 jitter allowed for) passes unchanged, one sensor frame to one grid frame: interpolating it would only blur it.
@@ -9,7 +9,7 @@ model learned on single scans and their noise.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Annotated
 
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+from drivers.recording import Recording, ideal_clock_ms
 
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
 # At 5 Hz, faster than a hand pats, a frame 2 ms off its time errs by 6 %; linear interpolation errs by 4 %.
@@ -164,3 +165,19 @@ class Ring:
         self._next_index += 1
         self._grid_ms = float(at_ms)
         return laid
+
+
+def on_grid(recording: Recording) -> Recording:
+    """Return the longest stretch of a recording that the stream would not interrupt, as the stream lays it.
+
+    Counts become float32, as interpolated frames lie between whole counts.
+    """
+    ring = Ring(RingSettings(), capacity=1)
+    stretches: list[list[NDArray[np.float32]]] = []
+    for number, (scan, ms) in enumerate(zip(recording.counts, recording.sensor_ms.tolist(), strict=True)):
+        for laid in ring.push(Frame(number, ms % CLOCK_WRAP_MS, 0.0, scan.astype(np.uint16))):
+            if laid.restarted:
+                stretches.append([])
+            stretches[-1].append(laid.pressure)
+    counts = np.stack(max(stretches, key=len))
+    return replace(recording, counts=counts, sensor_ms=ideal_clock_ms(len(counts)))

@@ -64,7 +64,7 @@ def crops(
 ) -> Crops:
     """Return summaries of `each` random crops of every recording, varied as in training."""
     rng = torch.Generator().manual_seed(seed)
-    counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
+    counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
     resting = _resting(recordings)
     length = LEARNT_LENGTHS[-1]
     values = []

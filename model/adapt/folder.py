@@ -10,8 +10,8 @@ from pathlib import Path
 
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
+from drivers.pad.grid import on_grid
 from drivers.recording import NO_TOUCH, UNLABELLED, Recording, read_recordings, realign
-from model.training.grid import on_grid
 
 SUFFIXES = (".csv", ".csv.gz")
 # Shorter, there is not even an early answer to learn from.

@@ -74,7 +74,7 @@ def cut(recordings: Sequence[Recording], length: int) -> Windows:
 
     A realigned recording is one frame short; its last window then begins one frame early.
     """
-    counts: list[Counts] = []
+    counts: list[Counts | NDArray[np.float32]] = []
     labels: list[int] = []
     participants: list[str] = []
     for recording in recordings:

@@ -63,6 +63,12 @@ def test_a_minute_of_rest_is_no_touch(pad: Pad) -> None:
     assert pad.feel(60.0) == []
 
 
+@pytest.mark.parametrize("deviation_counts", [2.0, 3.0])
+def test_a_noisier_pad_at_rest_is_no_touch(deviation_counts: float) -> None:
+    noise = np.random.default_rng(7).normal(0, deviation_counts, (54 * 20, 8, 8)).astype(np.float32)
+    assert Pad().feel(noise + 10) == []
+
+
 def test_a_loose_wire_that_lifts_a_whole_row_is_no_touch(pad: Pad) -> None:
     row = np.zeros((27, 8, 8), np.float32)
     row[:, 4] = [1.6, 1.5, 1.9, 2.5, 4.5, 3.3, 3.4, 3.8]

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.sensor_rig import next_frames, sensing
 
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.hand import simulate
 from drivers.frame import Counts, Frame
-from drivers.pad.grid import CLOCK_WRAP_MS, PERIOD_MS, GridFrame, Ring, RingSettings
-from drivers.recording import ideal_clock_ms
+from drivers.pad.grid import CLOCK_WRAP_MS, PERIOD_MS, GridFrame, Ring, RingSettings, on_grid
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.recording import Recording, Stream, ideal_clock_ms, read_recordings, write_recordings
 
 SWING_COUNTS = 200.0
 SWING_HZ = 3.5
@@ -80,6 +86,7 @@ def test_a_pad_at_another_rate_gives_the_windows_of_an_ideal_one(rate_hz: int, j
     assert np.abs(np.diff(grid_ms) - PERIOD_MS).max() <= PERIOD_MS / 2 + 1
     drift_ms = grid_ms - np.arange(len(laid)) * PERIOD_MS
     assert np.ptp(drift_ms[2:]) <= PERIOD_MS
+    assert not any(frame.bridged for frame in laid)
 
 
 def test_a_grid_frame_is_there_as_soon_as_the_frame_that_completes_it() -> None:
@@ -89,16 +96,18 @@ def test_a_grid_frame_is_there_as_soon_as_the_frame_that_completes_it() -> None:
         assert laid.host_s == 5.0 + number
 
 
-def test_lost_frames_are_bridged_and_marked() -> None:
+@pytest.mark.parametrize("lost", [[50], [50, 51, 52]])
+def test_lost_frames_are_bridged_and_marked(lost: list[int]) -> None:
     counts, clock = random_counts(100), ideal_clock_ms(100)
-    kept = np.delete(np.arange(100), [50, 51, 52])
+    kept = np.delete(np.arange(100), lost)
     ring = new_ring()
     laid = push(ring, counts[kept], clock[kept])
     assert [frame.index for frame in laid] == list(range(100))
-    assert [frame.index for frame in laid if frame.bridged] == [50, 51, 52]
-    between = np.linspace(counts[49].astype(np.float32), counts[53].astype(np.float32), 5)
-    np.testing.assert_allclose(ring.window(54, 5), between, atol=10)
-    np.testing.assert_array_equal(ring.window(100, 47), counts[53:])
+    assert [frame.index for frame in laid if frame.bridged] == lost
+    first, stop = 49, lost[-1] + 1
+    between = np.linspace(counts[first].astype(np.float32), counts[stop].astype(np.float32), len(lost) + 2)
+    np.testing.assert_allclose(ring.window(stop + 1, len(lost) + 2), between, atol=20)
+    np.testing.assert_array_equal(ring.window(100, 100 - stop), counts[stop:])
 
 
 def test_a_gap_too_long_to_bridge_starts_anew_with_indices_that_go_on() -> None:
@@ -162,3 +171,32 @@ def test_a_clock_gone_mad_yields_a_bounded_number_of_frames() -> None:
         assert len(laid) <= 1
     for number, ms in enumerate(np.cumsum(rng.integers(0, 160, 2000))):
         assert len(ring.push(Frame(number, int(ms), 0.0, zeros))) <= 10
+
+
+@pytest.mark.parametrize("rate_hz", [54.0, 60.0])
+def test_port_and_file_give_the_model_the_same_frames(tmp_path: Path, rate_hz: float) -> None:
+    rng = np.random.default_rng(5)
+    at_ms = np.delete(np.arange(200), [80, 81, 120]) * 1000 / rate_hz
+    clock_ms = np.rint(5000 + at_ms + rng.uniform(-1, 1, len(at_ms))).astype(np.int64)
+    counts = random_counts(len(clock_ms))
+    write_recordings(
+        tmp_path / "a.csv", [Recording("A", "none", "none", "pat", counts, clock_ms, "live")], {}
+    )
+    (from_file,) = map(on_grid, read_recordings(tmp_path / "a.csv"))
+
+    ring = new_ring()
+    with (
+        FakePort(Stream(counts, clock_ms, ()), encode_fabric_grid, speed=None) as port,
+        sensing(port.path) as q,
+    ):
+        laid = [laid for frame in next_frames(q, len(counts)) for laid in ring.push(frame)]
+    np.testing.assert_array_equal(ring.window(len(laid), len(laid)), from_file.counts)
+
+
+def test_the_longest_stretch_without_a_gap_is_what_a_recording_gives() -> None:
+    (recording,) = simulate([("pat", 3.0)], seed=1)
+    clock_ms = recording.sensor_ms.copy()
+    clock_ms[40:] += 400
+    laid = on_grid(replace(recording, sensor_ms=clock_ms))
+    np.testing.assert_array_equal(laid.counts, recording.counts[40:])
+    np.testing.assert_array_equal(laid.sensor_ms, ideal_clock_ms(len(laid.counts)))

@@ -35,7 +35,6 @@ from model.adapt.measure import Answers, compare, mean_interval, wilson_interval
 from model.adapt.plan import plan  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
-from model.training.grid import on_grid  # noqa: E402
 from model.training.threads import one_torch_thread  # noqa: E402
 
 # What a simulated hand does when it "hugs": nothing the shipped model was ever shown under that name.
@@ -354,33 +353,6 @@ def test_too_little_is_said_to_be_too_little(
     recordings = simulated(participants, each, ("pat", "hug"))
     adapted = adapt(start, prepare(start, recordings, SETTINGS), None, SETTINGS)
     assert said in " ".join(" ".join(report_lines(adapted)).split())
-
-
-# --- another pad ---
-
-
-@pytest.mark.parametrize("rate_hz", [50.0, 60.0])
-def test_another_pads_frames_are_laid_on_the_models_grid(rate_hz: float) -> None:
-    clock_ms = np.rint(np.arange(round(8 * rate_hz)) * 1000 / rate_hz).astype(np.int64)
-    swing = np.rint(500 + 400 * np.sin(2 * np.pi * clock_ms / 1000)).astype(np.uint16)
-    counts = np.broadcast_to(swing[:, None, None], (len(swing), 8, 8)).copy()
-    laid = on_grid(Recording("A", "none", "none", "pat", counts, clock_ms + 5000, "live"))
-    assert abs(len(laid.counts) - 8 * 54) <= 1
-    expected = 500 + 400 * np.sin(2 * np.pi * np.arange(len(laid.counts)) / 54)
-    assert np.abs(laid.counts[:, 3, 3] - expected).max() < 8
-
-
-def test_a_pad_in_step_is_taken_as_it_is() -> None:
-    (recording,) = simulate([("pat", 2.0)], seed=1)
-    np.testing.assert_array_equal(on_grid(recording).counts, recording.counts)
-
-
-def test_what_lies_before_a_gap_is_not_joined_to_what_lies_after() -> None:
-    (recording,) = simulate([("pat", 3.0)], seed=1)
-    clock_ms = recording.sensor_ms.copy()
-    clock_ms[40:] += 400
-    laid = on_grid(replace(recording, sensor_ms=clock_ms))
-    np.testing.assert_array_equal(laid.counts, recording.counts[40:])
 
 
 # --- what cannot be learnt from ---
