@@ -76,8 +76,13 @@ expectations: $(RUNTIME)
 	PYTHONPATH=tests $(BIN)/python -m rigs.expectations
 
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
+# BINDIR: where the command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.
 PREFIX ?= /opt
+BINDIR ?= /usr/local/bin
+SYSTEM ?= /etc
 PROGRAM := $(PREFIX)/touchd
+COMMAND := $(DESTDIR)$(BINDIR)/touchd
+UNITS := $(DESTDIR)$(SYSTEM)/systemd/system
 NEW := $(DESTDIR)$(PROGRAM).new
 ETC := $(DESTDIR)/etc
 
@@ -102,12 +107,14 @@ install-program:
 
 # What is in /etc/touchd already is the user's: an upgrade only renews the example beside it.
 install-files:
-	@install -d $(ETC)/touchd $(ETC)/systemd/system
-	@sed 's#/opt/touchd#$(PROGRAM)#g' systemd/touchd.service > $(ETC)/systemd/system/touchd.service
-	@chmod 644 $(ETC)/systemd/system/touchd.service
-	@install -D -m 644 systemd/99-touchd.rules $(ETC)/udev/rules.d/99-touchd.rules
-	@install -D -m 644 systemd/touchd.sysusers.conf $(ETC)/sysusers.d/touchd.conf
-	@install -D -m 644 systemd/touchd.tmpfiles.conf $(ETC)/tmpfiles.d/touchd.conf
+	@install -d $(ETC)/touchd $(UNITS) $(DESTDIR)$(BINDIR)
+	@sed 's#/opt/touchd#$(PROGRAM)#g' systemd/touchd.service > $(UNITS)/touchd.service
+	@chmod 644 $(UNITS)/touchd.service
+	@install -D -m 644 systemd/99-touchd.rules $(DESTDIR)$(SYSTEM)/udev/rules.d/99-touchd.rules
+	@install -D -m 644 systemd/touchd.sysusers.conf $(DESTDIR)$(SYSTEM)/sysusers.d/touchd.conf
+	@install -D -m 644 systemd/touchd.tmpfiles.conf $(DESTDIR)$(SYSTEM)/tmpfiles.d/touchd.conf
+	@if test -e $(COMMAND) && ! test -L $(COMMAND); then echo "$(COMMAND) is there and is no link; left as it is"; \
+	  else ln -sfn $(PROGRAM)/bin/touchd $(COMMAND); fi
 	@install -m 640 systemd/touchd.example.yaml $(ETC)/touchd/touchd.example.yaml
 	@test -e $(ETC)/touchd/touchd.yaml || install -m 640 systemd/touchd.example.yaml $(ETC)/touchd/touchd.yaml
 ifeq ($(DESTDIR),)
@@ -120,11 +127,12 @@ endif
 
 uninstall:
 ifeq ($(DESTDIR),)
-	@if test -d /run/systemd/system && test -e $(ETC)/systemd/system/touchd.service; then \
+	@if test -d /run/systemd/system && test -e $(UNITS)/touchd.service; then \
 	  systemctl --quiet disable --now touchd; fi
 endif
-	@rm -f $(ETC)/systemd/system/touchd.service $(ETC)/udev/rules.d/99-touchd.rules \
-	  $(ETC)/sysusers.d/touchd.conf $(ETC)/tmpfiles.d/touchd.conf $(ETC)/touchd/touchd.example.yaml
+	@rm -f $(UNITS)/touchd.service $(addprefix $(DESTDIR)$(SYSTEM)/,udev/rules.d/99-touchd.rules \
+	  sysusers.d/touchd.conf tmpfiles.d/touchd.conf) $(ETC)/touchd/touchd.example.yaml
+	@if test "$$(readlink $(COMMAND))" = $(PROGRAM)/bin/touchd; then rm $(COMMAND); fi
 	@if test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then rm -rf $(DESTDIR)$(PROGRAM); fi
 ifeq ($(DESTDIR),)
 	@if test -d /run/systemd/system; then systemctl daemon-reload; fi

@@ -26,6 +26,7 @@ INSTALLED = {
     CONFIGURATION,
     "etc/udev/rules.d/99-touchd.rules",
 }
+COMMAND = "usr/local/bin/touchd"
 
 Make = Callable[..., str]
 
@@ -53,7 +54,8 @@ def files_in(folder: Path) -> set[str]:
 
 def test_every_file_of_the_service_is_put_in_place(make: Make, tmp_path: Path) -> None:
     assert "sudo systemctl enable --now touchd" in make("install-files")
-    assert files_in(tmp_path) == INSTALLED
+    assert files_in(tmp_path) == {*INSTALLED, COMMAND}
+    assert (tmp_path / COMMAND).readlink() == Path("/opt/touchd/bin/touchd")
     assert stat.S_IMODE((tmp_path / CONFIGURATION).stat().st_mode) == 0o640
     assert isinstance(load(tmp_path / CONFIGURATION), Settings)
 
@@ -85,6 +87,22 @@ def test_uninstalling_leaves_the_configuration_and_nothing_else(make: Make, tmp_
     make("uninstall")
     assert files_in(tmp_path) == {CONFIGURATION}
     assert not program.exists()
+
+
+def test_a_touchd_of_somebody_elses_on_the_path_stays(make: Make, tmp_path: Path) -> None:
+    command = tmp_path / COMMAND
+    command.parent.mkdir(parents=True)
+    command.write_text("mine")
+    assert "left as it is" in make("install-files")
+    make("uninstall")
+    assert command.read_text() == "mine"
+
+
+def test_a_package_gets_its_files_where_packages_have_them(make: Make, tmp_path: Path) -> None:
+    make("install-files", "SYSTEM=/usr/lib", "BINDIR=/usr/bin")
+    configuration = {path for path in INSTALLED if path.startswith("etc/touchd/")}
+    moved = {path.replace("etc/", "usr/lib/") for path in INSTALLED - configuration}
+    assert files_in(tmp_path) == {*configuration, *moved, "usr/bin/touchd"}
 
 
 def test_uninstalling_deletes_no_folder_that_is_not_its_own(make: Make, tmp_path: Path) -> None:
