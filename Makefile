@@ -24,7 +24,7 @@ endef
 
 VENV := .venv
 BIN := $(VENV)/bin
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP := $(BIN)/python -m pip install --disable-pip-version-check
 RUNTIME := $(VENV)/.runtime.stamp
 DEVELOPMENT := $(VENV)/.development.stamp
 
@@ -96,7 +96,7 @@ install-program:
 	  echo "$(PYTHON) is in a home folder, which the service cannot see; make install PYTHON=/usr/bin/python3"; exit 1;; esac
 	@if test -e $(DESTDIR)$(PROGRAM) && ! test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then \
 	  echo "$(DESTDIR)$(PROGRAM) is there and is not an installed touchd; make install PREFIX=/another/folder"; exit 1; fi
-	@echo "Installing $(PROGRAM) (some 100 MB)"
+	@echo "Installing $(PROGRAM) (some 220 MB)"
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
 	@umask 022; $(NEW)/bin/python -m pip install --quiet --disable-pip-version-check '.[nao,live]' || { rm -rf $(NEW); exit 1; }
@@ -150,7 +150,7 @@ $(BIN)/python:
 
 # A stamp file each, newer than pyproject.toml, so that a second run starts at once.
 $(RUNTIME): pyproject.toml | $(BIN)/python
-	@echo "Installing what touchd needs (once, some 100 MB)"
+	@echo "Installing what touchd needs (once, some 220 MB; a minute or two)"
 	@$(PIP) --editable '.[nao,live]'
 	@touch $@
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import os
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
+from daemon.own_name import own_name
 from drivers.errors import TouchdError
+from drivers.extras import extra_of, how_to_install
 
 USERS_MISTAKE = 2
 OUR_MISTAKE = 1
@@ -39,6 +43,7 @@ COMMANDS = (
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
     Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
     Command("bench", "daemon.commands.bench", "measures latency, processor, memory, start-up and speed"),
+    Command("completion", "daemon.commands.completion", "has a shell complete commands and options"),
 )
 
 MOVED = ("report", "speed", "quantize")
@@ -63,9 +68,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         return USERS_MISTAKE
     if command is None:
-        known = ", ".join(command.name for command in COMMANDS)
-        sys.stderr.write(f"touchd: {words[0]} is no command; there are {known}\n")
+        known = [command.name for command in COMMANDS]
+        near = difflib.get_close_matches(words[0], known, n=1, cutoff=0.5)
+        advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
+        sys.stderr.write(f"touchd: {words[0]} is no command; {advice}\n")
         return USERS_MISTAKE
+    # What a command sets up it takes down, also when its terminal goes or it is told to end.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     try:
         return int(importlib.import_module(command.module).main(words[1:]))
     except KeyboardInterrupt:
@@ -85,8 +96,11 @@ def _complain(error: Exception) -> int:
     if isinstance(error, TouchdError):
         sys.stderr.write(f"touchd: {error}\n")
         return USERS_MISTAKE
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
+        sys.stderr.write(f"touchd: {error.name} is not installed (extra {extra}): {how_to_install(extra)}\n")
+        return USERS_MISTAKE
     what = f"{type(error).__name__}: {error}"
-    sys.stderr.write(f"touchd: a mistake of ours, {' '.join(what.split())}; --debug shows the trace\n")
+    sys.stderr.write(f"touchd: internal error: {' '.join(what.split())}; --debug shows the trace\n")
     return OUR_MISTAKE
 
 
@@ -99,7 +113,7 @@ def _help() -> str:
             "",
             *lines,
             "",
-            "touchd COMMAND --help says more; --debug with any command shows the trace of an error.",
+            f"{own_name()} COMMAND --help says more; --debug with any command shows the trace of an error.",
             "",
         ]
     )

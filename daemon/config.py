@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import re
 import reprlib
 import typing
@@ -37,6 +38,14 @@ MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
 
 Side = Annotated[int, msgspec.Meta(ge=8, le=64)]
+
+
+def state_folder() -> Path:
+    """Return where touchd keeps what outlives it: systemd's folder for the service, else the user's own."""
+    if service := os.environ.get("STATE_DIRECTORY"):
+        return Path(service)
+    users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+    return Path(users).expanduser() / "touchd"
 
 
 class ConfigError(TouchdError):
@@ -100,15 +109,21 @@ class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_
 class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
 
+    path: null is events.jsonl in the service's state folder, or in the user's where there is no service.
     max_mb: size at which a new file is begun. keep: how many older files stay, path.1 being the newest.
     keep_touches: of how many of the last touches the pad's frames are kept too, in path.touches/, a minute of
     each at most; None keeps no frame.
     """
 
-    path: str
+    path: str | None = None
     max_mb: Annotated[float, msgspec.Meta(gt=0, le=10_000)] = 10.0
     keep: Annotated[int, msgspec.Meta(ge=0, le=100)] = 5
     keep_touches: Annotated[int, msgspec.Meta(ge=1, le=10_000)] | None = None
+
+    @property
+    def file(self) -> Path:
+        """The file that path stands for."""
+        return state_folder() / "events.jsonl" if self.path is None else Path(self.path).expanduser()
 
 
 class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -151,7 +166,9 @@ def load(path: Path) -> Settings:
         with path.open("rb") as file:
             text = file.read(MAX_BYTES + 1)
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); check the path after -c") from error
+        denied = isinstance(error, PermissionError)
+        advice = "put sudo before the command" if denied else "check the path after -c"
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
     try:
@@ -162,6 +179,16 @@ def load(path: Path) -> Settings:
 
 class StrictYamlError(Exception):
     """The text is not YAML, or not what the struct asks for; the message is one line."""
+
+
+SYNTAX_HINTS = {
+    "mapping values are not allowed": "a colon too many, or a wrong indentation",
+    "expected <block end>": "the indentation does not fit the lines above",
+    "could not find expected ':'": "a colon is missing after the setting's name",
+    "cannot start any token": "tabs and characters such as @ and % cannot stand here; indent with blanks",
+    "expected ',' or": "a comma or a closing bracket is missing",
+    "unexpected end of stream": "a quote is not closed",
+}
 
 
 class _StrictLoader(yaml.SafeLoader):
@@ -184,14 +211,27 @@ def convert(text: bytes | str, struct: type[T]) -> T:
     try:
         raw = yaml.load(text, _StrictLoader)
     except yaml.MarkedYAMLError as error:
-        where = f"line {error.problem_mark.line + 1}: " if error.problem_mark else ""
-        raise StrictYamlError(f"{where}{error.problem}") from error
+        raise StrictYamlError(_plain_syntax(error)) from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise StrictYamlError(f"not YAML: {' '.join(str(error).split())}") from error
     try:
         return msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
         raise StrictYamlError(_plainly(str(error), raw, struct)) from error
+
+
+def _plain_syntax(error: yaml.MarkedYAMLError) -> str:
+    """Return what is wrong with text that is not YAML, where, and what to look for."""
+    mark = error.problem_mark or error.context_mark
+    where = f"line {mark.line + 1}" if mark else "the text"
+    problem = error.problem or "not YAML"
+    if isinstance(error, yaml.constructor.ConstructorError):
+        return f"{where}: {problem}"
+    where += f", column {mark.column + 1}: " if mark else ": "
+    hint = next(
+        (hint for part, hint in SYNTAX_HINTS.items() if part in problem), "check it and the line above"
+    )
+    return f"{where}{hint} ({problem})"
 
 
 def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
-from pathlib import Path
 
 from daemon.config import (
     ConfigError,
@@ -30,8 +30,11 @@ def open_journal(settings: JournalSettings | None) -> Journal | None:
     """Return the configured journal, if any; raises JournalError."""
     if settings is None:
         return None
-    path = Path(settings.path).expanduser()
-    return Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
+    if settings.path is None:
+        # The user's folder of state may not be there yet; a path that was given is not made up.
+        with suppress(OSError):
+            settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return Journal(settings.file, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
 
 
 def open_touch_store(settings: Settings) -> TouchStore | None:
@@ -39,7 +42,7 @@ def open_touch_store(settings: Settings) -> TouchStore | None:
     journal = settings.journal
     if journal is None or journal.keep_touches is None:
         return None
-    folder = folder_of(Path(journal.path).expanduser())
+    folder = folder_of(journal.file)
     try:
         return TouchStore(folder, journal.keep_touches, description_of(settings.sensor))
     except RecordingError as error:

@@ -87,11 +87,14 @@ def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
 
 
 def check_pad(settings: Settings) -> None:
-    """Raise SensorError when the port can never work as it is; one that is not there yet is waited for."""
+    """Raise SensorError when the port can never work as it is.
+
+    One that is not there, not permitted or busy is waited for: udev and other programs may be late at boot.
+    """
     try:
         check_port(settings.sensor.port, settings.sensor.baud)
     except SensorError as error:
-        if error.kind != "missing":
+        if error.kind == "unusable":
             raise
 
 

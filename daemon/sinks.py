@@ -182,24 +182,26 @@ class RobotSink:
         return self._dropped_before + (_given_up(self._link) if self._link is not None else 0)
 
     def put(self, event: Event) -> None:
-        """Publish a prediction that is told; returns at once. Call it from one thread."""
+        """Publish a prediction that is told, act on any; returns at once. Call it from one thread."""
         link = self._link
         if isinstance(event, SensorEvent):
             self._pad = event.state
         if link is None:
             return
-        if isinstance(event, Prediction) and event.told:
-            self._sequence += 1
-            link.publish(
-                RobotMessage(
-                    gesture=event.gesture,
-                    confidence=event.confidence,
-                    time_s=epoch_s(event.time),
-                    stage=event.stage,
-                    touch=event.touch,
-                    sequence=self._sequence,
-                )
+        if isinstance(event, Prediction):
+            self._sequence += event.told
+            message = RobotMessage(
+                gesture=event.gesture,
+                confidence=event.confidence,
+                time_s=epoch_s(event.time),
+                stage=event.stage,
+                touch=event.touch,
+                sequence=self._sequence,
             )
+            if event.told:
+                link.publish(message)
+            else:
+                link.settle(message)
         elif isinstance(event, SensorEvent):
             link.set_status(event.state)
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.commands.classify import play
+from daemon.commands.numbers import within
 from daemon.config import LiveSettings, SensorSettings, Settings
 from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, epoch_s
@@ -78,16 +79,24 @@ class Received:
     epoch_s: float
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Measure and print; returns 0 whatever the figures are."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd bench", description="Measures the real daemon on a fake pad at 54 Hz."
     )
     parser.add_argument(
-        "--seconds", type=float, default=120.0, help="how long to touch the pad (default 120)"
+        "--seconds",
+        type=within(float, 1.0, 86400.0),
+        default=120.0,
+        help="how long to touch the pad (default 120)",
     )
     parser.add_argument("--json", action="store_true", help="figures as JSON instead of a table")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print; returns 0 whatever the figures are."""
+    options = parser().parse_args(arguments)
     figures = measure(options.seconds)
     sys.stdout.write(msgspec.json.encode(figures).decode() + "\n" if options.json else table(figures))
     return 0

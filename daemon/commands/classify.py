@@ -17,15 +17,20 @@ from drivers.frame import Frame
 from drivers.recording import Stream
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Write the events of the chosen recordings to standard output as JSON lines; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd classify",
         description="Sends recordings through the daemon's pipeline, with notouch before, between and after.",
     )
     add_arguments(parser)
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the events of the chosen recordings to standard output as JSON lines; returns 0."""
+    options = parser().parse_args(arguments)
     settings = load(options.config) if options.config else Settings()
     pipeline = Pipeline(settings.pipeline, load_model(settings), _write)
     play(chosen_stream(options), pipeline)

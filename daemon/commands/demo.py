@@ -18,8 +18,9 @@ import msgspec
 from daemon.config import LiveSettings, RobotConfig, SceneSettings, SensorSettings, Settings
 from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, TouchEnded
-from daemon.live.address import listen, parse_address, require_library, url_of
+from daemon.live.address import listen, parse_address, require_library, urls_of
 from daemon.playback.rig import SpawnedDaemon
+from daemon.playback.stream import DEMO_RECORDING
 from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
 from drivers.fakes.fake_port import FakePort
@@ -31,7 +32,6 @@ from drivers.robot.actions import Action, ActionRule, Leds
 from drivers.robot.link import RobotLink, RobotSettings
 from drivers.robot.session import qi_installed
 
-RECORDING = Path(__file__).parents[1] / "playback" / "data" / "demo.csv.gz"
 # The recording lasts 37 s; whatever goes wrong, the demo is over before a minute is.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
@@ -91,16 +91,21 @@ class PlainLines:
         sys.stdout.flush()
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
     parser.add_argument("--plain", action="store_true", help="lines instead of a picture")
     parser.add_argument(
         "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also on a page for browsers, until Ctrl-C"
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
+    options = parser().parse_args(arguments)
     live = None if options.live is None else _available(parse_address(options.live, None))
-    stream = splice(read_recordings(RECORDING))
+    stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
         show = PlainLines() if options.plain else _show(closing)
         predictions, told = _play(stream, show, closing, live)
@@ -174,7 +179,7 @@ def _play(
     if live is None:
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
     else:
-        show.note(f"live page: {url_of(live, live.port)}   Ctrl-C ends", "bold")
+        show.note(f"live page: {' '.join(urls_of(live, live.port))}   Ctrl-C ends", "bold")
     predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():

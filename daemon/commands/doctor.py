@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from daemon.commands.numbers import within
 from daemon.config import Settings, load
 from daemon.doctor.check import Check, Verdict
 from daemon.doctor.examine import examine
@@ -23,8 +24,8 @@ LISTEN_S = 8.0
 SHORTEST_S, LONGEST_S = 1.0, 600.0
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Show a line for each check; returns 0 when there is nothing to do, else 1."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd doctor",
         description="Looks at the pad, the model, the robot and the service, and says what to do. Leave the "
@@ -33,11 +34,19 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument("--port", help="look at this port instead of the configured one")
     parser.add_argument(
-        "--seconds", type=_seconds, default=LISTEN_S, help="how long to listen to the pad (%(default)g)"
+        "--seconds",
+        type=within(float, SHORTEST_S, LONGEST_S),
+        default=LISTEN_S,
+        help="how long to listen to the pad (%(default)g)",
     )
     parser.add_argument("--press", action="store_true", help="ask for a corner, to tell how the pad lies")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Show a line for each check; returns 0 when there is nothing to do, else 1."""
+    options = parser().parse_args(arguments)
     settings = load(options.config) if options.config else Settings()
     if options.port:
         settings = msgspec.structs.replace(
@@ -74,10 +83,3 @@ def _line(check: Check) -> Table:
     if check.advice:
         line.add_row("", "", Text(f"-> {check.advice}", "bold"))
     return line
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not SHORTEST_S <= seconds <= LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{text} is not within {SHORTEST_S:g} to {LONGEST_S:g}")
-    return seconds

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.commands.haart_folder import add_haart_argument
+from model.classifier import SHIPPED_MODEL, ModelError
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Write scores.json beside the model; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd evaluate",
         description="Scores the model on the test participants, and on the training participants left out.",
@@ -20,7 +21,17 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--weights", type=Path, default=Path("model/weights"), help="folder of the model files"
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write scores.json beside the model; returns 0."""
+    options = parser().parse_args(arguments)
+    if not (options.weights / SHIPPED_MODEL.name).exists():
+        raise ModelError(
+            f"{options.weights}: no model files there; run this in the repository, or name their folder "
+            "with --weights"
+        )
 
     from model.checks.evaluate import write_scores
     from model.training.ship import SCORES_NAME, evaluate_shipped

@@ -10,14 +10,19 @@ from pathlib import Path
 from daemon.commands.haart_folder import add_haart_argument
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Calibrate on left-out participants, export, name the files written; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(prog="touchd export", description="Exports a trained recipe to ONNX.")
     add_haart_argument(parser)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder of checkpoints (runs)")
     parser.add_argument("--recipe", type=Path, help="YAML file; the recipe of the shipped model without it")
     parser.add_argument("--weights", type=Path, default=Path("model/weights"), help="where the files go")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Calibrate on left-out participants, export, name the files written; returns 0."""
+    options = parser().parse_args(arguments)
 
     from model.training.recipe import SHIPPED_RECIPE, read_recipe
     from model.training.ship import export_recipe

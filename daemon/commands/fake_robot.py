@@ -8,11 +8,16 @@ from collections.abc import Sequence
 from drivers.fakes import fake_robot
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Be a robot until Ctrl-C or SIGTERM; every call comes out as one JSON object a line."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd fake-robot",
         description="Real qi services on 127.0.0.1; prints where it listens, then every call, as JSON lines.",
     )
     fake_robot.add_arguments(parser)
-    fake_robot.run(parser.parse_args(arguments))
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Be a robot until Ctrl-C or SIGTERM; every call comes out as one JSON object a line."""
+    fake_robot.run(parser().parse_args(arguments))

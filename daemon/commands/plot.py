@@ -1,4 +1,4 @@
-"""`touchd plot`: recordings, or a journal of events, as a picture; needs matplotlib, of the extra `train`."""
+"""`touchd plot`: recordings, or a journal of events, as a picture; needs matplotlib, of the extra `plot`."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from daemon.commands.numbers import within
 from daemon.config import Settings, load
 from daemon.kept.touches import read_journal
 from daemon.playback.stream import add_arguments, chosen_stream
@@ -19,8 +20,8 @@ RECORDING_SUFFIXES = (".csv", ".csv.gz")
 MOST_TOUCHES = 100
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Draw the files and name the picture; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd plot",
         description="Draws recordings (pressure, touches, answers, mean pad), or the touches of one journal.",
@@ -29,9 +30,18 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; FILE's name with .png")
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument(
-        "--touches", type=_touches, default=24, metavar="N", help="a journal's last touches (%(default)s)"
+        "--touches",
+        type=within(int, 1, MOST_TOUCHES),
+        default=24,
+        metavar="N",
+        help="a journal's last touches (%(default)s)",
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Draw the files and name the picture; returns 0."""
+    options = parser().parse_args(arguments)
     path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
     # Whether there is a matplotlib is known before the work.
     new_figure(1.0)
@@ -48,10 +58,3 @@ def main(arguments: Sequence[str]) -> int:
     save(figure, path)
     sys.stdout.write(f"{path}\n")
     return 0
-
-
-def _touches(text: str) -> int:
-    touches = int(text)
-    if not 1 <= touches <= MOST_TOUCHES:
-        raise argparse.ArgumentTypeError(f"{text} is not within 1 to {MOST_TOUCHES}")
-    return touches

@@ -11,6 +11,7 @@ import msgspec
 from rich.console import Console
 
 from daemon.commands.label import label, label_of
+from daemon.commands.numbers import within
 from daemon.config import Settings, load
 from daemon.recorder.capture import Pad
 from daemon.recorder.dialogue import Dialogue, Terms
@@ -25,8 +26,8 @@ MOST_GESTURES = 50
 SHORTEST_S, LONGEST_S = 1.0, 60.0
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Ask for one recording after the other until all are there, or until told to stop; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd record",
         description="Makes recordings of the pad for training, one file each, never written over. What "
@@ -40,10 +41,20 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--gestures", type=_names, default=GESTURES, metavar="A,B,...", help="what is done (%(default)s)"
     )
-    parser.add_argument("--rounds", type=_rounds, default=1, help="how often each gesture (%(default)s)")
-    parser.add_argument("--seconds", type=_seconds, default=8.0, help="length kept of each (%(default)g)")
     parser.add_argument(
-        "--countdown", type=_seconds, default=3.0, help="how long the pad is left alone before (%(default)g)"
+        "--rounds", type=within(int, 1, MOST_ROUNDS), default=1, help="how often each gesture (%(default)s)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=within(float, SHORTEST_S, LONGEST_S),
+        default=8.0,
+        help="length kept of each (%(default)g)",
+    )
+    parser.add_argument(
+        "--countdown",
+        type=within(float, SHORTEST_S, LONGEST_S),
+        default=3.0,
+        help="how long the pad is left alone before (%(default)g)",
     )
     parser.add_argument("--seed", type=int, default=0, help="another order of gestures (%(default)s)")
     parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
@@ -62,13 +73,18 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument("--port", help="read this port instead of the configured one")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Ask for one recording after the other until all are there, or until told to stop; returns 0."""
+    options = parser().parse_args(arguments)
     console = Console(width=WIDTH, highlight=False)
     try:
         if options.from_journal:
             label(console, options)
         elif options.label:
-            parser.error("--label goes with --from-journal")
+            parser().error("--label goes with --from-journal")
         else:
             _record(console, options)
     except (Stopped, KeyboardInterrupt):
@@ -116,17 +132,3 @@ def _names(text: str) -> tuple[str, ...]:
     if len(names) > MOST_GESTURES:
         raise argparse.ArgumentTypeError(f"more than {MOST_GESTURES} gestures")
     return names
-
-
-def _rounds(text: str) -> int:
-    rounds = int(text)
-    if not 1 <= rounds <= MOST_ROUNDS:
-        raise argparse.ArgumentTypeError(f"{text} is not within 1 to {MOST_ROUNDS}")
-    return rounds
-
-
-def _seconds(text: str) -> float:
-    seconds = float(text)
-    if not SHORTEST_S <= seconds <= LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{text} is not within {SHORTEST_S:g} to {LONGEST_S:g}")
-    return seconds

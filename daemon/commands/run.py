@@ -27,8 +27,8 @@ from daemon.sinks import LinesSink
 SWITCH_S = 0.0005
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run the daemon until Ctrl-C or SIGTERM; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd run",
         description="Reads the pad, writes events to standard output as JSON lines, tells the robot.",
@@ -45,7 +45,12 @@ def main(arguments: Sequence[str]) -> int:
         metavar="[HOST:]PORT",
         help="show the pad on a page for browsers too, at 127.0.0.1:8054 unless configured or said",
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the daemon until Ctrl-C or SIGTERM; returns 0."""
+    options = parser().parse_args(arguments)
 
     def read() -> Settings:
         settings = load(options.config) if options.config else Settings()

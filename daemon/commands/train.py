@@ -7,16 +7,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.commands.haart_folder import add_haart_argument
-from drivers.errors import TouchdError
+from daemon.commands.haart_folder import add_haart_argument, default_haart
 
 
-class TorchError(TouchdError):
-    """PyTorch is not installed."""
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Train what is not trained yet, resuming where a training was cut off, or adapt; returns 0."""
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd train",
         description="Trains every network of a recipe. Run it again to go on after an interruption. With "
@@ -24,7 +19,6 @@ def main(arguments: Sequence[str]) -> int:
         "how well it does before and after.",
     )
     add_haart_argument(parser)
-    haart: Path = parser.get_default("haart")
     parser.set_defaults(haart=None)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
     parser.add_argument("--recipe", type=Path, help="YAML file; the recipe of the shipped model without it")
@@ -39,16 +33,17 @@ def main(arguments: Sequence[str]) -> int:
         "--output", type=Path, metavar="ONNX", help="the new model's file; touchd-FOLDER.onnx without it"
     )
     adapting.add_argument("--seed", type=int, default=0, help="other random choices (%(default)s)")
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train what is not trained yet, resuming where a training was cut off, or adapt; returns 0."""
+    options = parser().parse_args(arguments)
     if options.extra is None and options.output is not None:
-        parser.error("--output is for --extra; `touchd export` writes what a recipe has trained")
+        parser().error("--output is for --extra; `touchd export` writes what a recipe has trained")
     if options.extra is not None and options.recipe is not None:
-        parser.error("--recipe is not for --extra, which adapts the shipped model")
-    try:
-        import torch  # noqa: F401
-    except ImportError as error:
-        raise TorchError("training takes PyTorch: pip install 'touchd[train]'") from error
-    return _adapt(options) if options.extra is not None else _train(options, options.haart or haart)
+        parser().error("--recipe is not for --extra, which adapts the shipped model")
+    return _adapt(options) if options.extra is not None else _train(options, options.haart or default_haart())
 
 
 def _train(options: argparse.Namespace, haart: Path) -> int:

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import io
 import ipaddress
 import re
 import socket
+import struct
+from contextlib import suppress
 
 import msgspec
 
 from daemon.config import ConfigError, LiveSettings
 from drivers.errors import TouchdError
+from drivers.extras import how_to_install
 
 # What the kernel keeps for a viewer who does not take it: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
 HIGHEST_PORT = 65535
+# ioctl(2), netdevice(7): the address of an interface.
+SIOCGIFADDR = 0x8915
 
 
 class LiveError(TouchdError):
@@ -40,7 +47,7 @@ def require_library() -> None:
         import websockets  # noqa: F401 - only whether it is there
     except ImportError as error:
         raise LiveError(
-            "the live page needs a library that is not installed: pip install 'touchd[live]'"
+            f"the live page needs a library that is not installed: {how_to_install('live')}"
         ) from error
 
 
@@ -67,10 +74,39 @@ def _why(error: OSError, port: int) -> str:
     return f"{error.strerror}; choose another address"
 
 
-def url_of(settings: LiveSettings, port: int) -> str:
-    """Return the page's address for a person; where every address is meant, by this computer's name."""
-    host = socket.gethostname() if settings.host in EVERY_ADDRESS else settings.host
-    return f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+def urls_of(settings: LiveSettings, port: int) -> list[str]:
+    """Return the page's addresses for a person, the likeliest first; where all are meant, each by its number.
+
+    A phone may not know this computer's name.
+    """
+    hosts = [settings.host]
+    if settings.host in EVERY_ADDRESS:
+        hosts = own_addresses() or [socket.gethostname()]
+    return [f"http://{f'[{host}]' if ':' in host else host}:{port}/" for host in hosts]
+
+
+def own_addresses() -> list[str]:
+    """Return this computer's IPv4 addresses in the network, that of the way out first."""
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        # Nothing is sent: the kernel only looks up from where it would be.
+        with suppress(OSError):
+            asking.connect(("192.0.2.1", 9))
+            found.append(asking.getsockname()[0])
+        for _, name in socket.if_nameindex():
+            with suppress(OSError):
+                answer = fcntl.ioctl(asking.fileno(), SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
+                found.append(socket.inet_ntoa(answer[20:24]))
+    return [address for address in dict.fromkeys(found) if not ipaddress.ip_address(address).is_loopback]
+
+
+def qr_code(url: str) -> str:
+    """Return an address as lines of half blocks that a phone's camera reads, for a dark terminal."""
+    import segno
+
+    drawn = io.StringIO()
+    segno.make(url, error="l", micro=False).terminal(drawn, border=2, compact=True)
+    return drawn.getvalue()
 
 
 def own_names(settings: LiveSettings) -> frozenset[str]:

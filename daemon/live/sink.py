@@ -8,7 +8,7 @@ import typing
 from daemon.config import LiveSettings, Settings
 from daemon.decide import ProbabilityModel
 from daemon.events import Event, RobotEvent, SensorEvent
-from daemon.live.address import LiveError, listen, require_library, url_of
+from daemon.live.address import LiveError, listen, require_library, urls_of
 from daemon.live.memory import Scene
 from drivers.frame import Frame
 
@@ -83,7 +83,7 @@ class LiveSink:
         from daemon.live.server import LiveServer
 
         listening = listen(settings)
-        log.info("live page: %s", url_of(settings, listening.getsockname()[1]))
+        log.info("live page: %s", " ".join(urls_of(settings, listening.getsockname()[1])))
         server = LiveServer(listening, settings, scene)
         self._server = server
         for event in list(self._standing.values()):

@@ -9,6 +9,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from rich.console import Console
 
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import (
@@ -24,13 +25,21 @@ from drivers.recording import (
     splice,
 )
 
+DEMO_RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 # Long enough for a touch to end and the pad's rest to be found again, short enough to wait for.
 QUIET_FRAMES = round(4.0 * FRAME_RATE_HZ)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the recording files and the options that choose among what they hold."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a .csv or .csv.gz of recordings")
+    parser.add_argument(
+        "files",
+        nargs="*",
+        type=Path,
+        default=[DEMO_RECORDING],
+        metavar="FILE",
+        help="a .csv or .csv.gz of recordings; the demo's without it",
+    )
     for key, example in (
         ("participant", "P3"),
         ("substrate", "foam"),
@@ -52,13 +61,13 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
         tuple(arguments.participant), tuple(arguments.substrate), tuple(arguments.cover), ()
     )
     gestures = tuple(arguments.gesture)
-    found = [
-        realign(recording)
-        for path in arguments.files
-        for recording in read_recordings(
-            path, replace(condition, gestures=(*gestures, NO_TOUCH) if gestures else ())
-        )
-    ]
+    select = replace(condition, gestures=(*gestures, NO_TOUCH) if gestures else ())
+    found: list[Recording] = []
+    # A large file takes seconds.
+    with Console(stderr=True).status("") as status:
+        for path in arguments.files:
+            status.update(f"reading {path}")
+            found += [realign(recording) for recording in read_recordings(path, select)]
     wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
     if not wanted:
         names = ", ".join(str(path) for path in arguments.files)

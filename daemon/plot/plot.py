@@ -45,11 +45,9 @@ def colour_of(gesture: str, gestures: Iterable[str]) -> str:
 
 
 def new_figure(height_inches: float) -> Figure:
-    """Return an empty figure; raises PlotError where matplotlib is not installed."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise PlotError("a picture takes matplotlib: pip install 'touchd[train]'") from error
+    """Return an empty figure."""
+    from matplotlib.figure import Figure
+
     return Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")
 
 

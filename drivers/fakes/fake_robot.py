@@ -95,8 +95,10 @@ def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop:
                 closing.callback(gate.close)
                 url = f"tcps://127.0.0.1:{gate.port}"
         except (RuntimeError, OSError, OverflowError) as error:
-            why = str(error).splitlines()[-1]
-            raise RobotError(f"cannot listen on port {options.port} ({why}); choose another") from error
+            why = getattr(error, "strerror", None) or "another program does, or the system keeps it"
+            raise RobotError(
+                f"cannot listen on port {options.port}: {why}; choose another with --port"
+            ) from error
         for name, service in services.items():
             # Else a speech would hold up every other call.
             qi.multiThreaded()(type(service))

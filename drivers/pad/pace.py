@@ -25,9 +25,15 @@ class Pace:
 
 
 def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
-    """Return the times between T frames by the pad's clock, (T - 1,), over its wrap."""
+    """Return the times between T frames by the pad's clock, (T - 1,), over its wrap.
+
+    A step back is a clock that started anew, as after a reset: it counts as the usual step.
+    """
     stamps = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
     steps: NDArray[np.int64] = np.diff(stamps) % CLOCK_MODULUS
+    is_back = steps > CLOCK_MODULUS // 2
+    if is_back.any():
+        steps[is_back] = 0 if is_back.all() else np.median(steps[~is_back])
     return steps
 
 

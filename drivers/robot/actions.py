@@ -89,8 +89,9 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     do: the actions, in order.
     gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
-    stages: the stages that this is for, told for the first time or again. Empty means any stage at which the
-    answer is news: the first of its touch, or another than the last.
+    stages: the stages that this is for, whether the robot is told the answer then or has heard it before.
+    Empty means any stage at which the answer is news: the first of its touch, or another than the last.
+    Either way an answer sets a rule off once in a touch: [final, released] acts once on what each settles on.
     changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
     with changed: true if any fits, and only otherwise those without.
     refractory_s: how long the rule rests after it was set off, in seconds.

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drivers.robot.actions import UNCERTAIN, Action, ActionRule, spoken
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.session import RobotRefused, RobotSession
+
+# Touches that may go on at once, with room to spare.
+MOST_TOUCHES = 64
+
+
+@dataclass
+class _Heard:
+    """What the robot has heard of a touch, and the rules that this answer has set off."""
+
+    gesture: str | None = None
+    rules: set[int] = field(default_factory=set)
 
 
 @dataclass(frozen=True)
@@ -20,29 +32,43 @@ class Reaction:
 
 
 class Reactions:
-    """Chooses the rules that an answer sets off; remembers the touch's last answer and which rules rest."""
+    """Chooses the rules that an answer sets off; remembers what the last touches were taken for."""
 
     def __init__(self, rules: Sequence[ActionRule]) -> None:
         self._rules = tuple(rules)
         self._ready_s = [float("-inf")] * len(self._rules)
-        self._touch: int | None = None
-        self._gesture: str | None = None
+        self._heard: OrderedDict[int, _Heard] = OrderedDict()
 
-    def choose(self, message: RobotMessage, now_s: float) -> Reaction | None:
-        """Return what to do about an answer, None for nothing. now_s: any clock that never goes back."""
-        before = self._gesture if message.touch == self._touch else None
-        self._touch, self._gesture = message.touch, message.gesture
+    def choose(self, message: RobotMessage, now_s: float, *, is_told: bool = True) -> Reaction | None:
+        """Return what to do about an answer, None for nothing. now_s: any clock that never goes back.
+
+        is_told: the robot is told this answer now. One that it is not told counts only as the settled word on
+        what it has heard already.
+        """
+        heard = self._recall(message.touch)
+        before = heard.gesture
         news = message.gesture != before
+        if news and not is_told:
+            return None
+        if news:
+            heard.gesture, heard.rules = message.gesture, set()
         changed = news and before is not None
         fitting = [index for index, rule in enumerate(self._rules) if _fits(rule, message, news)]
         particular = [index for index in fitting if self._rules[index].changed]
         plain = [index for index in fitting if not self._rules[index].changed]
         chosen = particular if changed and particular else plain
-        ready = [index for index in chosen if now_s >= self._ready_s[index]]
+        ready = [index for index in chosen if now_s >= self._ready_s[index] and index not in heard.rules]
         for index in ready:
             self._ready_s[index] = now_s + self._rules[index].refractory_s
+        heard.rules.update(ready)
         actions = tuple(action for index in ready for action in self._rules[index].do)
         return Reaction(message, actions) if actions else None
+
+    def _recall(self, touch: int) -> _Heard:
+        heard = self._heard.setdefault(touch, _Heard())
+        if len(self._heard) > MOST_TOUCHES:
+            self._heard.popitem(last=False)
+        return heard
 
 
 class ReactionDuty:

@@ -12,6 +12,7 @@ from threading import Event
 from typing import Any, Protocol
 
 from drivers.errors import TouchdError
+from drivers.extras import how_to_install
 from drivers.robot.limits import RobotLimits
 
 # While waiting, how often the wish to stop is looked for.
@@ -79,7 +80,7 @@ def load_qi() -> Any:
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
         raise RobotError(
             f"qi, the library that speaks to NAOqi, {why}; "
-            "pip install 'touchd[nao]' (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
+            f"{how_to_install('nao')} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
         ) from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)

@@ -82,7 +82,7 @@ def test_no_command_shows_the_help_and_is_a_mistake(capsys: pytest.CaptureFixtur
 
 
 def test_an_unknown_command_is_named(refusal: Refusal) -> None:
-    assert "rnu is no command; there are run," in refusal("rnu")
+    assert "xyz is no command; there are run," in refusal("xyz")
 
 
 def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
@@ -95,7 +95,7 @@ def test_our_own_mistake_is_one_line_exit_1_and_debug_shows_the_trace(
 ) -> None:
     monkeypatch.setattr(cli, "COMMANDS", (cli.Command("fail", "test_cli", "fails"),))
     assert cli.main(["fail"]) == 1
-    assert capsys.readouterr().err == "touchd: a mistake of ours, KeyError: 'oops'; --debug shows the trace\n"
+    assert capsys.readouterr().err == "touchd: internal error: KeyError: 'oops'; --debug shows the trace\n"
     with pytest.raises(KeyError):
         cli.main(["fail", "--debug"])
 
@@ -210,7 +210,7 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
 ) -> None:
     recording = tmp_path / "demo.csv.gz"
     record(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
-    monkeypatch.setattr(demo, "RECORDING", recording)
+    monkeypatch.setattr(demo, "DEMO_RECORDING", recording)
     monkeypatch.setattr(demo, "PACE", 5.0)
     monkeypatch.setattr(demo, "qi_installed", lambda: with_qi)
     assert cli.main(["demo", "--plain"]) == 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from rigs.haart_folder import needs_haart
 
-from daemon.commands.demo import RECORDING as DEMO
+from daemon.playback.stream import DEMO_RECORDING as DEMO
 from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, record, simulate
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from drivers.recording import Recording, RecordingError, Selection, read_recordings, splice

@@ -22,7 +22,8 @@ def rules(text: str) -> Rules:
 
 def done(chosen: Reactions, *args: Any, now_s: float = 0.0, **other: Any) -> list[str]:
     """What a message has the robot say."""
-    reaction = chosen.choose(message(*args, **other), now_s)
+    is_told = other.pop("is_told", True)
+    reaction = chosen.choose(message(*args, **other), now_s, is_told=is_told)
     return [str(action.say) for action in reaction.actions] if reaction else []
 
 
@@ -72,10 +73,25 @@ def test_a_rule_without_a_stage_answers_news_only() -> None:
     assert done(chosen, "pat", 2, stage="early") == ["any"]
 
 
-def test_a_rule_with_stages_answers_at_these_each_time() -> None:
-    chosen = Reactions(rules("[{do: [{say: any}], stages: [early, final]}]"))
+def test_a_rule_with_stages_is_set_off_once_by_an_answer() -> None:
+    chosen = Reactions(rules("[{do: [{say: any}], stages: [early, final, ongoing]}]"))
     stages = ["early", "revised", "final"]
-    assert [done(chosen, "stroke", 1, stage=stage) for stage in stages] == [["any"], [], ["any"]]
+    assert [done(chosen, "stroke", 1, stage=stage) for stage in stages] == [["any"], [], []]
+    assert done(chosen, "pat", 1, stage="ongoing") == ["any"]
+
+
+@pytest.mark.parametrize("settled", ["final", "released"])
+def test_the_settled_answer_acts_once_told_early_or_not(settled: str) -> None:
+    chosen = Reactions(rules("[{do: [{say: settled}], stages: [final, released]}]"))
+    assert done(chosen, "stroke", 1, stage="early") == []
+    assert done(chosen, "stroke", 1, stage=settled, is_told=False) == ["settled"]
+    assert done(chosen, "rub", 2, stage=settled) == ["settled"]
+    assert done(chosen, "notouch", 3, stage=settled, is_told=False) == []
+
+
+def test_touches_that_go_on_at_once_are_kept_apart() -> None:
+    chosen = Reactions(rules("[{do: [{say: any}]}]"))
+    assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
 
 
 def test_a_rule_with_gestures_answers_these_only() -> None:

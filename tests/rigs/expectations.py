@@ -14,11 +14,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.commands.classify import play
-from daemon.commands.demo import RECORDING as DEMO
 from daemon.config import Settings
 from daemon.events import Event
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
+from daemon.playback.stream import DEMO_RECORDING as DEMO
 from daemon.service import load_model
 from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, record
 from drivers.recording import Stream, read_recordings, splice

@@ -1,0 +1,37 @@
+"""`touchd completion`: the script with which a shell completes touchd's commands and options."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+
+import shtab
+
+from daemon.own_name import PROGRAM, own_name
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
+    parser = argparse.ArgumentParser(
+        prog="touchd completion",
+        description="Writes a completion script to standard output. "
+        f'For this shell: eval "$({own_name()} completion bash)"; for good: the same line in ~/.bashrc.',
+    )
+    parser.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="the shell to complete in")
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the script; returns 0."""
+    from daemon.cli import COMMANDS
+
+    shell = parser().parse_args(arguments).shell
+    whole = argparse.ArgumentParser(prog=PROGRAM)
+    commands = whole.add_subparsers()
+    for command in COMMANDS:
+        own: argparse.ArgumentParser = importlib.import_module(command.module).parser()
+        commands.add_parser(command.name, parents=[own], add_help=False, help=command.help)
+    sys.stdout.write(f"{shtab.complete(whole, shell)}\n")
+    return 0

@@ -1,0 +1,32 @@
+"""Libraries that are not in every installation, and the command that brings them."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+from importlib import metadata
+
+EXTRAS = {
+    "plot": ("matplotlib",),
+    "live": ("websockets", "segno"),
+    "nao": ("qi",),
+    "train": ("torch", "onnx", "onnxscript", "sklearn", "scipy", "tqdm"),
+}
+
+
+def extra_of(module: str) -> str | None:
+    """Return the extra that brings a module, None for one that no extra brings."""
+    root = module.partition(".")[0]
+    return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
+
+
+def how_to_install(extra: str) -> str:
+    """Return the shell command that installs what an extra of touchd needs into this very Python."""
+    wanted = [
+        requirement.partition(";")[0].strip()
+        for requirement in metadata.requires("touchd") or ()
+        if f'extra == "{extra}"' in requirement.replace("'", '"')
+    ]
+    sudo = [] if os.access(sys.prefix, os.W_OK) else ["sudo"]
+    return shlex.join([*sudo, sys.executable, "-m", "pip", "install", *(wanted or EXTRAS[extra])])

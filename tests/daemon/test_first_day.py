@@ -1,0 +1,211 @@
+"""What somebody sees who tries touchd for the first time: help, mistakes, paths, commands to paste."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from rigs.expectations import RECORDINGS, answers, stream_of
+
+from daemon import cli
+from daemon.config import JournalSettings, LiveSettings, Settings, load
+from daemon.destinations import open_journal
+from daemon.doctor.line import check_rate
+from daemon.doctor.listening import Heard
+from daemon.events import Prediction, TouchEnded
+from daemon.live.address import qr_code, urls_of
+from daemon.own_name import own_name
+from daemon.service import check_pad, load_model
+from daemon.sinks import RobotSink
+from drivers.extras import how_to_install
+from drivers.fakes.fake_robot import StubRobot
+from drivers.fakes.services import Call
+from drivers.frame import Frame
+from drivers.pad.pace import pace_of
+from drivers.robot.actions import Action, ActionRule
+from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / "systemd" / "touchd.example.yaml"
+# An installation without any extra, as far as imports can tell.
+WITHOUT_EXTRAS = """
+import importlib, importlib.abc, sys
+from drivers.extras import EXTRAS
+class Missing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {module for modules in EXTRAS.values() for module in modules}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Missing())
+from daemon import cli
+"""
+
+
+def python(code: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS + code], capture_output=True, text=True, check=False, timeout=25
+    )
+
+
+def test_every_command_helps_without_any_extra() -> None:
+    done = python(
+        "for command in cli.COMMANDS:\n"
+        "    try: cli.main([command.name, '--help'])\n"
+        "    except SystemExit as ended: assert ended.code == 0\n"
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("usage: touchd ") == len(cli.COMMANDS)
+
+
+@pytest.mark.parametrize(
+    ("command", "extra"), [("plot", "plot"), ("train", "train"), ("demo --live", "live")]
+)
+def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str) -> None:
+    done = python(f"sys.exit(cli.main({command.split()!r}))")
+    assert done.returncode == 2, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert how_to_install(extra) in done.stderr
+    assert how_to_install(extra).split()[0] == sys.executable
+
+
+def test_a_mistyped_command_gets_a_proposal(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["clasify"]) == 2
+    assert "clasify is no command; did you mean classify?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", ["replay --speed abc", "doctor --seconds x", "record here --rounds 0", "plot --touches many"]
+)
+def test_a_wrong_number_is_refused_in_words(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words.split())
+    assert ended.value.code == 2
+    assert f"{words.split()[-1]!r} is not a number from " in capsys.readouterr().err
+
+
+def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", os.defpath)
+    for folder in (tmp_path, ROOT):
+        monkeypatch.chdir(folder)
+        done = subprocess.run(
+            [*shlex.split(own_name()), "--version"], capture_output=True, text=True, check=True, timeout=20
+        )
+        assert done.stdout.startswith("touchd ")
+
+
+def test_bash_completes_commands_and_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    ask = "COMP_WORDS=({}); COMP_CWORD={}; _shtab_touchd >/dev/null; echo ${{COMPREPLY[@]}}"
+    bash = shutil.which("bash")
+    assert bash is not None
+    for words, completed in (("touchd cla", "classify"), ("touchd demo --li", "--live")):
+        done = subprocess.run(
+            [bash, "-c", script + ask.format(words, 1 + words.count(" ") - 1)],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
+        )
+        assert completed in done.stdout.split()
+
+
+def test_the_example_configuration_runs_without_the_service(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    settings = load(EXAMPLE)
+    journal = open_journal(settings.journal)
+    assert journal is not None
+    journal.append(b"{}")
+    journal.close()
+    assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes().strip() == b"{}"
+
+
+def test_the_service_keeps_its_journal_in_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd")
+    assert JournalSettings().file == Path("/var/lib/touchd/events.jsonl")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_configuration_of_others_asks_for_sudo(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.touch(mode=0o000)
+    with pytest.raises(Exception, match="put sudo before the command"):
+        load(path)
+
+
+def test_a_pad_without_permission_or_busy_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    check_pad(msgspec.structs.replace(Settings(), sensor=Settings().sensor.__class__(port="/dev/null")))
+
+
+def test_a_clock_that_starts_anew_is_no_broken_pad() -> None:
+    clock_ms = [*range(5000, 9000, 18), *range(0, 4000, 19)]
+    counts = np.zeros((8, 8), np.uint16)
+    frames = tuple(Frame(n, ms, n / 54, counts) for n, ms in enumerate(clock_ms))
+    assert pace_of(frames).lost == 0
+    checked = check_rate(Heard(frames, 0, b"", len(frames) / 54, ""))
+    assert checked.verdict == "ok", checked
+
+
+def test_every_settled_touch_sets_the_example_action_off_once() -> None:
+    recording = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
+    events = answers(stream_of(recording), load_model(Settings()))
+    said: list[str] = []
+
+    def hear(call: Call) -> None:
+        if call.method == "say":
+            said.extend(map(str, call.arguments))
+
+    rule = ActionRule(do=(Action(say="{gesture}"),), stages=("final", "released"))
+    with StubRobot(on_call=hear) as robot:
+        link = RobotLink(
+            RobotSettings(url=robot.url, actions=(rule,), limits=RobotLimits(stale_s=30.0)),
+            open_session=robot.open_session,
+        )
+        sink = RobotSink(link)
+        for event in events:
+            sink.put(event)
+        until_s = time.monotonic() + 10
+        settled = [event.gesture for event in events if isinstance(event, TouchEnded)]
+        while len(said) < len(settled) and time.monotonic() < until_s:
+            time.sleep(0.01)
+        sink.stop(2.0)
+    early = [event for event in events if isinstance(event, Prediction) and event.stage == "early"]
+    assert any(event.told for event in early)
+    assert said == settled
+
+
+def test_the_network_is_told_of_by_numbers_and_a_code() -> None:
+    urls = urls_of(LiveSettings(host="0.0.0.0"), 8054)
+    assert all(url.startswith("http://") and url.endswith(":8054/") for url in urls)
+    assert urls_of(LiveSettings(), 80) == ["http://127.0.0.1:80/"]
+    lines = qr_code("http://192.168.1.17:8054/").splitlines()
+    assert len({len(line) for line in lines if line}) == 1
+    assert set("".join(lines)) <= set("█▀▄ ")
+
+
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
+def test_a_demo_that_is_told_to_end_leaves_nothing_behind(
+    tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with subprocess.Popen(
+        [sys.executable, "-m", "daemon", "demo", "--plain"], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        assert list(tmp_path.iterdir())
+        process.send_signal(number)
+        assert process.wait(15) == 0
+    assert list(tmp_path.iterdir()) == []
