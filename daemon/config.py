@@ -18,7 +18,7 @@ from daemon.decide import DecisionSettings
 from daemon.pipeline import PipelineSettings
 from daemon.touch import TouchSettings
 from drivers.errors import TouchdError
-from drivers.frame import COLUMNS, ROWS
+from drivers.frame import COLUMNS, DEFAULT_PAD, ROWS
 from drivers.pad.grid import RingSettings
 from drivers.robot.actions import ActionRule
 
@@ -36,6 +36,8 @@ PLAIN_WORDS = {
 
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
+
+MAX_PADS = 16
 
 Side = Annotated[int, msgspec.Meta(ge=8, le=64)]
 
@@ -106,6 +108,13 @@ class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_
     actions: tuple[ActionRule, ...] = ()
 
 
+class PadSettings(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One of several pads; scene and model are the file's where it has none of its own."""
+
+    scene: SceneSettings | None = None
+    model: str | None = None
+
+
 class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
 
@@ -137,9 +146,13 @@ class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd."""
+    """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd.
+
+    sensor: the only pad. sensors: instead of it, several pads by their names.
+    """
 
     sensor: SensorSettings = SensorSettings()
+    sensors: Annotated[dict[str, PadSettings], msgspec.Meta(max_length=MAX_PADS)] = {}
     model: str | None = None
     ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
@@ -148,6 +161,32 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     journal: JournalSettings | None = None
     live: LiveSettings | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    def __post_init__(self) -> None:
+        if self.sensors and self.sensor != SensorSettings():
+            raise ValueError("sensor and sensors are both set; keep one")
+        for name in self.sensors:
+            if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
+                raise ValueError(f"sensors: {name!r} is no name of a pad; use one word such as left_arm")
+        ports = [pad.port for pad in self.sensors.values()]
+        if shared := [port for port in ports if ports.count(port) > 1]:
+            raise ValueError(f"sensors: {shared[0]} is the port of more than one pad; give each its own")
+
+    @property
+    def pads(self) -> dict[str, Settings]:
+        """Each pad's name with settings in which it is the only one, as `sensor`."""
+        if not self.sensors:
+            return {DEFAULT_PAD: self}
+        return {
+            name: msgspec.structs.replace(
+                self,
+                sensors={},
+                sensor=SensorSettings(**{key: getattr(pad, key) for key in SensorSettings.__struct_fields__}),
+                scene=pad.scene or self.scene,
+                model=pad.model or self.model,
+            )
+            for name, pad in self.sensors.items()
+        }
 
     @property
     def model_path(self) -> Path | None:
@@ -158,6 +197,21 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def pipeline(self) -> PipelineSettings:
         """What the pipeline needs of this."""
         return PipelineSettings(ring=self.ring, touch=self.touch, decision=self.scene)
+
+
+def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:
+    """Return the settings of the pad of that name, which only one of several needs, at another port if any.
+
+    Raises ConfigError when there is none, or when it takes a name to tell which.
+    """
+    pads = settings.pads
+    chosen = pads.get(name) if name else next(iter(pads.values())) if len(pads) == 1 else None
+    if chosen is None:
+        wrong = f"{name} is no pad" if name else "several pads are configured"
+        raise ConfigError(f"{wrong}; give --pad one of {', '.join(pads)}")
+    if port is None:
+        return chosen
+    return msgspec.structs.replace(chosen, sensor=msgspec.structs.replace(chosen.sensor, port=port))
 
 
 def load(path: Path) -> Settings:
@@ -234,10 +288,24 @@ def _plain_syntax(error: yaml.MarkedYAMLError) -> str:
     return f"{where}{hint} ({problem})"
 
 
+def _name_in_mapping(where: str, raw: Any, struct: type[msgspec.Struct]) -> str:
+    """Put the name of the wrong value into a path, where msgspec says of a mapping only [...]."""
+    before, bracket, after = where.partition("[...]")
+    if not bracket:
+        return where
+    keys = tuple(re.findall(r"\.(\w+)", before))
+    for name, value in _value(raw, keys).items():
+        try:
+            msgspec.convert(value, _section(struct, keys))
+        except msgspec.ValidationError:
+            return f"{before}.{name}{after}"
+    return where
+
+
 def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
     """Turn msgspec's message into one that names the setting, what may stand there and what does."""
     problem, _, where = message.partition(" - at `")
-    keys = tuple(re.findall(r"\.(\w+)", where))
+    keys = tuple(re.findall(r"\.(\w+)", _name_in_mapping(where, raw, struct)))
     name = ".".join(keys)
     unknown = re.fullmatch(r"Object contains unknown field `(.*)`", problem)
     if unknown:
@@ -270,6 +338,9 @@ def _choices(struct: type[msgspec.Struct], keys: Keys) -> str:
 
 def _section(struct: type[msgspec.Struct], keys: Keys) -> type[msgspec.Struct]:
     for key in keys:
+        if key not in struct.__struct_fields__:
+            # A name in a mapping, whose values the struct describes.
+            continue
         parts = _parts(typing.get_type_hints(struct)[key])
         struct = next(part for part in parts if isinstance(part, type) and issubclass(part, msgspec.Struct))
     return struct

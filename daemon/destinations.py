@@ -7,14 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-from daemon.config import (
-    ConfigError,
-    JournalSettings,
-    RobotConfig,
-    SceneSettings,
-    SensorSettings,
-    Settings,
-)
+from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
 from daemon.events import Event, RobotEvent, one_line, timestamp
 from daemon.kept.journal import Journal
 from daemon.kept.touch_store import TouchStore, folder_of
@@ -37,21 +30,21 @@ def open_journal(settings: JournalSettings | None) -> Journal | None:
     return Journal(settings.file, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
 
 
-def open_touch_store(settings: Settings) -> TouchStore | None:
-    """Return where the frames of touches are kept, if they are; raises ConfigError when they cannot be."""
+def open_touch_stores(settings: Settings) -> dict[str, TouchStore]:
+    """Return where the frames of each pad's touches are kept, if they are; raises ConfigError."""
     journal = settings.journal
     if journal is None or journal.keep_touches is None:
-        return None
-    folder = folder_of(journal.file)
+        return {}
     try:
-        return TouchStore(folder, journal.keep_touches, description_of(settings.sensor))
+        return {
+            name: TouchStore(folder_of(journal.file, name), journal.keep_touches, description_of(pad.sensor))
+            for name, pad in settings.pads.items()
+        }
     except RecordingError as error:
         raise ConfigError(f"journal.keep_touches: {error}") from error
 
 
-def link_to_robot(
-    robot: RobotConfig | None, scene: SceneSettings, emit: Callable[[Event], None]
-) -> RobotLink | None:
+def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLink | None:
     """Return a link, not yet started, to the configured robot, if any; raises RobotError.
 
     emit: gets an event when the robot comes or goes, from the link's thread.
@@ -60,6 +53,7 @@ def link_to_robot(
     def report(state: State, reason: str) -> None:
         emit(RobotEvent(state=state, time=timestamp(time.time()), reason=one_line(reason)))
 
+    robot = settings.robot
     if robot is None:
         return None
     return RobotLink(
@@ -69,7 +63,7 @@ def link_to_robot(
             user=robot.user,
             token_file=robot.token_file,
             token_env=robot.token_env,
-            actions=scene.actions,
+            pads={name: pad.scene.actions for name, pad in settings.pads.items()},
         ),
         report,
     )

@@ -7,6 +7,8 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
+from drivers.frame import DEFAULT_PAD
+
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 EndReason: TypeAlias = Literal["released", "settled", "gap", "sensor", "stopped"]
 
@@ -21,7 +23,8 @@ class EventError(ValueError):
 class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_began"):
     """A hand is on the pad.
 
-    touch: number of the touch since the daemon started, from 1.
+    touch: number of the touch on its pad since the daemon started, from 1. pad: its name, in every event of
+    a pad.
     sensor_ms: the sensor's clock at the touch's first frame.
     time: when this was noticed (UTC), as in every event.
     """
@@ -29,6 +32,7 @@ class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     touch: int
     time: str
     sensor_ms: int
+    pad: str = DEFAULT_PAD
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
@@ -56,6 +60,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     latency_ms: float
     model: str
     time: str
+    pad: str = DEFAULT_PAD
 
 
 class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_ended"):
@@ -74,6 +79,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     reason: EndReason
     time: str
     sensor_ms: int | None = None
+    pad: str = DEFAULT_PAD
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
@@ -82,6 +88,7 @@ class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
     state: Literal["up", "down"]
     time: str
     reason: str = ""
+    pad: str = DEFAULT_PAD
 
 
 class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot"):

@@ -12,6 +12,8 @@ log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
+# Longer than the silence after which a reader says that its pad is away.
+HEARD_S = 4.0
 
 
 class Notifier:
@@ -54,7 +56,7 @@ class Notifier:
 
 
 class Health:
-    """Feeds the watchdog after a processed frame or while the pad is known to be away, and from nothing else.
+    """Feeds the watchdog while every pad delivers frames that are processed or is known to be away.
 
     A reader that died, or a loop that hangs, does neither, and systemd starts the daemon again.
     """
@@ -62,30 +64,33 @@ class Health:
     def __init__(self, notifier: Notifier) -> None:
         self._notifier = notifier
         self._ready = False
-        self._pad_is_away = False
+        self._away: dict[str, bool] = {}
+        self._heard_s: dict[str, float] = {}
         self._frames = 0
         self._frames_in_all = 0
         self._dropped = 0
         self._next_feed_s = 0.0
         self._status_s = time.monotonic()
 
-    def pad_state(self, up: bool) -> None:
-        """The pad was found or is known to be away; the first time, the daemon is ready."""
-        self._pad_is_away = not up
+    def pad_state(self, pad: str, up: bool) -> None:
+        """A pad was found or is known to be away; the first time, the daemon is ready."""
+        self._away[pad] = not up
+        self._heard_s[pad] = time.monotonic()
         if not self._ready:
             self._ready = True
             self._notifier.send(READY=1)
         self._feed()
 
-    def frame_processed(self) -> None:
-        """A frame went through the pipeline."""
+    def frame_processed(self, pad: str) -> None:
+        """A frame went through a pad's pipeline."""
+        self._heard_s[pad] = time.monotonic()
         self._frames += 1
         self._frames_in_all += 1
         self._feed()
 
     def idle(self) -> None:
         """No frame came for a while."""
-        if self._pad_is_away:
+        if self._away and all(self._away.values()):
             self._feed()
 
     def report(self, touches: int, dropped: int) -> None:
@@ -97,8 +102,13 @@ class Health:
         if dropped > self._dropped:
             log.warning("%d frames dropped: the machine is too busy for the pad", dropped - self._dropped)
             self._dropped = dropped
-        pad = "pad away" if self._pad_is_away else f"{self._frames / passed_s:.1f} frames/s"
-        self._notifier.send(STATUS=f"{pad}, {touches} touches, {dropped} frames dropped")
+        rate = f"{self._frames / passed_s:.1f} frames/s"
+        away = [pad for pad, is_away in self._away.items() if is_away]
+        if away and len(away) == len(self._away):
+            rate = "pad away" if len(away) == 1 else "all pads away"
+        elif away:
+            rate += f", {', '.join(away)} away"
+        self._notifier.send(STATUS=f"{rate}, {touches} touches, {dropped} frames dropped")
         self._status_s = now_s
         self._frames = 0
 
@@ -108,6 +118,8 @@ class Health:
 
     def _feed(self) -> None:
         now_s = time.monotonic()
-        if self._notifier.watchdog_s and now_s >= self._next_feed_s:
+        if not self._notifier.watchdog_s or now_s < self._next_feed_s:
+            return
+        if all(self._away.get(pad) or now_s - heard_s < HEARD_S for pad, heard_s in self._heard_s.items()):
             self._notifier.send(WATCHDOG=1)
             self._next_feed_s = now_s + self._notifier.watchdog_s / FEEDS_PER_WATCHDOG

@@ -23,7 +23,7 @@ from daemon.events import (
     timestamp,
 )
 from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
-from drivers.frame import FRAME_RATE_HZ, Frame
+from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
 
@@ -76,8 +76,10 @@ class Pipeline:
         model: ProbabilityModel,
         emit: Callable[[Event], None],
         clock: Clock | None = None,
+        pad: str = DEFAULT_PAD,
     ) -> None:
         self._emit = emit
+        self._pad = pad
         self._clock = clock or Clock()
         self._tracker = TouchTracker(settings.touch)
         self._ring = Ring(settings.ring, _history_frames(settings))
@@ -102,7 +104,9 @@ class Pipeline:
         """Take note that the sensor came or went; its going ends the touch, and rest is learned anew."""
         if state.state == "down":
             self._stop("sensor")
-        self._emit(SensorEvent(state=state.state, time=self._now(), reason=one_line(state.reason)))
+        self._emit(
+            SensorEvent(state=state.state, time=self._now(), reason=one_line(state.reason), pad=self._pad)
+        )
 
     def flush(self) -> None:
         """End the touch that goes on, if any: no frame will come any more."""
@@ -145,7 +149,7 @@ class Pipeline:
             degraded=any(earlier.bridged for earlier in so_far),
         )
         sensor_ms = _as_sent(so_far[0])
-        self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms))
+        self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:
@@ -179,6 +183,7 @@ class Pipeline:
                 reason=release.reason,
                 time=self._now(),
                 sensor_ms=_as_sent(last),
+                pad=self._pad,
             )
         )
 
@@ -206,6 +211,7 @@ class Pipeline:
                 latency_ms=round(max(0.0, self._clock.monotonic_s() - since_s) * 1000.0, 3),
                 model=self._model.name,
                 time=self._now(),
+                pad=self._pad,
             )
         )
 

@@ -1,4 +1,4 @@
-"""The daemon: from the pad's port through the pipeline to the sinks, until told to stop."""
+"""The daemon: from the pads' ports through their pipelines to the sinks, until told to stop."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from daemon.config import ConfigError, SceneSettings, SensorSettings, Settings
+from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
-from daemon.destinations import link_to_robot, open_journal, open_touch_store, parser_for
+from daemon.destinations import link_to_robot, open_journal, open_touch_stores, parser_for
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.health import Health
 from daemon.kept.touch_sink import TouchSink
@@ -25,9 +25,9 @@ from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState, che
 from drivers.pad.watch import PadWatch
 from model.classifier import SHIPPED_MODEL, Classifier
 
-# How often a loop without frames looks whether it shall stop, which also bounds an idle daemon's wake-ups.
+# Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
-SENSOR_STOP_S = 0.6
+SENSORS_STOP_S = 0.6
 SINKS_STOP_S = 1.2
 
 
@@ -41,7 +41,7 @@ class Outlet:
         self.journal = JournalSink(open_journal(settings.journal))
         self.robot = RobotSink(None)
         self.live = LiveSink()
-        self.kept = TouchSink(open_touch_store(settings))
+        self.kept = TouchSink(open_touch_stores(settings))
         self.sinks: list[Sink] = [self.journal, self.robot, self.live, self.kept]
         self.touches = 0
 
@@ -68,6 +68,19 @@ def load_model(settings: Settings) -> Classifier:
     return classifier
 
 
+def load_models(settings: Settings) -> dict[str, Classifier]:
+    """Load each pad's model; pads with the same file share it. Raises as `load_model` does."""
+    models: dict[str, Classifier] = {}
+    loaded: dict[str | None, Classifier] = {}
+    for name, pad in settings.pads.items():
+        if pad.model in loaded:
+            check_fit(pad.scene, loaded[pad.model])
+        else:
+            loaded[pad.model] = load_model(pad)
+        models[name] = loaded[pad.model]
+    return models
+
+
 def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
     """Raise ConfigError when a scene asks for gestures or lengths that the model does not have."""
     known = set(classifier.labels)
@@ -87,10 +100,13 @@ def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
 
 
 def check_pad(settings: Settings) -> None:
-    """Raise SensorError when the port can never work as it is.
+    """Raise SensorError when the only port can never work as it is.
 
     One that is not there, not permitted or busy is waited for: udev and other programs may be late at boot.
+    One of several pads that cannot work must not keep the others from it; its events say why.
     """
+    if settings.sensors:
+        return
     try:
         check_port(settings.sensor.port, settings.sensor.baud)
     except SensorError as error:
@@ -99,70 +115,99 @@ def check_pad(settings: Settings) -> None:
 
 
 class Pad:
-    """The reader of the configured pad, and the queue that it fills."""
+    """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
 
-    def __init__(self, settings: SensorSettings) -> None:
-        self.queue = FrameQueue()
-        self._sensor = self._reader(settings)
+    settings: those of this pad. arrived: notified whenever something waits in the queue.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: Settings,
+        model: Classifier,
+        emit: Callable[[Event], None],
+        arrived: threading.Condition,
+    ) -> None:
+        self.name = name
+        self.settings = settings
+        self.queue = FrameQueue(filled=arrived)
+        self.pipeline = Pipeline(settings.pipeline, model, emit, pad=name)
+        self.watch = PadWatch(name)
+        self._sensor = self._reader()
 
     def start(self) -> None:
         """Begin to read."""
         self._sensor.start()
 
-    def change(self, settings: SensorSettings) -> None:
-        """Read another pad, or the same in another way; what was read before stays in the queue."""
-        self.stop()
-        self.queue.put(SensorState("down", f"now {settings.port} is read, as configured"))
-        self._sensor = self._reader(settings)
+    def change(self, settings: Settings, model: Classifier) -> None:
+        """Go by other settings; another port is read from now on, all else counts from the next touch on."""
+        before, self.settings = self.settings, settings
+        self.pipeline.change(settings.pipeline, model)
+        if settings.sensor == before.sensor:
+            return
+        self.stop(SENSORS_STOP_S)
+        self.queue.put(SensorState("down", f"now {settings.sensor.port} is read, as configured"))
+        self._sensor = self._reader()
         self._sensor.start()
 
-    def stop(self) -> None:
-        """End reading, within SENSOR_STOP_S."""
-        self._sensor.stop(SENSOR_STOP_S)
+    def stop(self, timeout_s: float) -> None:
+        """End reading."""
+        self._sensor.stop(timeout_s)
 
-    def _reader(self, settings: SensorSettings) -> Sensor:
-        return Sensor(settings.port, settings.baud, parser_for(settings), self.queue)
+    def _reader(self) -> Sensor:
+        sensor = self.settings.sensor
+        return Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
 
 
 class Service:
     """The daemon's loop and all that it joins.
 
-    show_frame: gets each frame.
+    models: for each pad. show_frame: gets each frame of the first pad.
     """
 
     def __init__(
         self,
         settings: Settings,
-        classifier: Classifier,
+        models: dict[str, Classifier],
         outlet: Outlet,
         health: Health,
         show_frame: Callable[[Counts], None] | None = None,
     ) -> None:
         self._settings = settings
-        self._classifier = classifier
+        self._models = models
         self._outlet = outlet
         self._health = health
         self._show_frame = show_frame
-        self._pad = Pad(settings.sensor)
-        self._pad_watch = PadWatch()
-        self._pipeline = Pipeline(settings.pipeline, classifier, outlet.emit)
+        self._arrived = threading.Condition()
+        self._pads = [
+            Pad(name, pad, models[name], outlet.emit, self._arrived) for name, pad in settings.pads.items()
+        ]
 
     def run(self, stop: threading.Event) -> None:
-        """Run until `stop` is set; then the pad is no longer read and the touch that went on has ended."""
+        """Run until `stop` is set; then no pad is read any more and the touches that went on have ended."""
         # What was loaded stays: a collection that looks through it all would take as long as an answer may.
         gc.freeze()
-        self._pad.start()
+        for pad in self._pads:
+            pad.start()
         try:
             while not stop.is_set():
-                self._take(self._pad.queue.get(timeout_s=IDLE_S))
-                self._health.report(self._outlet.touches, self._pad.queue.dropped)
+                with self._arrived:
+                    if not self._arrived.wait_for(self._waiting, IDLE_S):
+                        self._health.idle()
+                # One item of each in turn, so that a pad that floods its queue holds up no other.
+                for pad in self._pads:
+                    self._take(pad)
+                self._health.report(self._outlet.touches, self._dropped())
         finally:
-            self._pad.stop()
-            # What had arrived was felt.
-            for _ in range(len(self._pad.queue)):
-                self._take(self._pad.queue.get(timeout_s=0))
-            self._pipeline.flush()
-            self._health.end(self._outlet.touches, self._pad.queue.dropped)
+            until_s = time.monotonic() + SENSORS_STOP_S
+            for pad in self._pads:
+                pad.stop(max(0.0, until_s - time.monotonic()))
+            # Process frames already queued before flushing.
+            for pad in self._pads:
+                for _ in range(len(pad.queue)):
+                    self._take(pad)
+                pad.pipeline.flush()
+            self._health.end(self._outlet.touches, self._dropped())
 
     def change(self, settings: Settings) -> list[str]:
         """Go by other settings, while `run` goes on in another thread; returns the names of what changed.
@@ -170,51 +215,57 @@ class Service:
         Touch, ring, scene and model count from the next touch on. Raises TouchdError when the settings cannot
         be used; then nothing has changed.
         """
-        before = self._settings
+        before, pads = self._settings, settings.pads
         fields = Settings.__struct_fields__
         names = [name for name in fields if getattr(before, name) != getattr(settings, name)]
-        classifier = load_model(settings) if "model" in names else self._classifier
-        check_fit(settings.scene, classifier)
+        changed = set(names)
+        if list(pads) != [pad.name for pad in self._pads]:
+            raise ConfigError("sensors: other pads than before; restart touchd to have them read")
+        models = load_models(settings) if changed & {"model", "sensors"} else self._models
+        for name, pad in pads.items():
+            check_fit(pad.scene, models[name])
         if settings.sensor.port != before.sensor.port:
             check_pad(settings)
-        tells_anew = "robot" in names or settings.scene.actions != before.scene.actions
-        link = link_to_robot(settings.robot, settings.scene, self._outlet.emit) if tells_anew else None
-        keeps_anew = bool({"journal", "sensor"} & set(names))
-        store = open_touch_store(settings) if keeps_anew else None
-        self._outlet.live.use(settings, classifier)
+        tells_anew = bool(changed & {"robot", "sensors"}) or settings.scene.actions != before.scene.actions
+        link = link_to_robot(settings, self._outlet.emit) if tells_anew else None
+        keeps_anew = bool(changed & {"journal", "sensor", "sensors"})
+        stores = open_touch_stores(settings) if keeps_anew else {}
+        self._outlet.live.use(settings, models)
         # Last, since it is the one that leaves something behind; nothing after it fails.
         try:
             journal = open_journal(settings.journal) if "journal" in names else None
         except TouchdError:
-            self._outlet.live.use(before, self._classifier)
+            self._outlet.live.use(before, self._models)
             raise
-        self._settings, self._classifier = settings, classifier
+        self._settings, self._models = settings, models
         logging.getLogger().setLevel(settings.log_level.upper())
-        if {"touch", "ring", "scene", "model"} & set(names):
-            self._pipeline.change(settings.pipeline, classifier)
         if "journal" in names:
             self._outlet.journal.use(journal)
         if keeps_anew:
-            self._outlet.kept.use(store)
+            self._outlet.kept.use(stores)
         if tells_anew:
             self._outlet.robot.use(link)
-        if "sensor" in names:
-            self._pad.change(settings.sensor)
+        for pad_line in self._pads:
+            pad_line.change(pads[pad_line.name], models[pad_line.name])
         return names
 
-    def _take(self, item: Frame | SensorState | None) -> None:
-        match item:
+    def _waiting(self) -> bool:
+        return any(len(pad.queue) for pad in self._pads)
+
+    def _dropped(self) -> int:
+        return sum(pad.queue.dropped for pad in self._pads)
+
+    def _take(self, pad: Pad) -> None:
+        match pad.queue.get(timeout_s=0):
             case Frame() as frame:
                 # Before the events that it causes.
-                self._outlet.kept.take(frame)
-                self._pipeline.on_frame(frame)
-                self._health.frame_processed()
-                self._pad_watch.update(frame)
-                if self._show_frame is not None:
+                self._outlet.kept.take(frame, pad.name)
+                pad.pipeline.on_frame(frame)
+                self._health.frame_processed(pad.name)
+                pad.watch.update(frame)
+                if self._show_frame is not None and pad is self._pads[0]:
                     self._show_frame(frame.pressure)
-                self._outlet.live.put_frame(frame, self._pad.queue.dropped)
+                self._outlet.live.put_frame(frame, self._dropped(), pad.name)
             case SensorState() as state:
-                self._pipeline.on_sensor_state(state)
-                self._health.pad_state(state.state == "up")
-            case None:
-                self._health.idle()
+                pad.pipeline.on_sensor_state(state)
+                self._health.pad_state(pad.name, state.state == "up")

@@ -158,7 +158,7 @@ class RobotSink:
     def __init__(self, link: RobotLink | None) -> None:
         self._link: RobotLink | None = None
         self._sequence = 0
-        self._pad: State = "up"
+        self._pads: dict[str, State] = {}
         self._dropped_before = 0
         self.use(link)
 
@@ -168,7 +168,8 @@ class RobotSink:
         What is put meanwhile waits for the new one. The numbers of the messages go on.
         """
         if link is not None:
-            link.set_status(self._pad)
+            for pad, state in self._pads.items():
+                link.set_status(state, pad)
         before, self._link = self._link, link
         if before is not None:
             before.stop(ROBOT_STOP_S)
@@ -185,7 +186,7 @@ class RobotSink:
         """Publish a prediction that is told, act on any; returns at once. Call it from one thread."""
         link = self._link
         if isinstance(event, SensorEvent):
-            self._pad = event.state
+            self._pads[event.pad] = event.state
         if link is None:
             return
         if isinstance(event, Prediction):
@@ -197,13 +198,14 @@ class RobotSink:
                 stage=event.stage,
                 touch=event.touch,
                 sequence=self._sequence,
+                pad=event.pad,
             )
             if event.told:
                 link.publish(message)
             else:
                 link.settle(message)
         elif isinstance(event, SensorEvent):
-            link.set_status(event.state)
+            link.set_status(event.state, event.pad)
 
     def stop(self, timeout_s: float) -> None:
         """Say goodbye to the robot."""

@@ -11,6 +11,8 @@ ROWS = 8
 COLUMNS = 8
 MAX_COUNT = 1023
 FRAME_RATE_HZ = 54.0
+DEFAULT_PAD = "pad"
+"""What the only pad is called where the configuration gives it no name."""
 
 Counts = NDArray[np.uint16]
 

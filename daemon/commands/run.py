@@ -15,12 +15,12 @@ from pathlib import Path
 
 import msgspec
 
-from daemon.config import Settings, load
+from daemon.config import Settings, load, only_pad
 from daemon.destinations import link_to_robot
 from daemon.health import Health, Notifier
 from daemon.live.address import parse_address
 from daemon.reread import rereading
-from daemon.service import Outlet, Service, check_pad, load_model
+from daemon.service import Outlet, Service, check_pad, load_models
 from daemon.sinks import LinesSink
 
 # How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.
@@ -55,8 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     def read() -> Settings:
         settings = load(options.config) if options.config else Settings()
         if options.port:
-            sensor = msgspec.structs.replace(settings.sensor, port=options.port)
-            settings = msgspec.structs.replace(settings, sensor=sensor)
+            settings = only_pad(settings, None, options.port)
         if options.live is not None:
             live = parse_address(options.live, settings.live)
             settings = msgspec.structs.replace(settings, live=live)
@@ -84,7 +83,7 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         check_pad(settings)
-        classifier = load_model(settings)
+        models = load_models(settings)
         favour_latency()
         outlet = Outlet(settings)
         closing.callback(outlet.stop)
@@ -92,16 +91,16 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         if with_view:
             from daemon.terminal.view import View, ViewHandler
 
-            view = closing.enter_context(View(f"touchd on {settings.sensor.port}"))
+            view = closing.enter_context(View(f"touchd on {next(iter(settings.pads.values())).sensor.port}"))
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))
             show_frame = view.show_frame
             outlet.sinks.append(view)
         else:
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
             outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
-        outlet.live.use(settings, classifier)
-        outlet.robot.use(link_to_robot(settings.robot, settings.scene, outlet.emit))
-        service = Service(settings, classifier, outlet, Health(notifier), show_frame)
+        outlet.live.use(settings, models)
+        outlet.robot.use(link_to_robot(settings, outlet.emit))
+        service = Service(settings, models, outlet, Health(notifier), show_frame)
         closing.enter_context(rereading(hung_up, read, service.change))
         service.run(stop)
         notifier.send(STOPPING=1)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
 from daemon.recorder.session import PARTIAL, SUFFIX, keep, prepare
+from drivers.frame import DEFAULT_PAD
 from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
 
 log = logging.getLogger(__name__)
@@ -102,9 +103,9 @@ class TouchStore:
         }
 
 
-def folder_of(journal: Path) -> Path:
-    """Return the folder with the frames of a journal's touches."""
-    return journal.with_name(f"{journal.name}.touches")
+def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
+    """Return the folder with the frames of a journal's touches on a pad."""
+    return journal.with_name(f"{journal.name}{'' if pad == DEFAULT_PAD else f'.{pad}'}.touches")
 
 
 def file_name(time: str, number: int) -> str:

@@ -28,14 +28,20 @@ class Touch:
 def gather(events: Iterable[Event]) -> list[Touch]:
     """Return the touches that events tell of, in order; what belongs to none of them is left out."""
     touches: list[Touch] = []
+    latest: dict[str, Touch] = {}
     for event in events:
         match event:
             case TouchBegan():
-                touches.append(Touch(event))
-            case Prediction() if touches and touches[-1].began.touch == event.touch:
-                touches[-1].predictions.append(event)
-            case TouchEnded() if touches and touches[-1].began.touch == event.touch:
-                touches[-1].ended = event
+                latest[event.pad] = Touch(event)
+                touches.append(latest[event.pad])
+            case Prediction() | TouchEnded():
+                touch = latest.get(event.pad)
+                if touch is None or touch.began.touch != event.touch:
+                    continue
+                if isinstance(event, Prediction):
+                    touch.predictions.append(event)
+                else:
+                    touch.ended = event
     return touches
 
 

@@ -62,7 +62,7 @@ class Leanings:
             return None
         length = self._frames[-1].index + 1 - self._first_index
         is_due = length >= FEWEST_FRAMES and length % STRIDE_FRAMES == OFFSET_FRAMES
-        return self._ask(self._touch.touch, length) if is_due and may_ask else None
+        return self._ask(self._touch, length) if is_due and may_ask else None
 
     def _find(self, sensor_ms: int) -> int | None:
         """Return the index of the frame with which the touch began; None when it came before we looked."""
@@ -71,7 +71,7 @@ class Leanings:
                 return laid.index
         return None
 
-    def _ask(self, touch: int, length: int) -> Leaning:
+    def _ask(self, touch: TouchBegan, length: int) -> Leaning:
         window = list(self._frames)[-min(length, self._longest) :]
         probabilities = self._scene.model.probabilities(np.stack([laid.pressure for laid in window]))
         # A decision of its own, for how it weighs the scene's gestures; what it would say is not said.
@@ -79,4 +79,4 @@ class Leanings:
             "ongoing", probabilities
         )
         weighed = {label: round(value, 4) for label, value in answer.probabilities.items()}
-        return Leaning(touch=touch, frames=length, probabilities=weighed)
+        return Leaning(touch=touch.touch, frames=length, probabilities=weighed, pad=touch.pad)

@@ -27,7 +27,7 @@ class Scene:
 
 
 class Memory:
-    """The last touches with their answers, and what was last heard of pad and robot; all of it bounded."""
+    """A pad's last touches with their answers, and what was last heard of it and the robot; all bounded."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -47,11 +47,13 @@ class Memory:
             case Prediction() | TouchEnded():
                 self._add(event)
 
-    def state(self, page: str) -> State:
-        """Return it all; page: stamp of the page's files."""
+    def state(self, page: str, pad: str, pads: tuple[str, ...]) -> State:
+        """Return it all; page: stamp of the page's files. pad: which this is of all pads."""
         scene = self.scene
         return State(
             page=page,
+            pad=pad,
+            pads=pads,
             labels=scene.model.labels,
             answer_at_frames=scene.settings.decision.answer_at_frames,
             frame_rate_hz=FRAME_RATE_HZ,

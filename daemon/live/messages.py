@@ -1,6 +1,7 @@
 """What the page is sent: the daemon's events as they are, and besides them frames, state and status.
 
-Everything is JSON, but a frame: 132 bytes, little-endian, its sensor_ms (uint32) and 64 counts (uint16).
+Everything is JSON, but a frame: 133 bytes, little-endian, its sensor_ms (uint32), 64 counts (uint16), and the
+pad's place in `State.pads` (uint8).
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import struct
 import msgspec
 
 from daemon.events import Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from drivers.frame import Frame
+from drivers.frame import DEFAULT_PAD, Frame
 
 CLOCK = struct.Struct("<I")
 CLOCK_MASK = 0xFFFFFFFF
@@ -27,12 +28,15 @@ class Felt(msgspec.Struct, frozen=True, kw_only=True):
 class State(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
     """All that a page must know when it comes, or was too slow for a while.
 
+    pad: which it is of, of all pads.
     page: stamp of the page's files; a page with another one loads itself anew. labels: in the order of the
     probabilities. answer_at_frames: of the scene. model: its name. touches: the last ones, oldest first; one
     that goes on is the last.
     """
 
     page: str
+    pad: str
+    pads: tuple[str, ...]
     labels: tuple[str, ...]
     answer_at_frames: tuple[int, ...]
     frame_rate_hz: float
@@ -49,6 +53,7 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
     rate_hz: float
     dropped: int
     viewers: int
+    pad: str
 
 
 class Leaning(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="leaning"):
@@ -60,11 +65,12 @@ class Leaning(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="
     touch: int
     frames: int
     probabilities: dict[str, float]
+    pad: str = DEFAULT_PAD
 
 
-def encode_frame(frame: Frame) -> bytes:
-    """Return a frame as the page takes it."""
-    return CLOCK.pack(frame.sensor_ms & CLOCK_MASK) + frame.pressure.astype("<u2").tobytes()
+def encode_frame(frame: Frame, pad: int = 0) -> bytes:
+    """Return a frame as the page takes it; pad: the place of its pad."""
+    return CLOCK.pack(frame.sensor_ms & CLOCK_MASK) + frame.pressure.astype("<u2").tobytes() + bytes([pad])
 
 
 def encode_message(message: msgspec.Struct) -> str:

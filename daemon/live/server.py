@@ -8,7 +8,9 @@ import socket
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import TypeAlias
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -16,7 +18,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 from daemon.config import LiveSettings
-from daemon.events import Event
+from daemon.events import Event, RobotEvent
 from daemon.live.address import own_names
 from daemon.live.door import Door
 from daemon.live.leaning import Leanings
@@ -41,7 +43,17 @@ HANDSHAKE_S = 5.0
 PING_EVERY_S = 5.0
 GOODBYE_S = 0.2
 
-Item: TypeAlias = Event | Frame | Scene
+Scenes: TypeAlias = Mapping[str, Scene]
+Item: TypeAlias = Event | tuple[Frame, str] | Scenes
+
+
+@dataclass
+class _Shown:
+    """What is shown of one pad. frames: so far."""
+
+    memory: Memory
+    leanings: Leanings
+    frames: int = 0
 
 
 class LiveServer:
@@ -50,26 +62,24 @@ class LiveServer:
     dropped: events and frames that the page's thread was too slow for.
     """
 
-    def __init__(self, listening: socket.socket, settings: LiveSettings, scene: Scene) -> None:
+    def __init__(self, listening: socket.socket, settings: LiveSettings, scenes: Scenes) -> None:
         self.dropped = 0
         self._listening = listening
-        self._memory = Memory(scene)
+        self._pads = {name: _Shown(Memory(scene), Leanings(scene)) for name, scene in scenes.items()}
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
-        self._leanings = Leanings(scene)
         self._items: deque[Item] = deque()
         self._lock = threading.Lock()
         self._is_woken = False
         self._is_stopping = False
-        self._frames = 0
         self._frames_dropped = 0
         self._loop = asyncio.new_event_loop()
         self._stopping = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-live", daemon=True)
         self._thread.start()
 
-    def put(self, item: Event | Scene) -> None:
-        """Take an event, or the scene that counts from now on, to be shown with the next frame.
+    def put(self, item: Event | Scenes) -> None:
+        """Take an event, or the scenes that count from now on, to be shown with the next frame.
 
         Without a frame it is shown with the next status. Waking the page's thread here would have it compete
         with passing an answer on.
@@ -77,14 +87,14 @@ class LiveServer:
         with self._lock:
             self._queue(item)
 
-    def put_frame(self, frame: Frame, dropped: int) -> None:
+    def put_frame(self, frame: Frame, dropped: int, pad: str) -> None:
         """Take a frame, and how many the daemon was too slow for so far; all that was put is now shown."""
-        self._frames += 1
+        self._pads[pad].frames += 1
         self._frames_dropped = dropped
         if not self._viewers:
             return
         with self._lock:
-            self._queue(frame)
+            self._queue((frame, pad))
             was_woken, self._is_woken = self._is_woken, True
         if not was_woken:
             # Raised when the loop has ended.
@@ -146,15 +156,21 @@ class LiveServer:
             self._viewers.discard(connection)
 
     async def _tell_status(self) -> None:
-        samples = deque([(time.monotonic(), self._frames)], maxlen=RATE_SAMPLES)
+        samples = deque([(time.monotonic(), self._frames())], maxlen=RATE_SAMPLES)
         while True:
             await asyncio.sleep(STATUS_EVERY_S)
             self._take()
-            samples.append((time.monotonic(), self._frames))
+            samples.append((time.monotonic(), self._frames()))
             (first_s, first), (last_s, last) = samples[0], samples[-1]
-            rate_hz = round((last - first) / (last_s - first_s), 1)
-            status = Status(rate_hz=rate_hz, dropped=self._frames_dropped, viewers=len(self._viewers))
-            self._viewers.show(encode_message(status))
+            for pad in self._pads:
+                rate_hz = round((last[pad] - first[pad]) / (last_s - first_s), 1)
+                status = Status(
+                    rate_hz=rate_hz, dropped=self._frames_dropped, viewers=len(self._viewers), pad=pad
+                )
+                self._viewers.show(encode_message(status))
+
+    def _frames(self) -> dict[str, int]:
+        return {name: pad.frames for name, pad in self._pads.items()}
 
     def _queue(self, item: Item) -> None:
         if len(self._items) == CAPACITY:
@@ -179,22 +195,26 @@ class LiveServer:
 
     def _show(self, item: Item, is_behind: bool) -> None:
         match item:
-            case Frame():
-                self._viewers.show(encode_frame(item))
-                leaning = self._leanings.push(item, may_ask=not is_behind)
+            case (frame, pad):
+                self._viewers.show(encode_frame(frame, list(self._pads).index(pad)))
+                leaning = self._pads[pad].leanings.push(frame, may_ask=not is_behind)
                 if leaning is not None:
                     self._viewers.show(encode_message(leaning))
-            case Scene():
-                self._memory.scene = item
-                self._leanings.change(item)
-                self._viewers.tell(self._state())
+            case Mapping():
+                for pad, scene in item.items():
+                    self._pads[pad].memory.scene = scene
+                    self._pads[pad].leanings.change(scene)
+                for state in self._state():
+                    self._viewers.tell(state)
             case _:
-                self._memory.put(item)
-                self._leanings.put(item)
+                for pad in [item.pad] if not isinstance(item, RobotEvent) else self._pads:
+                    self._pads[pad].memory.put(item)
+                    self._pads[pad].leanings.put(item)
                 self._viewers.tell(encode_message(item))
 
-    def _state(self) -> str:
-        return encode_message(self._memory.state(self._page.stamp))
+    def _state(self) -> list[str]:
+        pads = tuple(self._pads)
+        return [encode_message(self._pads[pad].memory.state(self._page.stamp, pad, pads)) for pad in pads]
 
 
 def _quiet_logger() -> logging.Logger:

@@ -15,10 +15,10 @@ MOST_WAITING_BYTES = 4096
 class Viewers:
     """Sends to all who look; a viewer who is too slow misses frames, and is told the state anew.
 
-    state: returns all that a viewer must know, as JSON. To be used in the event loop's thread only.
+    state: returns all that a viewer must know, as JSON a pad. To be used in the event loop's thread only.
     """
 
-    def __init__(self, state: Callable[[], str]) -> None:
+    def __init__(self, state: Callable[[], list[str]]) -> None:
         self._state = state
         self._all: set[ServerConnection] = set()
         self._behind: set[ServerConnection] = set()
@@ -56,7 +56,8 @@ class Viewers:
         ready = [viewer for viewer in self._behind if _has_room(viewer)]
         if ready:
             self._behind.difference_update(ready)
-            broadcast(ready, self._state())
+            for state in self._state():
+                broadcast(ready, state)
 
 
 def _has_room(viewer: ServerConnection) -> bool:

@@ -12,13 +12,14 @@ from drivers.pad.sensor_state import SensorState
 class FrameQueue:
     """A bounded queue between two threads that gives up the oldest frame, never a state, when it is full.
 
+    filled: notified when something is put; of several queues, one thread can wait on the same.
     dropped: frames given up so far. Only when nothing but `capacity` states waits unread does a state go.
     """
 
-    def __init__(self, capacity: int = 540) -> None:
+    def __init__(self, capacity: int = 540, filled: threading.Condition | None = None) -> None:
         self._capacity = capacity
         self._items: deque[Frame | SensorState] = deque()
-        self._filled = threading.Condition()
+        self._filled = filled or threading.Condition()
         self.dropped = 0
 
     def put(self, item: Frame | SensorState) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 
-from drivers.frame import Frame
+from drivers.frame import DEFAULT_PAD, Frame
 from drivers.pad.health import Finding, Kind, PadHealth
 
 log = logging.getLogger(__name__)
@@ -15,9 +15,13 @@ LASTS_S = 60.0
 
 
 class PadWatch:
-    """Watches the frames for a pad that is broken (see `drivers.pad.health`) and logs what it finds."""
+    """Watches the frames for a pad that is broken (see `drivers.pad.health`) and logs what it finds.
 
-    def __init__(self) -> None:
+    name: said with it, where the pad has one.
+    """
+
+    def __init__(self, name: str = DEFAULT_PAD) -> None:
+        self._prefix = "" if name == DEFAULT_PAD else f"{name}: "
         self._health = PadHealth()
         self._warned_s: dict[Kind, float] = {}
         self._unsaid: dict[Kind, tuple[float, str]] = {}
@@ -43,8 +47,8 @@ class PadWatch:
 
     def _end(self, finding: Finding) -> None:
         if self._unsaid.pop(finding.kind, None) is None:
-            log.info("no longer: %s", finding.what)
+            log.info("%sno longer: %s", self._prefix, finding.what)
 
     def _warn(self, kind: Kind, what: str, now_s: float) -> None:
         self._warned_s[kind] = now_s
-        log.warning("%s", what)
+        log.warning("%s%s", self._prefix, what)

@@ -1,10 +1,12 @@
-"""The three events in the robot's memory: what was felt, its detail, and whether anything can be felt."""
+"""The three events of a pad in the robot's memory: what was felt, its detail, and the pad's status."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 
+from drivers.frame import DEFAULT_PAD
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage, detail
 from drivers.robot.session import RobotRefused, RobotSession
@@ -14,56 +16,62 @@ from drivers.robot.worker import State
 class EventDuty:
     """Raises PREFIX/Detail and PREFIX/Gesture per answer, and PREFIX/Status when it changes.
 
-    The Gesture is a plain string that goes from the robot's memory after `limits.shown_s`, as that of the
-    robot's own ALTactileGesture does. The Detail is raised first, so that whoever wakes on the Gesture finds
-    the one that belongs to it.
+    A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that goes from
+    the robot's memory after `limits.shown_s`, as that of the robot's own ALTactileGesture does. The Detail is
+    raised first, so that whoever wakes on the Gesture finds the one that belongs to it.
     """
 
-    def __init__(self, prefix: str, limits: RobotLimits) -> None:
-        self._gesture, self._detail, self._status = (
-            f"{prefix}/{name}" for name in ("Gesture", "Detail", "Status")
-        )
+    def __init__(self, prefix: str, limits: RobotLimits, pads: Iterable[str] = (DEFAULT_PAD,)) -> None:
+        self._prefix = prefix
         self._limits = limits
-        self._remove_at_s: float | None = None
-        self._told_status: State | None = None
-        # Written by whoever knows the pad, read here; assigning a name is atomic.
-        self.status: State = "up"
+        self._remove_at_s: dict[str, float] = {}
+        self._told_status: dict[str, State] = {}
+        # Written by whoever knows the pads, read here; replacing a value is atomic.
+        self.status: dict[str, State] = dict.fromkeys(pads, "up")
 
     def begin(self, session: RobotSession) -> None:
-        """Tell the robot the status."""
-        self._tell_status(session, self.status)
+        """Tell the robot the status of every pad."""
+        for pad, status in self.status.items():
+            self._tell_status(session, pad, status)
 
     def handle(self, session: RobotSession, item: RobotMessage) -> None:
         """Tell the robot one answer."""
-        self._raise(session, self._detail, detail(item))
-        self._raise(session, self._gesture, str(item.gesture))
-        self._remove_at_s = time.monotonic() + self._limits.shown_s
+        self._raise(session, self._name(item.pad, "Detail"), detail(item))
+        self._raise(session, self._name(item.pad, "Gesture"), str(item.gesture))
+        self._remove_at_s[item.pad] = time.monotonic() + self._limits.shown_s
 
     def tend(self, session: RobotSession) -> bool:
-        """Remove the gesture when its time is over, tell a status that has changed."""
-        if self._remove_at_s is not None and time.monotonic() >= self._remove_at_s:
-            self._remove(session)
-            return True
-        if self.status != self._told_status:
-            self._tell_status(session, self.status)
-            return True
+        """Remove a gesture when its time is over, tell a status that has changed."""
+        for pad, remove_at_s in self._remove_at_s.items():
+            if time.monotonic() >= remove_at_s:
+                self._remove(session, pad)
+                return True
+        for pad, status in self.status.items():
+            if status != self._told_status.get(pad):
+                self._tell_status(session, pad, status)
+                return True
         return False
 
     def end(self, session: RobotSession) -> None:
         """Leave no gesture behind and say that nothing is felt any more."""
-        if self._remove_at_s is not None:
-            self._remove(session)
-        self._tell_status(session, "down")
+        for pad in list(self._remove_at_s):
+            self._remove(session, pad)
+        for pad in self.status:
+            self._tell_status(session, pad, "down")
 
-    def _tell_status(self, session: RobotSession, status: State) -> None:
-        self._raise(session, self._status, status)
-        self._told_status = status
+    def _name(self, pad: str, event: str) -> str:
+        return f"{self._prefix}/{event}" if pad == DEFAULT_PAD else f"{self._prefix}/{pad}/{event}"
 
-    def _remove(self, session: RobotSession) -> None:
+    def _tell_status(self, session: RobotSession, pad: str, status: State) -> None:
+        self._raise(session, self._name(pad, "Status"), status)
+        self._told_status[pad] = status
+
+    def _remove(self, session: RobotSession, pad: str) -> None:
         # Another program may have removed it, and a robot that has restarted has forgotten it.
         with suppress(RobotRefused):
-            session.call("ALMemory", "removeData", self._gesture, limit_s=self._limits.call_s)
-        self._remove_at_s = None
+            gesture = self._name(pad, "Gesture")
+            session.call("ALMemory", "removeData", gesture, limit_s=self._limits.call_s)
+        del self._remove_at_s[pad]
 
     def _raise(self, session: RobotSession, event: str, value: object) -> None:
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)

@@ -10,12 +10,13 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from threading import Event
 
+from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import ActionRule
 from drivers.robot.events import EventDuty
 from drivers.robot.limits import RobotLimits
@@ -40,6 +41,7 @@ class RobotSettings:
     user, and one of token_file and token_env (a file, or an environment variable, that holds the token): for
     NAOqi 2.9, which asks.
     actions: what the robot does on an answer; every rule is looked at for every message.
+    pads: the same for each pad that has a name; empty where the only pad has none.
     """
 
     url: str
@@ -48,6 +50,7 @@ class RobotSettings:
     token_file: str | None = None
     token_env: str | None = None
     actions: tuple[ActionRule, ...] = ()
+    pads: Mapping[str, tuple[ActionRule, ...]] = field(default_factory=dict)
     limits: RobotLimits = field(default_factory=RobotLimits)
 
 
@@ -76,13 +79,14 @@ class RobotLink:
         self._url = settings.url
         self._on_state = on_state
         self._down_since_s: float | None = None
-        self._event_duty = EventDuty(settings.prefix, limits)
+        rules = settings.pads or {DEFAULT_PAD: settings.actions}
+        self._event_duty = EventDuty(settings.prefix, limits, rules)
         self._events: RobotWorker[RobotMessage] = RobotWorker(
             "touchd-robot", opener, self._event_duty, limits, self._tell
         )
-        self._reactions = Reactions(settings.actions)
+        self._reactions = {pad: Reactions(own) for pad, own in rules.items()}
         self._actions: RobotWorker[Reaction] | None = None
-        if settings.actions:
+        if any(rules.values()):
             self._actions = RobotWorker(
                 "touchd-robot-actions", opener, ReactionDuty(limits), limits, _say_nothing
             )
@@ -114,13 +118,13 @@ class RobotLink:
         self._act(message, is_told=False)
 
     def _act(self, message: RobotMessage, *, is_told: bool) -> None:
-        reaction = self._reactions.choose(message, time.monotonic(), is_told=is_told)
+        reaction = self._reactions[message.pad].choose(message, time.monotonic(), is_told=is_told)
         if reaction is not None and self._actions is not None:
             self._actions.put(reaction)
 
-    def set_status(self, status: State) -> None:
-        """Tell the robot whether touches can be felt: "down" while there is no pad. Never waits."""
-        self._event_duty.status = status
+    def set_status(self, status: State, pad: str = DEFAULT_PAD) -> None:
+        """Tell the robot whether touches can be felt on a pad: "down" while it is away. Never waits."""
+        self._event_duty.status[pad] = status
         self._events.wake()
 
     def stop(self, timeout_s: float = 2.0) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drivers.frame import DEFAULT_PAD
+
 
 @dataclass(frozen=True, slots=True)
 class RobotMessage:
@@ -11,7 +13,8 @@ class RobotMessage:
 
     gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
     stage: early, revised, final, released, ongoing or uncertain.
-    touch: number of the touch since the daemon started. sequence: number of the message.
+    touch: number of the touch on its pad since the daemon started. sequence: number of the message.
+    pad: where it was.
     """
 
     gesture: str
@@ -20,6 +23,7 @@ class RobotMessage:
     stage: str
     touch: int
     sequence: int
+    pad: str = DEFAULT_PAD
 
 
 def detail(message: RobotMessage) -> list[object]:

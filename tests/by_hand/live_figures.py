@@ -54,7 +54,7 @@ def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
     """Return the microseconds that handing over each frame takes the daemon's loop: p50, p99."""
     sink = LiveSink()
     settings = Settings(live=live)
-    sink.use(settings, load_model(settings))
+    sink.use(settings, {"pad": load_model(settings)})
     counts = np.random.default_rng(0).integers(0, 300, (8, 8)).astype(np.uint16)
     took: list[float] = []
     for number in range(round(seconds * FRAME_RATE_HZ)):

@@ -101,7 +101,7 @@ class Soak:
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         self._robot_sink = RobotSink(self._link)
         self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
-        self._touch_sink = TouchSink(self._store)
+        self._touch_sink = TouchSink({"pad": self._store})
         self._live_sink = LiveSink()
         self._live_sink.use(settings, model)
         self._sinks: tuple[Sink, ...] = (

@@ -28,7 +28,7 @@ TIME = "2026-11-20T10:00:00.000Z"
 EVENTS: list[tuple[Event, dict[str, object]]] = [
     (
         TouchBegan(touch=7, time=TIME, sensor_ms=81234),
-        {"type": "touch_began", "touch": 7, "time": TIME, "sensor_ms": 81234},
+        {"type": "touch_began", "touch": 7, "time": TIME, "sensor_ms": 81234, "pad": "pad"},
     ),
     (
         Prediction(
@@ -61,6 +61,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "latency_ms": 1.9,
             "model": "tgc",
             "time": TIME,
+            "pad": "pad",
         },
     ),
     (
@@ -73,11 +74,12 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "reason": "released",
             "time": TIME,
             "sensor_ms": 84937,
+            "pad": "pad",
         },
     ),
     (
         SensorEvent(state="down", time=TIME, reason="unplugged"),
-        {"type": "sensor", "state": "down", "time": TIME, "reason": "unplugged"},
+        {"type": "sensor", "state": "down", "time": TIME, "reason": "unplugged", "pad": "pad"},
     ),
     (RobotEvent(state="up", time=TIME), {"type": "robot", "state": "up", "time": TIME, "reason": ""}),
 ]

@@ -69,7 +69,7 @@ def test_who_comes_late_is_told_what_goes_on_and_what_was(served: Served) -> Non
     touches = [(touch["began"]["touch"], touch["ended"] is not None) for touch in state["touches"]]
     assert touches == [(1, True), (2, False)]
     assert state["sensor"]["state"] == "up"
-    assert state["model"] == served.classifier.name
+    assert state["model"] == served.models["pad"].name
     assert state["answer_at_frames"] == [54, 81, 144]
 
 
@@ -154,7 +154,7 @@ def hung(server: LiveServer) -> Iterator[None]:
 def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_counted() -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
-    server = LiveServer(listening, LiveSettings(), scene)
+    server = LiveServer(listening, LiveSettings(), {"pad": scene})
     with hung(server):
         for _ in range(CAPACITY + 7):
             server.put(PAD_UP)
@@ -179,7 +179,7 @@ def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served)
     with served.look() as viewer:
         await_message(viewer, "state")
         scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
-        served.sink.use(msgspec.structs.replace(served.settings, scene=scene), served.classifier)
+        served.sink.use(msgspec.structs.replace(served.settings, scene=scene), served.models)
         assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
 
 
@@ -187,7 +187,7 @@ def test_the_page_can_move_and_go_while_the_daemon_runs(served: Served) -> None:
     served.sink.put(PAD_UP)
     with served.look() as viewer:
         moved = LiveSettings(port=free_port())
-        served.sink.use(Settings(live=moved), served.classifier)
+        served.sink.use(Settings(live=moved), served.models)
         with pytest.raises(ConnectionClosed, match="1001"):
             await_message(viewer, "nothing")
     served.port = moved.port
@@ -195,7 +195,7 @@ def test_the_page_can_move_and_go_while_the_daemon_runs(served: Served) -> None:
         # What the pad last said of itself is known at the new place too.
         state = await_message(viewer, "state")
         assert state["sensor"] or await_message(viewer, "sensor")
-    served.sink.use(Settings(), served.classifier)
+    served.sink.use(Settings(), served.models)
     with pytest.raises(ConnectionRefusedError):
         served.ask("/")
 
@@ -204,13 +204,13 @@ def test_settings_that_cannot_be_served_leave_the_page_where_it_is(served: Serve
     with socket.create_server(("127.0.0.1", 0)) as taken:
         there = LiveSettings(port=taken.getsockname()[1])
         with pytest.raises(LiveError, match="cannot listen"):
-            served.sink.use(Settings(live=there), served.classifier)
+            served.sink.use(Settings(live=there), served.models)
     assert served.ask("/").status == 200
 
 
 def test_from_loopback_to_every_address_is_a_change_at_one_port(served: Served) -> None:
     everywhere = LiveSettings(host="0.0.0.0", port=served.port)
-    served.sink.use(Settings(live=everywhere), served.classifier)
+    served.sink.use(Settings(live=everywhere), served.models)
     assert served.ask("/").status == 200
 
 

@@ -80,6 +80,6 @@ def test_what_is_remembered_for_who_comes_late_is_bounded(scene: Scene) -> None:
         memory.put(TouchBegan(touch=touch, time=NOW, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):
             memory.put(msgspec.structs.replace(prediction, touch=touch))
-    touches = memory.state("").touches
+    touches = memory.state("", "pad", ("pad",)).touches
     assert [felt.began.touch for felt in touches] == list(range(2 * TOUCHES, 3 * TOUCHES))
     assert {len(felt.predictions) for felt in touches} == {PREDICTIONS}

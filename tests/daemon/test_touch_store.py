@@ -20,7 +20,7 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.destinations import open_touch_store
+from daemon.destinations import open_touch_stores
 from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.touch_frames import FeltTouch, cut
 from daemon.kept.touch_sink import CAPACITY, LONGEST_FRAMES, TouchSink
@@ -36,7 +36,7 @@ class Bench:
     """A made pad at 54 Hz before a pipeline whose events and frames a touch sink gets, as in the daemon."""
 
     def __init__(self, store: TouchStore | None, clock_ms: float = 0.0) -> None:
-        self.sink = TouchSink(store)
+        self.sink = TouchSink({"pad": store} if store else {})
         self.pad = MadePad()
         self.sent: list[Frame] = []
         self.clock_ms = clock_ms
@@ -194,10 +194,10 @@ def test_without_a_store_no_frame_is_held_and_none_written(tmp_path: Path) -> No
     bench.feel(palm(1.2), nothing(1.0))
     bench.end()
     assert ended(bench.events)
-    assert not bench.sink._recent
+    assert not bench.sink._pads
     assert list(tmp_path.iterdir()) == []
-    assert open_touch_store(Settings()) is None
-    assert open_touch_store(Settings(journal=JournalSettings(path=str(tmp_path / "events.jsonl")))) is None
+    assert open_touch_stores(Settings()) == {}
+    assert open_touch_stores(Settings(journal=JournalSettings(path=str(tmp_path / "events.jsonl")))) == {}
     assert list(tmp_path.iterdir()) == []
 
 
@@ -206,9 +206,9 @@ def test_a_touch_that_goes_on_while_keeping_is_turned_off_or_on_is_not_kept(
 ) -> None:
     bench = Bench(store)
     bench.feel(palm(0.5))
-    bench.sink.use(None)
+    bench.sink.use({})
     bench.feel(palm(0.5), nothing(1.0), palm(0.5))
-    bench.sink.use(store)
+    bench.sink.use({"pad": store})
     bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.0))
     bench.end()
     assert len(ended(bench.events)) == 3
@@ -250,7 +250,7 @@ def test_a_folder_that_cannot_be_used_is_one_line_that_names_the_setting(tmp_pat
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
         with pytest.raises(ConfigError, match=rf"journal\.keep_touches: .*{why}"):
-            open_touch_store(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
+            open_touch_stores(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
     assert not Path("/nowhere").exists()
 
 
@@ -280,7 +280,7 @@ def test_a_disk_that_hangs_costs_the_oldest_touches_and_never_the_loop(tmp_path:
 
 
 def test_keeping_costs_the_loop_little_a_frame(store: TouchStore) -> None:
-    sink = TouchSink(store)
+    sink = TouchSink({"pad": store} if store else {})
     frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
     sink.take(frames[0])
     sink.put(felt(1).began)
@@ -410,7 +410,7 @@ def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> Non
         sensor=SensorSettings(port="/dev/pad"),
         journal=JournalSettings(path=str(tmp_path / "events.jsonl"), keep_touches=2),
     )
-    store = open_touch_store(settings)
+    store = open_touch_stores(settings).get("pad")
     assert store is not None
     store.add(felt(1))
     (kept,) = kept_touches(tmp_path / "events.jsonl.touches")

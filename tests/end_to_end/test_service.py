@@ -91,25 +91,25 @@ def test_ready_is_said_once_when_the_pad_is_first_known_to_be_there_or_away(
 ) -> None:
     health.idle()
     assert manager.heard() == []
-    health.pad_state(up=False)
-    health.pad_state(up=True)
+    health.pad_state("pad", up=False)
+    health.pad_state("pad", up=True)
     assert manager.heard().count("READY=1") == 1
 
 
 def test_the_watchdog_is_fed_by_a_processed_frame(manager: Manager, health: Health) -> None:
-    health.frame_processed()
+    health.frame_processed("pad")
     assert manager.heard() == ["WATCHDOG=1"]
 
 
 def test_the_watchdog_is_fed_while_the_pad_is_known_to_be_away(manager: Manager, health: Health) -> None:
-    health.pad_state(up=False)
+    health.pad_state("pad", up=False)
     assert "WATCHDOG=1" in manager.heard()
 
 
 def test_the_watchdog_is_not_fed_while_a_pad_thought_to_be_there_sends_nothing(
     manager: Manager, health: Health
 ) -> None:
-    health.pad_state(up=True)
+    health.pad_state("pad", up=True)
     manager.heard()
     health.report(touches=0, dropped=0)
     health.idle()
@@ -118,7 +118,7 @@ def test_the_watchdog_is_not_fed_while_a_pad_thought_to_be_there_sends_nothing(
 
 def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, health: Health) -> None:
     for _ in range(1000):
-        health.frame_processed()
+        health.frame_processed("pad")
     assert manager.heard() == ["WATCHDOG=1"]
 
 
@@ -127,7 +127,7 @@ def test_the_status_shows_rate_touches_and_drops(
 ) -> None:
     now_s = time.monotonic()
     for _ in range(540):
-        health.frame_processed()
+        health.frame_processed("pad")
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
     health.report(touches=3, dropped=7)
     status = manager.heard()[-1]

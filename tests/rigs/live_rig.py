@@ -104,9 +104,9 @@ class Served:
     def __init__(self, classifier: Classifier) -> None:
         self.port = free_port()
         self.settings = Settings(live=LiveSettings(port=self.port))
-        self.classifier = classifier
+        self.models = {"pad": classifier}
         self.sink = LiveSink()
-        self.sink.use(self.settings, classifier)
+        self.sink.use(self.settings, self.models)
         self._frames = 0
 
     @contextmanager

@@ -55,15 +55,17 @@ export class HeatMap {
   #rows = new Float32Array(SIDE * PIXELS);
   #calm = matchMedia("(prefers-reduced-motion: reduce)");
 
+  /** scale: a canvas for the colours from light to firm, null for none. */
   constructor(canvas, scale) {
     this.#context = canvas.getContext("2d");
-    this.#scale = scale.getContext("2d");
+    this.#scale = scale?.getContext("2d");
     this.useTheme();
   }
 
   /** Take the colours anew: the page has turned dark or light. */
   useTheme() {
     this.#shades = shades();
+    if (!this.#scale) return;
     const image = new ImageData(SHADES, 1);
     new Uint32Array(image.data.buffer).set(this.#shades);
     this.#scale.putImageData(image, 0, 0);

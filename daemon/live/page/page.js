@@ -5,7 +5,8 @@ import { describePressure, HeatMap } from "./heat.js";
 import { TimeLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
-import { Store } from "./store.js";
+import { PadSwitch } from "./pads.js";
+import { padOf, Store } from "./store.js";
 import { nameOf, percent } from "./words.js";
 
 // Frames come every 18 ms; without one for this long, what is seen is old.
@@ -14,7 +15,14 @@ const WATCH_MS = 250;
 const WORDS_MS = 1000;
 
 const $ = (id) => document.getElementById(id);
-const store = new Store();
+let store = new Store();
+let stores = new Map();
+const pads = new PadSwitch($("pads"), (name) => {
+  store = stores.get(name);
+  hasEvent = true;
+  watch();
+  drawSoon();
+});
 const heat = new HeatMap($("heat"), $("scale"));
 const line = new TimeLine($("trace"), $("marks"), $("flags"));
 const announcer = new Announcer($("announcement"));
@@ -30,6 +38,7 @@ let hasLeaning = false;
 function draw() {
   isDue = false;
   heat.draw(store.pressure);
+  pads.draw(stores);
   line.draw(store);
   line.show(store);
   show.showClock(store);
@@ -62,16 +71,25 @@ function watch() {
 
 /** Announce a touch's answer when it is the first, or another. */
 function announce(prediction) {
-  const said = `${prediction.touch} ${prediction.gesture}`;
+  const said = `${prediction.pad} ${prediction.touch} ${prediction.gesture}`;
   if (said === announced) return;
   announced = said;
   const answer = `${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`;
-  announcer.say("answer", `Touch ${prediction.touch}: ${answer}`);
+  const where = stores.size > 1 ? ` on ${prediction.pad}` : "";
+  announcer.say("answer", `Touch ${prediction.touch}${where}: ${answer}`);
+}
+
+/** Keep a store for each pad; the first is shown large until another is chosen. */
+function usePads(names) {
+  if ([...stores.keys()].join() === names.join()) return;
+  stores = new Map(names.map((name) => [name, stores.get(name) ?? new Store()]));
+  store = stores.get(names[0]);
+  pads.use(names);
 }
 
 function onMessage(message) {
   if (message instanceof ArrayBuffer) {
-    store.takeFrame(message, performance.now());
+    [...stores.values()][padOf(message)]?.takeFrame(message, performance.now());
     drawSoon();
     return;
   }
@@ -80,8 +98,9 @@ function onMessage(message) {
     if (stamp !== null && stamp !== message.page) location.reload();
     stamp = message.page;
     link = "live";
+    usePads(message.pads);
   }
-  store.apply(message);
+  for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
   if (message.type === "prediction") announce(message);
   if (message.type === "leaning") hasLeaning = true;
   else if (message.type !== "status") hasEvent = true;
@@ -99,6 +118,7 @@ setInterval(() => {
 }, WORDS_MS);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   heat.useTheme();
+  pads.useTheme();
   line.useTheme();
   drawSoon();
 });

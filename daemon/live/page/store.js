@@ -2,12 +2,16 @@
 
 export const TAXELS = 64;
 const TOUCHES = 12;
-const FRAME_BYTES = 4 + 2 * TAXELS;
+const PAD_AT = 4 + 2 * TAXELS;
+const FRAME_BYTES = PAD_AT + 1;
 // A touch is noticed a little after it began: its first frames are fetched from here.
 const RECENT_FRAMES = 54;
 const REST_FRAMES = 54;
 // Four times the noise of the pad.
 const NOISE_COUNTS = 3;
+
+/** The place of the pad that a frame is of. */
+export const padOf = (buffer) => new DataView(buffer).getUint8(PAD_AT);
 
 export class Store {
   scene = { labels: [], answer_at_frames: [], frame_rate_hz: 54, model: "", robot_configured: false };
@@ -82,7 +86,7 @@ export class Store {
     }
   }
 
-  /** Take a frame: the sensor's clock (uint32), then the counts (uint16), little-endian. */
+  /** Take a frame: the sensor's clock (uint32), the counts (uint16), little-endian, the pad. */
   takeFrame(buffer, now) {
     if (buffer.byteLength !== FRAME_BYTES) return;
     const view = new DataView(buffer);

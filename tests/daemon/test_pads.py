@@ -1,0 +1,157 @@
+"""Several pads in one daemon: each with its own touches, and none that suffers from another's faults."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from rigs.expectations import RECORDINGS, expected, stream_of
+
+from daemon.config import (
+    ConfigError,
+    JournalSettings,
+    PadSettings,
+    SceneSettings,
+    SensorSettings,
+    Settings,
+    load,
+    only_pad,
+)
+from daemon.destinations import encoder_for
+from daemon.events import Event, Prediction, SensorEvent, TouchBegan
+from daemon.kept.touch_store import folder_of, kept_touches
+from daemon.kept.touches import read_journal
+from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.sinks import RobotSink
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.stub_robot import StubRobot
+from drivers.robot.actions import Action, ActionRule
+from drivers.robot.link import RobotLink, RobotSettings
+
+TIME = "2026-11-20T10:00:00.000Z"
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+GESTURES = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
+
+
+def told(pad: str) -> Prediction:
+    return Prediction(
+        touch=1,
+        stage="early",
+        frames=54,
+        elapsed_s=1.0,
+        gesture="pat",
+        confidence=0.9,
+        probabilities={},
+        changed=True,
+        told=True,
+        degraded=False,
+        latency_ms=1.0,
+        model="",
+        time=TIME,
+        pad=pad,
+    )
+
+
+def on(pad: str, events: list[Event]) -> list[Event]:
+    return [event for event in events if getattr(event, "pad", "") == pad]
+
+
+def played(path: Path, speed: float | None = 8.0, loop: bool = False) -> FakePort:
+    return FakePort(stream_of(path), encoder_for(SensorSettings()), speed=speed, loop=loop)
+
+
+def run_daemon(settings: Settings, folder: Path, *until: FakePort) -> list[Event]:
+    """Run the daemon until these ports have been played; return its events."""
+    with (folder / "log").open("wb") as log:
+        daemon = SpawnedDaemon(settings, folder, log)
+        try:
+            assert all(port.wait(25) for port in until)
+            daemon.process.terminate()
+            return list(daemon.events())
+        finally:
+            assert daemon.stop() == 0
+
+
+def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> None:
+    journal = tmp_path / "events.jsonl"
+    with played(LENGTHS) as head, played(GESTURES) as arm:
+        settings = Settings(
+            sensors={
+                "head": PadSettings(port=head.path),
+                "left_arm": PadSettings(port=arm.path, scene=SceneSettings(speak_above=1.0)),
+            },
+            journal=JournalSettings(path=str(journal), keep_touches=20),
+        )
+        events = run_daemon(settings, tmp_path, head, arm)
+    assert outline(on("head", events)) == expected(LENGTHS)
+    answers = [event for event in on("left_arm", events) if isinstance(event, Prediction)]
+    assert {event.told for event in answers if event.stage in ("early", "revised")} == {False}
+    for pad in ("head", "left_arm"):
+        touches = [event.touch for event in on(pad, events) if isinstance(event, TouchBegan)]
+        assert touches == list(range(1, 7))
+        assert [kept.number for kept in kept_touches(folder_of(journal, pad))] == touches
+    assert all(touch.ended and touch.predictions for touch in read_journal(journal))
+
+
+def test_a_pad_that_floods_or_is_missing_costs_the_others_nothing(tmp_path: Path) -> None:
+    with played(GESTURES, speed=40.0, loop=True) as flood, played(LENGTHS) as arm:
+        settings = Settings(
+            sensors={
+                "flood": PadSettings(port=flood.path),
+                "left_arm": PadSettings(port=arm.path),
+                "folder": PadSettings(port=str(tmp_path)),
+                "back": PadSettings(port=str(tmp_path / "unplugged")),
+            }
+        )
+        events = run_daemon(settings, tmp_path, arm)
+    assert outline(on("left_arm", events)) == expected(LENGTHS)
+    for pad in ("back", "folder"):
+        assert {event.state for event in on(pad, events) if isinstance(event, SensorEvent)} == {"down"}
+
+
+def test_the_robot_hears_of_each_pad_by_its_name() -> None:
+    say = ActionRule(do=(Action(say="{gesture}"),))
+    with StubRobot() as robot:
+        pads: dict[str, tuple[ActionRule, ...]] = {"head": (say,), "left_arm": ()}
+        link = RobotLink(RobotSettings(url=robot.url, pads=pads), open_session=robot.open_session)
+        sink = RobotSink(link)
+        for pad in pads:
+            sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))
+            sink.put(told(pad))
+        for pad, state in (("head", "up"), ("left_arm", "down")):
+            robot.calls.wait_for_raise(f"TouchGesture/{pad}/Status", state)
+            robot.calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "pat")
+        robot.calls.wait_for(lambda call: call.method == "say")
+        sink.stop(2.0)
+        robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
+        assert [call.method for call in robot.calls.all()].count("say") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("sensors: {head: {prt: x}}", "sensors.head.prt is not a setting; did you mean port?"),
+        (
+            "sensors: {head: {scene: {speak_above: 2}}}",
+            "sensors.head.scene.speak_above must be a number",
+        ),
+        ("sensors: {'a b': {}}", "'a b' is no name of a pad"),
+        ("sensors: {a: {}, b: {}}", "/dev/touchd-pad is the port of more than one pad"),
+        ("sensors: {a: {}}\nsensor: {baud: 9600}", "sensor and sensors are both set; keep one"),
+    ],
+)
+def test_a_mistake_in_one_of_several_pads_names_it(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        load(path)
+
+
+def test_a_command_for_one_pad_asks_which() -> None:
+    settings = Settings(sensors={"head": PadSettings(port="a"), "arm": PadSettings(port="b")})
+    assert only_pad(settings, "arm").sensor.port == "b"
+    assert only_pad(Settings(), None, "c").sensor.port == "c"
+    for name in (None, "leg"):
+        with pytest.raises(ConfigError, match="give --pad one of head, arm"):
+            only_pad(settings, name)
