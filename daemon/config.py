@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 import yaml
 
+from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from daemon.decide import DecisionSettings
 from daemon.pipeline import PipelineSettings
 from daemon.touch import TouchSettings
@@ -160,6 +161,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     robot: RobotConfig | None = None
     journal: JournalSettings | None = None
     live: LiveSettings | None = None
+    mqtt: MqttSettings | None = None
+    lsl: LslSettings | None = None
+    ros2: Ros2Settings | None = None
+    rosbridge: RosbridgeSettings | None = None
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     def __post_init__(self) -> None:
@@ -192,6 +197,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def model_path(self) -> Path | None:
         """The configured ONNX file, None for the shipped one."""
         return None if self.model is None else Path(self.model).expanduser()
+
+    @property
+    def bridges(self) -> dict[str, Section | None]:
+        """The sections for bridges by their names."""
+        return {"mqtt": self.mqtt, "lsl": self.lsl, "ros2": self.ros2, "rosbridge": self.rosbridge}
 
     @property
     def pipeline(self) -> PipelineSettings:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from daemon.bridges.bridges import Bridges
 from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.destinations import link_to_robot, open_journal, open_touch_stores, parser_for
@@ -34,7 +35,8 @@ SINKS_STOP_S = 1.2
 class Outlet:
     """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
 
-    Journal, robot, live page and kept touches are always among them, and do nothing where not configured.
+    Journal, robot, live page, kept touches and bridges are always among them, and do nothing where not
+    configured.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -42,7 +44,8 @@ class Outlet:
         self.robot = RobotSink(None)
         self.live = LiveSink()
         self.kept = TouchSink(open_touch_stores(settings))
-        self.sinks: list[Sink] = [self.journal, self.robot, self.live, self.kept]
+        self.bridges = Bridges()
+        self.sinks: list[Sink] = [self.journal, self.robot, self.live, self.kept, self.bridges]
         self.touches = 0
 
     def emit(self, event: Event) -> None:
@@ -50,6 +53,11 @@ class Outlet:
         self.touches += isinstance(event, TouchBegan)
         for sink in self.sinks:
             sink.put(event)
+
+    def show(self, frame: Frame, dropped: int, pad: str) -> None:
+        """Hand a pad's frame to the sinks that show it, and how many the daemon was too slow for so far."""
+        self.live.put_frame(frame, dropped, pad)
+        self.bridges.put_frame(frame, pad)
 
     def stop(self) -> None:
         """Stop every sink, all of them within SINKS_STOP_S."""
@@ -230,12 +238,14 @@ class Service:
         link = link_to_robot(settings, self._outlet.emit) if tells_anew else None
         keeps_anew = bool(changed & {"journal", "sensor", "sensors"})
         stores = open_touch_stores(settings) if keeps_anew else {}
-        self._outlet.live.use(settings, models)
-        # Last, since it is the one that leaves something behind; nothing after it fails.
         try:
+            self._outlet.live.use(settings, models)
+            self._outlet.bridges.use(settings, models)
+            # Last, since it is the one that leaves something behind; nothing after it fails.
             journal = open_journal(settings.journal) if "journal" in names else None
         except TouchdError:
             self._outlet.live.use(before, self._models)
+            self._outlet.bridges.use(before, self._models)
             raise
         self._settings, self._models = settings, models
         logging.getLogger().setLevel(settings.log_level.upper())
@@ -265,7 +275,7 @@ class Service:
                 pad.watch.update(frame)
                 if self._show_frame is not None and pad is self._pads[0]:
                     self._show_frame(frame.pressure)
-                self._outlet.live.put_frame(frame, self._dropped(), pad.name)
+                self._outlet.show(frame, self._dropped(), pad.name)
             case SensorState() as state:
                 pad.pipeline.on_sensor_state(state)
                 self._health.pad_state(pad.name, state.state == "up")

@@ -11,6 +11,11 @@ EXTRAS = {
     "plot": ("matplotlib",),
     "live": ("websockets", "segno"),
     "nao": ("qi",),
+    "mqtt": ("paho",),
+    "lsl": ("pylsl",),
+    "ros2": ("cyclonedds",),
+    "rosbridge": ("websockets",),
+    "mcap": ("mcap",),
     "train": ("torch", "onnx", "onnxscript", "sklearn", "scipy", "tqdm"),
 }
 

@@ -99,6 +99,7 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
             outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
         outlet.live.use(settings, models)
+        outlet.bridges.use(settings, models)
         outlet.robot.use(link_to_robot(settings, outlet.emit))
         service = Service(settings, models, outlet, Health(notifier), show_frame)
         closing.enter_context(rereading(hung_up, read, service.change))

@@ -34,7 +34,7 @@ def make_disk() -> Path:
         call("mmdebstrap", "--quiet", "--variant=minbase", f"--include={PACKAGES}", "bookworm", str(root))
         (CACHE / "key").unlink(missing_ok=True)
         call("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(CACHE / "key"))
-        (root / "root/.ssh").mkdir(mode=0o700)
+        (root / "root/.ssh").mkdir(mode=0o700, exist_ok=True)
         shutil.copy(CACHE / "key.pub", root / "root/.ssh/authorized_keys")
         (root / "etc/hostname").write_text("lab\n")
         (root / "etc/systemd/network/20-lab.network").write_text(NETWORK)
@@ -60,7 +60,7 @@ def hand_over(folder: Path) -> None:
     for source in SOURCES:
         _copy(ROOT / source, folder / "touchd" / source)
     _copy(ROOT / "tests/recordings", folder / "recordings")
-    _copy(ROOT / "tests/on_the_machine", folder / "helpers")
+    _copy(ROOT / "tests/by_hand/on_the_machine", folder / "helpers")
     _copy(wheels, folder / "wheels")
 
 

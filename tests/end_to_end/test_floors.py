@@ -78,6 +78,10 @@ def test_the_running_daemon_imports_nothing_that_only_view_page_or_robot_need(lo
     assert not loaded & {"rich", "qi", "websockets", "asyncio"}
 
 
+def test_the_running_daemon_imports_no_bridge_that_is_not_configured(loaded: set[str]) -> None:
+    assert not loaded & {"paho", "pylsl", "cyclonedds", "websockets", "mcap"}
+
+
 def test_the_command_line_starts_without_loading_anything_heavy() -> None:
     done = subprocess.run(
         [sys.executable, "-c", "import sys, daemon.cli; print(*sys.modules)"],

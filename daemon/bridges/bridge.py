@@ -1,0 +1,91 @@
+"""What all bridges share: a bounded queue, a thread that owns the library, and frames at a stated rate."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from abc import abstractmethod
+
+from daemon.events import Event
+from daemon.sinks import CAPACITY, QueuedSink
+from drivers.errors import TouchdError
+from drivers.frame import Frame
+
+# A second of frames: more of them would only delay events, and are late themselves.
+MOST_FRAMES = 54
+POLL_S = 0.05
+
+
+class BridgeError(TouchdError):
+    """A bridge cannot be used as configured; the message is one line that says what to do."""
+
+
+class Bridge(QueuedSink[Event | Frame]):
+    """Passes one pad's events on to another system, and its frames where they are wanted.
+
+    `open`, `write` and `close` run in the sink's own thread. Events wait while the peer is away, the oldest
+    are dropped when the queue is full; frames are not queued then.
+    frames_hz: frames a second at most, math.inf for all; None wants none.
+    """
+
+    def __init__(self, name: str, frames_hz: float | None, capacity: int = CAPACITY) -> None:
+        self._frames_hz = frames_hz
+        self._next_frame_s = 0.0
+        self._peer_is_there = threading.Event()
+        self._log = logging.getLogger(f"daemon.bridges.{name}")
+        self._was_away = False
+        super().__init__(name, capacity)
+
+    def put_frame(self, frame: Frame) -> None:
+        """Queue a frame if one is due and there is somebody to send it to; never blocks."""
+        if self._frames_hz is None or not self._peer_is_there.is_set() or frame.host_s < self._next_frame_s:
+            return
+        period_s = 1.0 / self._frames_hz
+        # A late frame does not delay those after it, unless there was a pause.
+        is_late = frame.host_s - self._next_frame_s < period_s
+        self._next_frame_s = (self._next_frame_s if is_late else frame.host_s) + period_s
+        if len(self._items) < MOST_FRAMES:
+            self.put(frame)
+        else:
+            self.dropped += 1
+
+    @abstractmethod
+    def open(self) -> None:
+        """Make what the library needs; must not wait for the peer."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Say goodbye and free what `open` made."""
+
+    def _run(self) -> None:
+        try:
+            self.open()
+            super()._run()
+            self.close()
+        except Exception:
+            self._log.exception("%s has failed; the daemon goes on without it", self.name)
+
+    def _await_peer(self) -> bool:
+        """Wait until the peer is there; returns False when the sink is to end instead."""
+        while not self._peer_is_there.wait(POLL_S):
+            if self._abandoned.is_set():
+                return False
+        return True
+
+    def _tell_there(self, where: str) -> None:
+        self._log.info("%s: connected to %s", self.name, where)
+        self._was_away = False
+        self._peer_is_there.set()
+
+    def _tell_away(self, where: str, reason: str) -> None:
+        """Log once that the peer is away, however many attempts fail."""
+        self._peer_is_there.clear()
+        if not self._was_away and not self._draining:
+            self._log.warning("%s: %s is away (%s); trying until it is there", self.name, where, reason)
+        self._was_away = True
+
+
+def arrival_s(frame: Frame) -> float:
+    """Return when a frame's last byte arrived, in seconds since 1970."""
+    return time.time() - (time.monotonic() - frame.host_s)

@@ -1,0 +1,75 @@
+"""Lab Streaming Layer: a stream of markers and one of the pad's pressure, on the lab's common clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+
+import pylsl
+
+from daemon.bridges.bridge import Bridge, arrival_s
+from daemon.bridges.settings import LslSettings
+from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchEnded, epoch_s
+from daemon.sinks import CAPACITY
+from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+
+
+def prepare(settings: LslSettings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
+    """Return what opens the bridge."""
+    return lambda: LslBridge(settings, pad)
+
+
+class LslBridge(Bridge):
+    """Pushes markers and frames, each with the time at which it arose; whoever listens comes and goes."""
+
+    def __init__(self, settings: LslSettings, pad: str, capacity: int = CAPACITY) -> None:
+        self._stream = f"{settings.name}-{pad}"
+        super().__init__("lsl", math.inf, capacity)
+
+    def open(self) -> None:
+        """Announce both streams."""
+        self._markers = pylsl.StreamOutlet(
+            self._info("markers", "Markers", 1, pylsl.IRREGULAR_RATE, "string")
+        )
+        pressure = self._info("pressure", "Pressure", ROWS * COLUMNS, FRAME_RATE_HZ, "float32")
+        pressure.set_channel_labels([f"r{row}c{column}" for row in range(ROWS) for column in range(COLUMNS)])
+        pressure.set_channel_units("counts")
+        self._pressure = pylsl.StreamOutlet(pressure)
+        self._peer_is_there.set()
+
+    def write(self, item: Event | Frame) -> None:
+        """Push one sample."""
+        if isinstance(item, Frame):
+            self._pressure.push_sample(item.pressure.ravel().tolist(), _local(arrival_s(item)))
+        else:
+            self._markers.push_sample([marker_of(item)], _local(epoch_s(item.time)))
+
+    def close(self) -> None:
+        """Take both streams away."""
+        del self._markers, self._pressure
+
+    def _info(self, name: str, kind: str, channels: int, rate_hz: float, form: str) -> pylsl.StreamInfo:
+        # With the same source_id, an inlet finds the stream again after touchd was restarted.
+        full = f"{self._stream}-{name}"
+        return pylsl.StreamInfo(full, kind, channels, rate_hz, form, source_id=full)
+
+
+def marker_of(event: Event) -> str:
+    """Return an event as a short marker; MNE selects by the words between the slashes."""
+    match event:
+        case Prediction():
+            return f"{event.stage}/{event.gesture}/{'told' if event.told else 'untold'}"
+        case TouchEnded():
+            return f"touch_ended/{event.gesture}"
+        case SensorEvent():
+            return f"sensor/{event.state}"
+        case RobotEvent():
+            return f"robot/{event.state}"
+        case _:
+            return "touch_began"
+
+
+def _local(epoch_s: float) -> float:
+    """Return a time since 1970 on LSL's clock."""
+    return float(pylsl.local_clock()) - (time.time() - epoch_s)

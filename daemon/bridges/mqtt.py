@@ -1,0 +1,173 @@
+"""MQTT: events, the pad's state and, where wanted, its pressure on a broker."""
+
+from __future__ import annotations
+
+import ssl
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import paho.mqtt.client as mqtt
+from paho.mqtt.enums import CallbackAPIVersion
+
+from daemon.bridges.bridge import POLL_S, Bridge, BridgeError, arrival_s
+from daemon.bridges.settings import MqttSettings
+from daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
+from daemon.sinks import CAPACITY
+from drivers.frame import Frame
+
+KEEPALIVE_S = 10
+CONNECT_S = 3.0
+RECONNECT_FIRST_S, RECONNECT_CAP_S = 0.1, 1.0
+MAX_PASSWORD_BYTES = 4096
+# What Home Assistant is to make of an event: told answers only, the gesture as the event's type.
+TO_HOME_ASSISTANT = (
+    "{% if value_json.type == 'prediction' and value_json.told %}"
+    "{{ {'event_type': value_json.gesture, 'confidence': value_json.confidence, "
+    "'stage': value_json.stage, 'touch': value_json.touch} | tojson }}{% endif %}"
+)
+
+
+def prepare(settings: MqttSettings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
+    """Return what opens the bridge; raises BridgeError when it cannot be used so."""
+    password = _read_password(settings.password_file) if settings.password_file else None
+    context = _tls(settings.ca_file) if settings.tls else None
+    return lambda: MqttBridge(settings, pad, labels, password, context)
+
+
+class MqttBridge(Bridge):
+    """Publishes each event with QoS 1, one at a time and in order, and keeps the state retained.
+
+    The state is up (the pad is felt), down (it is away), stopped (touchd has ended) or, as the last will,
+    lost. paho's own thread holds the connection and makes it anew.
+    """
+
+    def __init__(
+        self,
+        settings: MqttSettings,
+        pad: str,
+        labels: Sequence[str] = (),
+        password: str | None = None,
+        context: ssl.SSLContext | None = None,
+        capacity: int = CAPACITY,
+    ) -> None:
+        self._settings = settings
+        self._labels = labels
+        self._topic = f"{settings.topic}/{pad}"
+        self._where = f"{settings.host}:{settings.port}"
+        self._state = "down"
+        self._acknowledged: set[int] = set()
+        self._acknowledging = threading.Condition()
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
+        self._client.connect_timeout = CONNECT_S
+        self._client.reconnect_delay_set(RECONNECT_FIRST_S, RECONNECT_CAP_S)  # type: ignore[arg-type]
+        self._client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)
+        if settings.user is not None:
+            self._client.username_pw_set(settings.user, password)
+        if context is not None:
+            self._client.tls_set_context(context)
+        self._client.on_connect = self._on_connect
+        self._client.on_connect_fail = lambda *_: self._tell_away(self._where, "cannot be reached")
+        self._client.on_disconnect = lambda *ends: self._tell_away(self._where, str(ends[3]))
+        self._client.on_publish = self._on_publish
+        super().__init__("mqtt", settings.pressure_hz, capacity)
+
+    def open(self) -> None:
+        """Begin to connect."""
+        self._client.connect_async(self._settings.host, self._settings.port, KEEPALIVE_S)
+        self._client.loop_start()
+
+    def write(self, item: Event | Frame) -> None:
+        """Publish an event and wait until the broker has it, or publish a frame."""
+        if isinstance(item, Frame):
+            self._client.publish(f"{self._topic}/pressure", _pressure(item))
+            return
+        if isinstance(item, SensorEvent):
+            self._state = item.state
+        if not self._await_peer():
+            return
+        if isinstance(item, SensorEvent):
+            self._publish_state()
+        self._await(self._client.publish(f"{self._topic}/event", encode(item), qos=1))
+
+    def close(self) -> None:
+        """Leave the state as stopped."""
+        if self._peer_is_there.is_set():
+            self._state = "stopped"
+            self._await(self._publish_state())
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
+        if code.is_failure:
+            self._tell_away(self._where, str(code))
+            return
+        self._publish_state()
+        if self._settings.discovery is not None:
+            topic, payload = discovery(self._settings.discovery, self._topic, self._labels)
+            client.publish(topic, payload, qos=1, retain=True)
+        self._tell_there(self._where)
+
+    def _publish_state(self) -> mqtt.MQTTMessageInfo:
+        return self._client.publish(f"{self._topic}/state", self._state, qos=1, retain=True)
+
+    def _on_publish(self, _client: mqtt.Client, _data: Any, mid: int, *_: Any) -> None:
+        with self._acknowledging:
+            self._acknowledged.add(mid)
+            self._acknowledging.notify()
+
+    def _await(self, info: mqtt.MQTTMessageInfo) -> None:
+        """Wait until the broker has acknowledged a message; over a lost connection paho sends it again."""
+        with self._acknowledging:
+            while info.mid not in self._acknowledged and not self._abandoned.is_set():
+                self._acknowledging.wait(POLL_S)
+            self._acknowledged.clear()
+
+
+def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, bytes]:
+    """Return topic and payload that announce a pad to Home Assistant as an event entity."""
+    name = topic.replace("/", "_")
+    payload = {
+        "name": None,
+        "unique_id": name,
+        "state_topic": f"{topic}/event",
+        "event_types": [*labels, UNCERTAIN],
+        "value_template": TO_HOME_ASSISTANT,
+        "availability_topic": f"{topic}/state",
+        "availability_template": "{{ 'online' if value == 'up' else 'offline' }}",
+        "device": {"identifiers": [name], "name": topic, "manufacturer": "touchd"},
+        "icon": "mdi:hand-heart",
+    }
+    return f"{prefix}/event/{name}/config", msgspec.json.encode(payload)
+
+
+def _pressure(frame: Frame) -> bytes:
+    return msgspec.json.encode(
+        {
+            "time": timestamp(arrival_s(frame)),
+            "sensor_ms": frame.sensor_ms,
+            "pressure": frame.pressure.tolist(),
+        }
+    )
+
+
+def _read_password(file: str) -> str:
+    try:
+        with Path(file).expanduser().open(encoding="utf-8") as opened:
+            password = opened.read(MAX_PASSWORD_BYTES).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BridgeError(
+            f"mqtt.password_file: {file} cannot be read ({error}); check path and owner"
+        ) from error
+    if not password:
+        raise BridgeError(f"mqtt.password_file: {file} is empty; put the password there")
+    return password
+
+
+def _tls(ca_file: str | None) -> ssl.SSLContext:
+    try:
+        return ssl.create_default_context(cafile=str(Path(ca_file).expanduser()) if ca_file else None)
+    except (OSError, ssl.SSLError) as error:
+        raise BridgeError(f"mqtt.ca_file: {ca_file} cannot be used ({error}); give a file of PEM") from error

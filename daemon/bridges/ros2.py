@@ -1,0 +1,72 @@
+"""ROS 2 without a ROS installation: what its nodes publish, over the same DDS wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter, Publisher
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from daemon.bridges.bridge import Bridge
+from daemon.bridges.ros2_types import Image, String, image
+from daemon.bridges.settings import Ros2Settings
+from daemon.events import Event, Prediction, encode
+from daemon.sinks import CAPACITY
+from drivers.frame import Frame
+
+# What rclpy and rclcpp ask for by default. A reliable writer suits readers of either kind.
+QOS = Qos(
+    Policy.Reliability.Reliable(duration(milliseconds=100)),
+    Policy.Durability.Volatile,
+    Policy.History.KeepLast(10),
+    Policy.DataRepresentation(use_cdrv0_representation=True),
+)
+
+Message = TypeVar("Message", String, Image)
+
+
+def prepare(settings: Ros2Settings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
+    """Return what opens the bridge."""
+    return lambda: Ros2Bridge(settings, pad)
+
+
+class Ros2Bridge(Bridge):
+    """Publishes gesture (told ones, a String), event (JSON in a String) and pressure (an Image)."""
+
+    def __init__(self, settings: Ros2Settings, pad: str, capacity: int = CAPACITY) -> None:
+        self._settings = settings
+        self._pad = pad
+        super().__init__("ros2", math.inf, capacity)
+
+    def open(self) -> None:
+        """Join the domain."""
+        participant = DomainParticipant(self._settings.domain)
+        publisher = Publisher(participant)
+        # ROS 2 has its topics under rt.
+        prefix = f"rt{self._settings.namespace}/{self._pad}"
+
+        def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
+            return DataWriter(publisher, Topic(participant, f"{prefix}/{name}", kind), QOS)
+
+        self._gesture = writer("gesture", String)
+        self._event = writer("event", String)
+        self._pressure = writer("pressure", Image)
+        self._peer_is_there.set()
+
+    def write(self, item: Event | Frame) -> None:
+        """Publish one message, or two."""
+        if isinstance(item, Frame):
+            self._pressure.write(image(item, self._pad))
+            return
+        if isinstance(item, Prediction) and item.told:
+            self._gesture.write(String(item.gesture))
+        self._event.write(String(encode(item).decode()))
+
+    def close(self) -> None:
+        """Leave the domain."""
+        del self._gesture, self._event, self._pressure

@@ -1,0 +1,133 @@
+"""rosbridge: ROS 1, and ROS 2 behind a firewall or on another processor, by JSON over a websocket."""
+
+from __future__ import annotations
+
+import base64
+import logging
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import msgspec
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from daemon.bridges.bridge import Bridge
+from daemon.bridges.settings import RosbridgeSettings
+from daemon.events import Event, Prediction, encode
+from daemon.sinks import CAPACITY
+from drivers.frame import COLUMNS, ROWS, Frame
+from drivers.robot.worker import Backoff
+
+CONNECT_S = 1.0
+CLOSE_S = 0.2
+PING_S = 5.0
+BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
+# A reply is short; subscribed to nothing, we get none.
+MOST_HEARD_BYTES = 64 * 1024
+# In the form that servers of both generations know.
+STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
+
+
+def prepare(settings: RosbridgeSettings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
+    """Return what opens the bridge."""
+    return lambda: RosbridgeBridge(settings, pad)
+
+
+class RosbridgeBridge(Bridge):
+    """Publishes the topics of `Ros2Bridge`; a thread of its own holds the connection and makes it anew."""
+
+    def __init__(self, settings: RosbridgeSettings, pad: str, capacity: int = CAPACITY) -> None:
+        self._settings = settings
+        self._prefix = f"{settings.namespace}/{pad}"
+        self._pad = pad
+        self._connection: ClientConnection | None = None
+        self._ending = threading.Event()
+        self._keeper = threading.Thread(
+            target=self._keep_connected, name="touchd-rosbridge-link", daemon=True
+        )
+        super().__init__("rosbridge", settings.pressure_hz, capacity)
+
+    def open(self) -> None:
+        """Begin to connect."""
+        self._keeper.start()
+
+    def write(self, item: Event | Frame) -> None:
+        """Send one message, or two; an event is sent again over the next connection if this one is lost."""
+        if isinstance(item, Frame):
+            self._send([self._publish("pressure", self._image(item))])
+            return
+        messages = [self._publish("event", {"data": encode(item).decode()})]
+        if isinstance(item, Prediction) and item.told:
+            messages.insert(0, self._publish("gesture", {"data": item.gesture}))
+        while self._await_peer() and not self._send(messages):
+            pass
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._ending.set()
+        if (connection := self._connection) is not None:
+            connection.close()
+        self._keeper.join()
+
+    def _keep_connected(self) -> None:
+        backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
+        url = self._settings.url
+        while not self._ending.is_set():
+            try:
+                with self._connect(url) as connection:
+                    self._connection = connection
+                    for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
+                        advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}
+                        connection.send(msgspec.json.encode(advertised).decode())
+                    self._tell_there(url)
+                    backoff.reset()
+                    for _ in connection:
+                        pass
+                self._tell_away(url, "the connection was closed")
+            except (OSError, WebSocketException) as error:
+                self._tell_away(url, str(error))
+            self._ending.wait(backoff.pause_s())
+
+    def _connect(self, url: str) -> ClientConnection:
+        quiet = logging.getLogger(f"{__name__}.connection")
+        quiet.setLevel(logging.CRITICAL)
+        return connect(
+            url,
+            open_timeout=CONNECT_S,
+            close_timeout=CLOSE_S,
+            ping_interval=PING_S,
+            ping_timeout=PING_S,
+            max_size=MOST_HEARD_BYTES,
+            compression=None,
+            proxy=None,
+            logger=quiet,
+        )
+
+    def _send(self, messages: Sequence[str]) -> bool:
+        connection = self._connection
+        if connection is None:
+            return False
+        try:
+            for message in messages:
+                connection.send(message)
+        except (OSError, WebSocketException):
+            self._peer_is_there.clear()
+            return False
+        return True
+
+    def _publish(self, name: str, message: dict[str, Any]) -> str:
+        operation = {"op": "publish", "topic": f"{self._prefix}/{name}", "msg": message}
+        return msgspec.json.encode(operation).decode()
+
+    def _image(self, frame: Frame) -> dict[str, Any]:
+        # The server itself puts the time into the header.
+        return {
+            "header": {"frame_id": self._pad},
+            "height": ROWS,
+            "width": COLUMNS,
+            "encoding": "mono16",
+            "is_bigendian": 0,
+            "step": 2 * COLUMNS,
+            "data": base64.b64encode(frame.pressure.astype("<u2").tobytes()).decode(),
+        }

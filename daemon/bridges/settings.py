@@ -1,0 +1,68 @@
+"""The sections of the configuration for bridges to other systems."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import msgspec
+
+PressureHz = Annotated[float, msgspec.Meta(gt=0, le=500)]
+Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
+Topic = Annotated[str, msgspec.Meta(pattern=r"^[^/+#\s]+(/[^/+#\s]+)*$")]
+Namespace = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_]\w*)+$")]
+
+
+class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An MQTT broker. A pad's topics are TOPIC/PAD/event, TOPIC/PAD/state and TOPIC/PAD/pressure.
+
+    ca_file: of the authority that signed the broker's certificate; None trusts those of the system. With tls.
+    password_file: holds the password of `user`.
+    pressure_hz: frames a second to publish at most; None publishes none.
+    discovery: Home Assistant's discovery prefix, usually homeassistant; None announces nothing.
+    """
+
+    host: Annotated[str, msgspec.Meta(min_length=1)] = "localhost"
+    port: Port = 1883
+    topic: Topic = "touchd"
+    tls: bool = False
+    ca_file: str | None = None
+    user: str | None = None
+    password_file: str | None = None
+    pressure_hz: PressureHz | None = None
+    discovery: Topic | None = None
+
+    def __post_init__(self) -> None:
+        if self.ca_file is not None and not self.tls:
+            raise ValueError("ca_file is set without tls; set tls: true")
+        if self.password_file is not None and self.user is None:
+            raise ValueError("password_file is set without user; set user")
+
+
+class LslSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Streams of the Lab Streaming Layer: NAME-PAD-markers and NAME-PAD-pressure."""
+
+    name: Annotated[str, msgspec.Meta(min_length=1, max_length=64)] = "touchd"
+
+
+class Ros2Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """ROS 2 over DDS. A pad's topics are NAMESPACE/PAD/gesture, event and pressure.
+
+    domain: ROS_DOMAIN_ID of the nodes that shall hear.
+    """
+
+    domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0
+    namespace: Namespace = "/touchd"
+
+
+class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A rosbridge server of ROS 1 or ROS 2; the topics are those of `Ros2Settings`.
+
+    pressure_hz: frames a second to publish at most; None publishes none.
+    """
+
+    url: Annotated[str, msgspec.Meta(pattern=r"^wss?://[^\s@]+$")] = "ws://localhost:9090"
+    namespace: Namespace = "/touchd"
+    pressure_hz: PressureHz | None = None
+
+
+Section = MqttSettings | LslSettings | Ros2Settings | RosbridgeSettings

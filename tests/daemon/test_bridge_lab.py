@@ -1,0 +1,193 @@
+"""What arrives at LSL's inlets, at ROS 2's readers and at rosbridge: times, bytes and names."""
+
+from __future__ import annotations
+
+import base64
+import statistics
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of, wait_for
+
+from daemon.events import Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
+
+PREDICTION = Prediction(
+    touch=7,
+    stage="early",
+    frames=54,
+    elapsed_s=1.0,
+    gesture="stroke",
+    confidence=0.81,
+    probabilities={"pat": 0.19, "stroke": 0.81},
+    changed=True,
+    told=True,
+    degraded=False,
+    latency_ms=1.9,
+    model="m",
+    time="2026-11-20T10:00:01.000Z",
+)
+
+
+def test_lsl_frames_bear_their_time_of_arrival_within_2_ms(tmp_path: Path) -> None:
+    pylsl = pytest.importorskip("pylsl")
+    peer = LslPeer(tmp_path)
+    bridge = peer.bridge()
+    inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
+    time.sleep(0.3)
+    arrived: list[float] = []
+    for number in range(27):
+        # What waited in a queue for 50 ms is stamped as what did not.
+        now_s = time.monotonic()
+        arrived.append(pylsl.local_clock() - 0.05)
+        bridge.put_frame(frame(number, now_s - 0.05))
+        time.sleep(1 / 54)
+    samples: list[list[float]] = []
+    times: list[float] = []
+    while len(samples) < 27:
+        sample, stamped = inlet.pull_sample(timeout=5)
+        assert sample is not None
+        samples.append(sample)
+        times.append(stamped)
+    info = inlet.info()
+    bridge.stop(2.0)
+    assert (info.channel_count(), info.nominal_srate()) == (64, 54.0)
+    np.testing.assert_array_equal(samples[5], frame(5).pressure.ravel())
+    errors_s = [abs(stamped - truth) for stamped, truth in zip(times, arrived, strict=True)]
+    assert statistics.median(errors_s) < 0.002
+    assert max(errors_s) < 0.02
+
+
+def test_lsl_markers_bear_the_events_own_time(tmp_path: Path) -> None:
+    pylsl = pytest.importorskip("pylsl")
+    peer = LslPeer(tmp_path)
+    bridge = peer.bridge()
+    inlet = inlet_of(f"{peer.name}-{PAD}-markers", threading.Event())
+    time.sleep(0.3)
+    ago = timestamp(time.time() - 1.0)
+    ago_s = pylsl.local_clock() - 1.0
+    for event in (
+        TouchBegan(touch=1, time=ago, sensor_ms=1),
+        PREDICTION,
+        TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=ago),
+        SensorEvent(state="down", time=ago),
+        RobotEvent(state="up", time=ago),
+    ):
+        bridge.put(event)
+    pulled = [inlet.pull_sample(timeout=5) for _ in range(5)]
+    bridge.stop(2.0)
+    markers = [sample[0] for sample, _ in pulled]
+    assert markers == ["touch_began", "early/stroke/told", "touch_ended/pat", "sensor/down", "robot/up"]
+    assert pulled[0][1] == pytest.approx(ago_s, abs=0.02)
+
+
+def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.domain import DomainParticipant
+
+    from daemon.bridges.ros2_types import Image, String
+
+    peer = Ros2Peer(tmp_path)
+    participant = DomainParticipant(peer.domain)
+    topics = {"gesture": String, "event": String, "pressure": Image}
+    readers = {name: reader_of(participant, f"rt/touchd/{PAD}/{name}", kind) for name, kind in topics.items()}
+    bridge = peer.bridge()
+    heard: dict[str, list[object]] = {name: [] for name in topics}
+
+    def all_heard() -> bool:
+        bridge.put(PREDICTION)
+        bridge.put_frame(frame(1))
+        time.sleep(0.05)
+        for name, reader in readers.items():
+            heard[name] += reader.take(10)
+        return all(heard.values())
+
+    wait_for(all_heard)
+    bridge.stop(2.0)
+    assert heard["gesture"][0] == String("stroke")
+    assert decode(heard["event"][0].data) == PREDICTION  # type: ignore[attr-defined]
+    picture = heard["pressure"][0]
+    assert isinstance(picture, Image)
+    assert (picture.encoding, picture.step, picture.header.frame_id) == ("mono16", 16, PAD)
+    np.testing.assert_array_equal(np.frombuffer(bytes(picture.data), "<u2").reshape(8, 8), frame(1).pressure)
+    assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
+
+
+def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
+    pytest.importorskip("cyclonedds")
+    stores = pytest.importorskip("rosbags.typesys")
+    from daemon.bridges.ros2_types import String, image
+
+    store = stores.get_typestore(stores.Stores.ROS2_JAZZY)
+    public = store.types
+    assert String("stroke").serialize() == bytes(
+        store.serialize_cdr(public["std_msgs/msg/String"]("stroke"), "std_msgs/msg/String")
+    )
+    ours = image(frame(3), PAD)
+    stamp = public["builtin_interfaces/msg/Time"](ours.header.stamp.sec, ours.header.stamp.nanosec)
+    theirs = public["sensor_msgs/msg/Image"](
+        header=public["std_msgs/msg/Header"](stamp, PAD),
+        height=8,
+        width=8,
+        encoding="mono16",
+        is_bigendian=0,
+        step=16,
+        data=frame(3).pressure.astype("<u2").view(np.uint8).ravel(),
+    )
+    assert ours.serialize() == bytes(store.serialize_cdr(theirs, "sensor_msgs/msg/Image"))
+
+
+def test_ros2_topics_and_types_have_the_names_that_nodes_look_for(tmp_path: Path) -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.domain import DomainParticipant
+
+    peer = Ros2Peer(tmp_path)
+    participant = DomainParticipant(peer.domain)
+    reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+    bridge = peer.bridge()
+    found: set[tuple[str, str]] = set()
+
+    def all_found() -> bool:
+        found.update((sample.topic_name, sample.type_name) for sample in reader.take(20))
+        return len(found) == 3
+
+    wait_for(all_found)
+    bridge.stop(2.0)
+    assert found == {
+        ("rt/touchd/pad/gesture", "std_msgs::msg::dds_::String_"),
+        ("rt/touchd/pad/event", "std_msgs::msg::dds_::String_"),
+        ("rt/touchd/pad/pressure", "sensor_msgs::msg::dds_::Image_"),
+    }
+
+
+def test_rosbridge_is_told_the_topics_before_the_messages(tmp_path: Path) -> None:
+    pytest.importorskip("websockets")
+    peer = RosbridgePeer(tmp_path)
+    peer.start()
+    bridge = peer.bridge()
+    bridge.put(PREDICTION)
+    peer.await_heard(1)
+    bridge.put_frame(frame(2))
+    wait_for(lambda: len(peer.operations) == 6)
+    bridge.stop(2.0)
+    peer.stop()
+    assert [(operation["op"], operation["topic"]) for operation in peer.operations] == [
+        ("advertise", "/touchd/pad/gesture"),
+        ("advertise", "/touchd/pad/event"),
+        ("advertise", "/touchd/pad/pressure"),
+        ("publish", "/touchd/pad/gesture"),
+        ("publish", "/touchd/pad/event"),
+        ("publish", "/touchd/pad/pressure"),
+    ]
+    assert [operation["type"] for operation in peer.operations[:3]] == [
+        "std_msgs/String",
+        "std_msgs/String",
+        "sensor_msgs/Image",
+    ]
+    assert peer.operations[3]["msg"] == {"data": "stroke"}
+    assert decode(peer.operations[4]["msg"]["data"]) == PREDICTION
+    pixels = base64.b64decode(peer.operations[5]["msg"]["data"])
+    np.testing.assert_array_equal(np.frombuffer(pixels, "<u2").reshape(8, 8), frame(2).pressure)

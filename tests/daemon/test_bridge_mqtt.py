@@ -1,0 +1,248 @@
+"""MQTT on a real mosquitto: topics, state and last will, pressure, login, TLS, Home Assistant."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rigs.peers import broker, frame, free_port, needs_mosquitto, subscribed, touch, wait_for
+from rigs.running_daemon import Daemon
+from rigs.scripted_model import Scripted
+
+from daemon.bridges.bridge import BridgeError
+from daemon.bridges.bridges import Bridges
+from daemon.bridges.settings import MqttSettings
+from daemon.config import Settings
+from daemon.events import Prediction, SensorEvent, TouchEnded, decode, encode
+
+pytest.importorskip("paho.mqtt")
+pytestmark = needs_mosquitto
+
+MODELS = {"pad": Scripted()}
+UP = SensorEvent(state="up", time="2026-11-20T10:00:00.000Z")
+TOLD = Prediction(
+    touch=7,
+    stage="early",
+    frames=54,
+    elapsed_s=1.0,
+    gesture="stroke",
+    confidence=0.81,
+    probabilities={"pat": 0.19, "stroke": 0.81},
+    changed=True,
+    told=True,
+    degraded=False,
+    latency_ms=1.9,
+    model="m",
+    time="2026-11-20T10:00:01.000Z",
+)
+
+
+@pytest.fixture
+def port(tmp_path: Path) -> Iterator[int]:
+    """A broker without login."""
+    port = free_port()
+    with broker(tmp_path, port):
+        yield port
+
+
+@pytest.fixture
+def bridges() -> Iterator[Bridges]:
+    made = Bridges()
+    yield made
+    made.stop(2.0)
+
+
+def use(bridges: Bridges, port: int, **settings: Any) -> None:
+    mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
+    bridges.use(Settings(mqtt=mqtt), MODELS)
+
+
+def payloads(messages: list[Any], topic: str) -> list[str]:
+    return [message.payload.decode() for message in messages if message.topic == topic]
+
+
+def test_events_come_under_the_pads_topic_with_qos_1(port: int, bridges: Bridges) -> None:
+    with subscribed(port, "touchd/#") as messages:
+        use(bridges, port)
+        events = [UP, touch(1), TOLD]
+        for event in events:
+            bridges.put(event)
+        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
+        assert [decode(text) for text in payloads(messages, "touchd/pad/event")] == events
+        assert {message.qos for message in messages if message.topic.endswith("event")} == {1}
+
+
+def test_the_state_is_retained_and_follows_the_pad(port: int, bridges: Bridges) -> None:
+    use(bridges, port)
+    bridges.put(UP)
+    bridges.put(SensorEvent(state="down", time=UP.time, reason="unplugged"))
+    bridges.put(UP)
+    wait_for(lambda: retained(port) == "up")
+    bridges.stop(2.0)
+    assert retained(port) == "stopped"
+
+
+def retained(port: int) -> str:
+    with subscribed(port, "touchd/pad/state") as messages:
+        wait_for(lambda: bool(messages))
+        return str(messages[0].payload.decode()) if messages[0].retain else ""
+
+
+DIE = """
+import os, sys, time
+from daemon.bridges.mqtt import MqttBridge
+from daemon.bridges.settings import MqttSettings
+MqttBridge(MqttSettings(host="127.0.0.1", port=int(sys.argv[1])), "pad")._peer_is_there.wait()
+time.sleep(0.2)
+os.kill(os.getpid(), 9)
+"""
+
+
+def test_a_daemon_that_is_killed_leaves_its_last_will(port: int) -> None:
+    subprocess.run([sys.executable, "-c", DIE, str(port)], check=False, timeout=20)
+    wait_for(lambda: retained(port) == "lost")
+
+
+def test_pressure_comes_at_the_stated_rate_and_only_when_asked(port: int, bridges: Bridges) -> None:
+    with subscribed(port, "touchd/#") as messages:
+        use(bridges, port, pressure_hz=18.0)
+        bridges.put(touch(1))
+        wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
+        start_s = time.monotonic()
+        for number in range(54):
+            bridges.put_frame(frame(number, start_s + number / 54.0), "pad")
+            bridges.put_frame(frame(number, start_s + number / 54.0), "another")
+        wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) >= 18)
+        bridges.put(touch(2))
+        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 2)
+        shown = [json.loads(text) for text in payloads(messages, "touchd/pad/pressure")]
+        assert len(shown) == 18
+        first = frame(0)
+        assert shown[0]["pressure"] == first.pressure.tolist()
+        assert shown[1]["sensor_ms"] == 3 * 19
+        use(bridges, port)
+        bridges.put(touch(3))
+        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
+        bridges.put_frame(frame(99), "pad")
+        bridges.put(touch(4))
+        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 4)
+        assert len(payloads(messages, "touchd/pad/pressure")) == 18
+
+
+def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, bridges: Bridges) -> None:
+    trustme = pytest.importorskip("trustme")
+    authority = trustme.CA()
+    certificate = authority.issue_cert("localhost")
+    authority.cert_pem.write_to_path(tmp_path / "ca.pem")
+    certificate.private_key_pem.write_to_path(tmp_path / "key.pem")
+    certificate.cert_chain_pems[0].write_to_path(tmp_path / "cert.pem")
+    (tmp_path / "password").write_text("s3cret\n")
+    subprocess.run(
+        ["mosquitto_passwd", "-b", "-c", str(tmp_path / "users"), "robot", "s3cret"], check=True, timeout=10
+    )
+    lines = (
+        f"cafile {tmp_path}/ca.pem\ncertfile {tmp_path}/cert.pem\nkeyfile {tmp_path}/key.pem\n"
+        f"allow_anonymous false\npassword_file {tmp_path}/users\nuser root\n"
+    )
+    port = free_port()
+    with broker(tmp_path, port, lines):
+        login = {"user": "robot", "password": "s3cret", "ca_file": str(tmp_path / "ca.pem")}
+        with subscribed(port, "touchd/#", **login) as messages:
+            use(
+                bridges,
+                port,
+                host="localhost",
+                tls=True,
+                ca_file=str(tmp_path / "ca.pem"),
+                user="robot",
+                password_file=str(tmp_path / "password"),
+            )
+            bridges.put(touch(1))
+            wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
+
+
+def test_a_wrong_password_is_logged_in_one_line(
+    tmp_path: Path, bridges: Bridges, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "wrong").write_text("guess")
+    port = free_port()
+    with broker(tmp_path, port, "allow_anonymous false\n"):
+        use(bridges, port, user="robot", password_file=str(tmp_path / "wrong"))
+        wait_for(lambda: bool(caplog.records))
+        time.sleep(0.5)
+    (record,) = caplog.records
+    assert "Not authorized" in record.getMessage()
+
+
+def test_a_missing_password_file_is_refused_and_nothing_changes(
+    port: int, bridges: Bridges, tmp_path: Path
+) -> None:
+    with subscribed(port, "touchd/#") as messages:
+        use(bridges, port)
+        with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
+            use(bridges, port, user="robot", password_file="/nowhere")
+        bridges.put(touch(1))
+        wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
+
+
+def test_home_assistant_makes_told_answers_events_of_known_types(port: int, bridges: Bridges) -> None:
+    jinja2 = pytest.importorskip("jinja2")
+    with subscribed(port, "homeassistant/#") as messages:
+        use(bridges, port, topic="lab/nao1", discovery="homeassistant")
+        wait_for(lambda: bool(messages))
+    (message,) = messages
+    assert message.topic == "homeassistant/event/lab_nao1_pad/config"
+    entity = json.loads(message.payload)
+    assert entity["state_topic"] == "lab/nao1/pad/event"
+    template = jinja2.Environment().from_string(entity["value_template"])
+    event = json.loads(template.render(value_json=json.loads(encode(TOLD))))
+    assert event["event_type"] in entity["event_types"]
+    assert event == {"event_type": "stroke", "confidence": 0.81, "stage": "early", "touch": 7}
+    assert template.render(value_json=json.loads(encode(touch(1)))) == ""
+
+
+def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_path: Path) -> None:
+    daemon = Daemon(tmp_path)
+    try:
+        with subscribed(port, "touchd/#") as messages:
+            daemon.await_event(TouchEnded)
+            daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port))
+            daemon.await_log(1)
+            printed = daemon.finish()
+            wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
+            published = [decode(text) for text in payloads(messages, "touchd/pad/event")]
+    finally:
+        daemon.close()
+    # The state of the pad, which was told before, is told to a new bridge too.
+    assert isinstance(published[0], SensorEvent)
+    assert len(published) > 5
+    assert published[1:] == printed[-len(published) + 1 :]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_one_broker_carries_fifty_pads(port: int) -> None:
+    from daemon.bridges.mqtt import MqttBridge
+
+    pads, touches, each = 50, 20, 5
+    with subscribed(port, "touchd/+/event") as messages:
+        settings = MqttSettings(host="127.0.0.1", port=port)
+        made = [MqttBridge(settings, f"pad{number}") for number in range(pads)]
+        wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in made), 30.0)
+        # Five events a touch, a touch a second on every pad: more than hands can do.
+        began_s = time.monotonic()
+        for number in range(touches):
+            for _ in range(each):
+                for bridge in made:
+                    bridge.put(touch(number))
+            time.sleep(max(0.0, began_s + number + 1 - time.monotonic()))
+        wait_for(lambda: len(messages) == pads * touches * each, 30.0)
+        assert sum(bridge.dropped for bridge in made) == 0
+        for bridge in made:
+            bridge.stop(2.0)

@@ -1,0 +1,120 @@
+"""What holds for every bridge: it slows nobody, finds its peer again, and ends when told."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from rigs.peers import (
+    LslPeer,
+    MqttPeer,
+    Peer,
+    Ros2Peer,
+    RosbridgePeer,
+    frame,
+    needs_mosquitto,
+    touch,
+    wait_for,
+)
+
+KINDS = {
+    "mqtt": ("paho.mqtt", MqttPeer, [needs_mosquitto]),
+    "lsl": ("pylsl", LslPeer, []),
+    "ros2": ("cyclonedds", Ros2Peer, []),
+    "rosbridge": ("websockets", RosbridgePeer, []),
+}
+ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
+CONNECTING = [ALL[0], ALL[3]]
+
+
+@pytest.fixture
+def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
+    library, kind, _ = KINDS[request.param]
+    pytest.importorskip(library)
+    made = kind(tmp_path)
+    yield made
+    wait_for(lambda: not [thread for thread in threading.enumerate() if thread.name.startswith("touchd-")])
+
+
+def put_until_heard(peer: Peer, bridge: object, number: int) -> int:
+    """Put events until one is heard, as a peer without memory hears only what comes after it was found."""
+    heard = len(peer.heard)
+    deadline_s = time.monotonic() + 10.0
+    while len(peer.heard) == heard:
+        assert time.monotonic() < deadline_s, "nothing is heard"
+        bridge.put(touch(number))  # type: ignore[attr-defined]
+        number += 1
+        time.sleep(0.05)
+    return number
+
+
+@pytest.mark.parametrize("peer", ALL, indirect=True)
+def test_events_are_heard_again_after_the_peer_died(peer: Peer) -> None:
+    bridge = peer.bridge()
+    try:
+        for _ in range(2):
+            peer.start()
+            number = put_until_heard(peer, bridge, 1)
+            heard = len(peer.heard)
+            bridge.put(touch(number))
+            peer.await_heard(heard + 1)
+            peer.stop()
+    finally:
+        bridge.stop(2.0)
+
+
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
+def test_while_the_peer_is_away_the_oldest_events_are_dropped(peer: Peer) -> None:
+    bridge = peer.bridge(capacity=10)
+    began_s = time.monotonic()
+    for number in range(50):
+        bridge.put(touch(number))
+    assert time.monotonic() - began_s < 0.2
+    assert 39 <= bridge.dropped <= 40
+    peer.start()
+    peer.await_heard(10)
+    bridge.stop(2.0)
+    peer.stop()
+    assert f'"touch":{49},' in peer.heard[-1]
+    assert len(peer.heard) + bridge.dropped == 50
+
+
+@pytest.mark.parametrize("peer", ALL, indirect=True)
+def test_put_returns_at_once_and_a_flood_is_counted(peer: Peer) -> None:
+    bridge = peer.bridge(capacity=5)
+    slowest_s = 0.0
+    for number in range(2000):
+        began_s = time.monotonic()
+        bridge.put(touch(number))
+        bridge.put_frame(frame(number))
+        slowest_s = max(slowest_s, time.monotonic() - began_s)
+    assert slowest_s < 0.2
+    began_s = time.monotonic()
+    bridge.stop(1.0)
+    assert time.monotonic() - began_s < 1.5
+
+
+@pytest.mark.parametrize("peer", ALL, indirect=True)
+def test_without_a_peer_it_ends_within_its_time(peer: Peer) -> None:
+    bridge = peer.bridge()
+    bridge.put(touch(1))
+    began_s = time.monotonic()
+    bridge.stop(1.0)
+    bridge.stop(0.1)
+    assert time.monotonic() - began_s < 1.3
+
+
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
+def test_stopping_passes_on_what_is_queued(peer: Peer) -> None:
+    peer.start()
+    bridge = peer.bridge()
+    put_until_heard(peer, bridge, 1)
+    heard = len(peer.heard)
+    for number in range(100, 120):
+        bridge.put(touch(number))
+    bridge.stop(4.0)
+    peer.await_heard(heard + 20)
+    peer.stop()

@@ -1,0 +1,294 @@
+"""What the bridges talk to, each a real one that a test can kill and bring back."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import tempfile
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from daemon.bridges.bridge import Bridge
+from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
+from daemon.events import TouchBegan
+from drivers.frame import Frame
+
+PAD = "pad"
+MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+needs_mosquitto = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+DDS_ON_LOOPBACK = (
+    "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>"
+    "<AllowMulticast>false</AllowMulticast></General><Discovery><Peers><Peer Address='127.0.0.1'/></Peers>"
+    "<ParticipantIndex>auto</ParticipantIndex></Discovery></Domain></CycloneDDS>"
+)
+LSL_ON_LOOPBACK = "[ports]\nIPv6 = disable\n[multicast]\nResolveScope = machine\n[log]\nlevel = -3\n"
+# Read when the library is loaded.
+_lsl_file = Path(tempfile.gettempdir()) / "touchd-tests-lsl.cfg"
+_lsl_file.write_text(LSL_ON_LOOPBACK)
+os.environ["LSLAPICFG"] = str(_lsl_file)
+os.environ["CYCLONEDDS_URI"] = DDS_ON_LOOPBACK
+
+
+def touch(number: int) -> TouchBegan:
+    return TouchBegan(touch=number, time="2026-11-20T10:00:00.000Z", sensor_ms=number)
+
+
+def frame(number: int, host_s: float | None = None) -> Frame:
+    counts = np.random.default_rng(number).integers(0, 1024, (8, 8)).astype(np.uint16)
+    return Frame(number, number * 19, time.monotonic() if host_s is None else host_s, counts)
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
+    deadline_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "not in time"
+        time.sleep(0.01)
+
+
+class Peer(ABC):
+    """Somebody who listens; `heard` counts and keeps across its deaths."""
+
+    keeps_events_while_away: bool
+
+    def __init__(self) -> None:
+        self.heard: list[str] = []
+
+    @abstractmethod
+    def bridge(self, capacity: int = 1000) -> Bridge: ...
+
+    @abstractmethod
+    def start(self) -> None: ...
+
+    @abstractmethod
+    def stop(self) -> None: ...
+
+    def await_heard(self, count: int) -> None:
+        wait_for(lambda: len(self.heard) >= count)
+
+
+@contextmanager
+def broker(folder: Path, port: int, lines: str = "allow_anonymous true\n") -> Iterator[None]:
+    """A mosquitto on this port."""
+    assert MOSQUITTO is not None
+    file = folder / f"mosquitto-{port}.conf"
+    file.write_text(f"listener {port} 127.0.0.1\n{lines}")
+    with subprocess.Popen([MOSQUITTO, "-c", str(file)], stderr=subprocess.DEVNULL) as process:
+        try:
+            wait_for(lambda: _listens(port))
+            yield
+        finally:
+            process.kill()
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+@contextmanager
+def subscribed(port: int, topic: str, **options: Any) -> Iterator[list[Any]]:
+    """A client of its own on a broker; yields the messages it gets."""
+    import paho.mqtt.client as mqtt
+    from paho.mqtt.enums import CallbackAPIVersion
+
+    messages: list[Any] = []
+    there = threading.Event()
+    client = mqtt.Client(CallbackAPIVersion.VERSION2)
+    if "user" in options:
+        client.username_pw_set(options["user"], options["password"])
+    if "ca_file" in options:
+        client.tls_set(options["ca_file"])
+    client.on_connect = lambda *_: client.subscribe(topic, qos=1)
+    client.on_subscribe = lambda *_: there.set()
+    client.on_message = lambda _client, _data, message: messages.append(message)
+    client.connect("localhost" if "ca_file" in options else "127.0.0.1", port)
+    client.loop_start()
+    assert there.wait(5)
+    yield messages
+    client.disconnect()
+    client.loop_stop()
+
+
+class MqttPeer(Peer):
+    """A mosquitto and a client that has subscribed."""
+
+    keeps_events_while_away = True
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.port = free_port()
+        self._folder = folder
+
+    def bridge(self, capacity: int = 1000) -> Bridge:
+        from daemon.bridges.mqtt import MqttBridge
+
+        return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD, capacity=capacity)
+
+    def start(self) -> None:
+        self._broker = broker(self._folder, self.port)
+        self._broker.__enter__()
+        import paho.mqtt.client as mqtt
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        there = threading.Event()
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
+        self._client.on_connect = lambda *_: self._client.subscribe(f"touchd/{PAD}/event", qos=1)
+        self._client.on_subscribe = lambda *_: there.set()
+        self._client.on_message = lambda _client, _data, message: self.heard.append(message.payload.decode())
+        self._client.connect("127.0.0.1", self.port)
+        self._client.loop_start()
+        assert there.wait(5)
+
+    def stop(self) -> None:
+        self._client.disconnect()
+        self._client.loop_stop()
+        self._broker.__exit__(None, None, None)
+
+
+class RosbridgePeer(Peer):
+    """A websocket server that takes rosbridge's operations."""
+
+    keeps_events_while_away = True
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.port = free_port()
+        self.operations: list[dict[str, Any]] = []
+
+    def bridge(self, capacity: int = 1000) -> Bridge:
+        from daemon.bridges.rosbridge import RosbridgeBridge
+
+        settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
+        return RosbridgeBridge(settings, PAD, capacity)
+
+    def start(self) -> None:
+        from websockets.sync.server import serve
+
+        self._server = serve(self._listen, "127.0.0.1", self.port)
+        self._thread = threading.Thread(target=self._server.serve_forever)
+        self._connections: list[Any] = []
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._server.shutdown()
+        for connection in self._connections:
+            with suppress(OSError):
+                connection.socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+
+    def _listen(self, connection: Any) -> None:
+        self._connections.append(connection)
+        for text in connection:
+            operation = json.loads(text)
+            self.operations.append(operation)
+            if operation["op"] == "publish" and operation["topic"].endswith("/event"):
+                self.heard.append(operation["msg"]["data"])
+
+
+class LslPeer(Peer):
+    """An inlet on the stream of markers."""
+
+    keeps_events_while_away = False
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.name = f"test{free_port()}"
+        self._bridge: Bridge | None = None
+
+    def bridge(self, capacity: int = 1000) -> Bridge:
+        from daemon.bridges.lsl import LslBridge
+
+        self._bridge = LslBridge(LslSettings(name=self.name), PAD, capacity)
+        return self._bridge
+
+    def start(self) -> None:
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._ending.set()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        inlet = inlet_of(f"{self.name}-{PAD}-markers", self._ending)
+        while not self._ending.is_set():
+            sample, _ = inlet.pull_sample(timeout=0.05)
+            if sample is not None:
+                self.heard.append(sample[0])
+
+
+def inlet_of(name: str, ending: threading.Event) -> Any:
+    """An open inlet on the stream of that name, once there is one."""
+    import pylsl
+
+    while not ending.is_set():
+        for info in pylsl.resolve_byprop("name", name, timeout=1.0):
+            inlet = pylsl.StreamInlet(info, recover=False)
+            inlet.open_stream(timeout=5)
+            return inlet
+    raise AssertionError(f"no stream {name}")
+
+
+class Ros2Peer(Peer):
+    """A second participant in the domain, with a reader as rclpy makes it."""
+
+    keeps_events_while_away = False
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        # A domain for each test, away from the one that a lab may use here.
+        self.domain = 100 + free_port() % 100
+
+    def bridge(self, capacity: int = 1000) -> Bridge:
+        from daemon.bridges.ros2 import Ros2Bridge
+
+        return Ros2Bridge(Ros2Settings(domain=self.domain), PAD, capacity)
+
+    def start(self) -> None:
+        from cyclonedds.domain import DomainParticipant
+
+        from daemon.bridges.ros2_types import String
+
+        self._ending = threading.Event()
+        self._participant = DomainParticipant(self.domain)
+        self._reader = reader_of(self._participant, f"rt/touchd/{PAD}/event", String)
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._ending.set()
+        self._thread.join()
+        del self._reader, self._participant
+
+    def _listen(self) -> None:
+        while not self._ending.is_set():
+            self.heard += [sample.data for sample in self._reader.take(100) if hasattr(sample, "data")]
+            time.sleep(0.01)
+
+
+def reader_of(participant: Any, topic: str, kind: Any) -> Any:
+    """A reliable, volatile reader of the last ten, which is what ROS 2 takes by default."""
+    from cyclonedds.qos import Policy, Qos
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+    from cyclonedds.util import duration
+
+    qos = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10))
+    return DataReader(participant, Topic(participant, topic, kind), qos)
