@@ -1,8 +1,9 @@
-"""The classifier as the daemon runs it: ONNX Runtime only, one thread, no state."""
+"""The classifier as the daemon runs it: ONNX Runtime only, one thread, no state but what is handed in."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -50,11 +51,23 @@ class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
+class State:
+    """What the network keeps of a touch's frames so far: tensors by the name of the input that takes them.
+
+    A model file from before there was such a state has the frames themselves kept, as "counts".
+    """
+
+    tensors: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
 class Classifier:
     """Names a window of counts: (T, 8, 8) to probabilities (7,), any T from 1 to `metadata.max_length`."""
 
     metadata: ModelMetadata
     session: onnxruntime.InferenceSession
+    states: tuple[str, ...]
+    """Inputs that take the state; none in a file from before there was one."""
 
     @classmethod
     def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> Classifier:
@@ -70,7 +83,7 @@ class Classifier:
         except msgspec.DecodeError as error:
             raise ModelError(f"{path}: its touchd metadata is damaged ({error}); export it again") from error
         _check_fit(path, metadata, session)
-        return cls(metadata, session)
+        return cls(metadata, session, tuple(entry.name for entry in session.get_overridable_initializers()))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -98,8 +111,28 @@ class Classifier:
     def batch_probabilities(self, windows: NDArray[np.generic]) -> NDArray[np.float64]:
         """Return probabilities (B, 7) for B windows of equal length, counts (B, T, 8, 8)."""
         counts = self._checked(windows)
-        (probabilities,) = self.session.run(None, {"counts": counts})
+        (probabilities,) = self.session.run(["probabilities"], {"counts": counts})
         return np.asarray(probabilities, dtype=np.float64)
+
+    def step(
+        self, frames: NDArray[np.generic], state: State | None = None
+    ) -> tuple[NDArray[np.float64], State]:
+        """Return probabilities (7,) over all frames of a touch up to now, and the state to go on from.
+
+        frames: the touch's next (T, 8, 8) counts; state: what the frames before left, None for the first. The
+        answer is that of `probabilities` over all of them, within rounding. Raises ModelInputError.
+        """
+        counts = self._checked(frames[np.newaxis])
+        if not self.states:
+            counts = counts if state is None else np.concatenate([state.tensors["counts"], counts], axis=1)
+            return self.batch_probabilities(counts)[0], State({"counts": counts})
+        given = {"counts": onnxruntime.OrtValue.ortvalue_from_numpy(counts)}
+        if state is not None:
+            given |= state.tensors
+        names = ["probabilities", *(f"next_{name}" for name in self.states)]
+        answer, *after = self.session.run_with_ort_values(names, given)
+        tensors = dict(zip(self.states, after, strict=True))
+        return np.asarray(answer.numpy()[0], dtype=np.float64), State(tensors)
 
     def _checked(self, windows: NDArray[np.generic]) -> NDArray[np.float32]:
         if windows.ndim != 4 or windows.shape[2:] != (ROWS, COLUMNS):

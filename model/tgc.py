@@ -8,6 +8,7 @@ logits is inside the network, so that training and robot cannot drift apart.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -25,6 +26,28 @@ KNEE_COUNTS = 4.0
 LEVEL_MEAN = 0.69
 LEVEL_SPREAD = 0.61
 CHANGE_SPREAD = 0.21
+
+
+# Attention forgets what its flattest slope, 2^-8 a frame, weighs less than this share of the newest frame.
+FORGOTTEN_WEIGHT = 1e-8
+MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
+
+
+class State(NamedTuple):
+    """What the network keeps of the frames so far; bounded, whatever their number.
+
+    B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
+    level: (B, 1, 8, 8) log counts of the last frame. motion: (B, past, width) last inputs of the gated
+    convolutions, one after another. memory: keys and values of each encoder block, (B, 2 * heads, M, width /
+    heads), M at most MEMORY_FRAMES. pooled: (B, 3, width) float64, each feature's mean, sum of squared
+    deviations and maximum. frames: (1,) float64, their number.
+    """
+
+    level: Tensor
+    motion: Tensor
+    memory: tuple[Tensor, ...]
+    pooled: Tensor
+    frames: Tensor
 
 
 class FeatureDropout(nn.Module):
@@ -61,12 +84,20 @@ class FrameStem(nn.Module):
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) counts."""
-        B, T = counts.shape[:2]
-        level = torch.log1p(counts / KNEE_COUNTS)  # (B, T, 8, 8)
-        before = torch.cat([level[:, :1], level[:, :-1]], dim=1)
+        level = self.level(counts)
+        return self.embed_level(level, level[:, :1])
+
+    def level(self, counts: Tensor) -> Tensor:
+        """Return counts on the scale on which the network sees them."""
+        return torch.log1p(counts / KNEE_COUNTS)
+
+    def embed_level(self, level: Tensor, last: Tensor) -> Tensor:
+        """Return (B, T, width) from (B, T, 8, 8) levels and the level before them, (B, 1, 8, 8)."""
+        B, T = level.shape[:2]
+        before = torch.cat([last, level[:, :-1]], dim=1)
         change = (level - before) / CHANGE_SPREAD
         level = (level - LEVEL_MEAN) / LEVEL_SPREAD
-        pixels = torch.stack([level, change], dim=2).reshape(B * T, 2, ROWS, COLUMNS)
+        pixels = torch.stack([level, change], dim=2).reshape(-1, 2, ROWS, COLUMNS)
         features = self.convolutions(pixels).reshape(B, T, -1)
         embedded: Tensor = self.norm(self.dropout(self.embed(features)))
         return embedded
@@ -85,8 +116,11 @@ class GatedConvolution(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, T, width); frame t sees frames up to t."""
-        padded = functional.pad(x.transpose(1, 2), (self.past, 0))  # (B, width, past + T)
-        signal, gate = self.convolution(padded).transpose(1, 2).chunk(2, dim=-1)
+        return self.follow(x, functional.pad(x, (0, 0, self.past, 0)))
+
+    def follow(self, x: Tensor, padded: Tensor) -> Tensor:
+        """Return (B, T, width) from as many frames x; padded: the same with the `past` frames before them."""
+        signal, gate = self.convolution(padded.transpose(1, 2)).transpose(1, 2).chunk(2, dim=-1)
         updated: Tensor = self.norm(x + self.dropout(self.project(torch.tanh(signal) * torch.sigmoid(gate))))
         return updated
 
@@ -114,14 +148,25 @@ class EncoderBlock(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, T, width); frame t attends to frames up to t."""
+        query, key_value = self.project_in(x)
+        return self.attend(x, query, key_value)
+
+    def project_in(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Return queries (B, heads, T, width / heads), and keys and values (B, 2 * heads, T, width / heads)."""
         B, T, width = x.shape
         packed = self.query_key_value(self.attention_norm(x)).reshape(
-            B, T, 3, self.heads, width // self.heads
+            B, T, 3 * self.heads, width // self.heads
         )
-        query, key, value = packed.permute(2, 0, 3, 1, 4)  # each (B, heads, T, width / heads)
-        steps = torch.arange(T, device=x.device)
-        distance = (steps[:, None] - steps[None, :]).to(x.dtype)  # (T, T)
-        bias = -self.slopes * torch.where(distance < 0, torch.full_like(distance, FAR_FRAMES), distance)
+        query, key_value = packed.transpose(1, 2).split([self.heads, 2 * self.heads], dim=1)
+        return query, key_value
+
+    def attend(self, x: Tensor, query: Tensor, key_value: Tensor) -> Tensor:
+        """Return (B, T, width) from the frames x; keys and values may begin with those of frames before."""
+        B, T, width = x.shape
+        key, value = key_value.chunk(2, dim=1)
+        steps = torch.arange(key.shape[2], device=x.device)
+        distance = (steps[-T:, None] - steps[None, :]).to(x.dtype)  # (T, M + T)
+        bias = -self.slopes * torch.where(distance < 0, FAR_FRAMES, distance)
         scores = query @ key.transpose(-1, -2) / math.sqrt(width // self.heads) + bias
         mixed = (torch.softmax(scores, dim=-1) @ value).transpose(1, 2).reshape(B, T, width)
         x = x + self.dropout(self.project(mixed))
@@ -180,7 +225,73 @@ class TGC(nn.Module):
         logits: Tensor = self.dense(self._summary(mean, squares / frames - mean * mean, highest))
         return logits
 
+    def initial_state(self) -> State:
+        """Return the state before the first frame."""
+        width, heads = self.settings.width, self.settings.heads
+        past = sum(layer.past for layer in self._motion())
+        pooled = torch.zeros(1, 3, width, dtype=torch.float64)
+        pooled[:, 2] = torch.finfo(torch.float32).min
+        memory = torch.zeros(1, 2 * heads, 0, width // heads)
+        return State(
+            level=torch.zeros(1, 1, ROWS, COLUMNS),
+            motion=torch.zeros(1, past, width),
+            memory=(memory,) * self.settings.blocks,
+            pooled=pooled,
+            frames=torch.zeros(1, dtype=torch.float64),
+        )
+
+    def step(self, counts: Tensor, state: State) -> tuple[Tensor, State]:
+        """Return (B, classes) logits over all frames up to now, and the state after (B, T, 8, 8) counts."""
+        levels = self.stem.level(counts)
+        last = torch.where(state.frames > 0, state.level, levels[:, :1])
+        x = self.stem.embed_level(levels, last)
+        pasts = []
+        layers = self._motion()
+        motion = state.motion.expand(x.shape[0], -1, -1).split([layer.past for layer in layers], dim=1)
+        for layer, past in zip(layers, motion, strict=True):
+            padded = torch.cat([past, x], dim=1)
+            pasts.append(padded[:, -layer.past :])
+            x = layer.follow(x, padded)
+        memories = []
+        for block, memory in zip(self._encoder(), state.memory, strict=True):
+            query, new = block.project_in(x)
+            key_value = torch.cat([memory.expand(x.shape[0], -1, -1, -1), new], dim=2)
+            x = block.attend(x, query, key_value)
+            length = key_value.shape[2]
+            kept = torch.sym_min(length, MEMORY_FRAMES)
+            memories.append(key_value.narrow(2, length - kept, kept))
+        pooled, frames = _pool(state, x)
+        mean, squares, highest = pooled.to(x.dtype).chunk(3, dim=1)
+        summary = self._summary(mean, squares / frames.to(x.dtype), highest)
+        logits: Tensor = self.dense(summary[:, 0])
+        return logits, State(levels[:, -1:], torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
+
     @staticmethod
     def _summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:
         deviation = torch.sqrt(variance.clamp_min(VARIANCE_FLOOR))
         return torch.cat([mean, deviation, highest], dim=-1)
+
+    def _motion(self) -> list[GatedConvolution]:
+        return [layer for layer in self.motion if isinstance(layer, GatedConvolution)]
+
+    def _encoder(self) -> list[EncoderBlock]:
+        return [block for block in self.encoder if isinstance(block, EncoderBlock)]
+
+
+def _pool(state: State, x: Tensor) -> tuple[Tensor, Tensor]:
+    """Return `pooled` and `frames` after (B, T, width) features, merged as in Chan et al. 1983.
+
+    In float64, so that a mean over hours still moves by what one frame adds to it.
+    """
+    mean = x.mean(dim=1, keepdim=True)
+    squares = (x - mean).square().sum(dim=1, keepdim=True)
+    new = torch.scalar_tensor(x.shape[1], dtype=torch.float64)
+    before_mean, before_squares, before_highest = state.pooled.chunk(3, dim=1)
+    frames = state.frames + new
+    off = mean.double() - before_mean
+    pooled = [
+        before_mean + off * (new / frames),
+        before_squares + squares.double() + off * off * (state.frames * new / frames),
+        torch.maximum(before_highest, x.amax(dim=1, keepdim=True).double()),
+    ]
+    return torch.cat(pooled, dim=1), frames

@@ -1,7 +1,8 @@
 """Numerical stability of a model file, case by case: `touchd stability`.
 
 Probabilities must be finite and sum to 1, agree with the same network in float64, and depend on nothing but
-the frames that they are about: not on the batch, on later frames, on threads, on the counts' type, on chance.
+the frames that they are about: not on the batch, on later frames, on threads, on the counts' type, on chance,
+nor on whether the frames come at once or a few at a time.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,11 +33,15 @@ REPEATS = 3
 EMPTY = "Empty: does not apply, or needs the extra `train` and the checkpoint beside the model."
 TITLE = "Worst deviation seen; what is allowed is in the heading"
 LATER_FRAMES = 54
+CHUNKS = (1, 2, 5, 1, 9, 27, 1)
+"""Frames that come at a time, over and over."""
+SAMPLED_FRAMES = 18
 
 SUMS_TO_1 = "sums to 1"
 FLOAT64 = "float64"
 BATCH = "batch"
 LATER = "later frames"
+CHUNKED = "in chunks"
 THREADS = "2 threads"
 REPEATED = "repeated"
 TYPES = "uint16"
@@ -46,6 +52,7 @@ TOLERANCES = {
     FLOAT64: 1e-4,
     BATCH: 1e-6,
     LATER: 1e-6,
+    CHUNKED: 1e-5,
     THREADS: 1e-6,
     REPEATED: 0.0,
     TYPES: 0.0,
@@ -102,6 +109,25 @@ def _reference(model: Path, classifier: Classifier) -> Reference | None:
     return Reference.load(weights, classifier.metadata)
 
 
+def chunked(
+    classifier: Classifier, window: NDArray[np.float32], sizes: Sequence[int], every: int = 1
+) -> float:
+    """Return how far answers a few frames at a time are from whole windows', looked at `every` so many frames.
+
+    sizes: how many frames come at a time, over and over.
+    """
+    furthest, start, state = 0.0, 0, None
+    for size in cycle(sizes):
+        stop = min(start + size, len(window))
+        answer, state = classifier.step(window[start:stop], state)
+        if stop // every > start // every or stop == len(window):
+            furthest = max(furthest, _distance(answer, classifier.probabilities(window[:stop])))
+        if stop == len(window):
+            return furthest
+        start = stop
+    raise ValueError("no sizes")
+
+
 def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
     """Return how many times longer an answer takes on `window` than on `usual`, in processor time."""
     slow, normal = time_in_turn(
@@ -141,6 +167,7 @@ def _deviations(
     deviations = {
         SUMS_TO_1: _off_one(answer),
         BATCH: _distance(answer, classifier.batch_probabilities(others)[1]),
+        CHUNKED: max(chunked(classifier, window, CHUNKS), chunked(classifier, window, (1,), SAMPLED_FRAMES)),
         THREADS: _distance(answer, two_threads.probabilities(window)),
         REPEATED: max(_distance(answer, repeat) for repeat in again),
     }

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 
 from drivers.frame import COLUMNS, ROWS
 from model.classifier import METADATA_KEY, ModelMetadata
-from model.tgc import TGC
+from model.tgc import TGC, State
 
-OPSET = 18
+OPSET = 20
 
 
 class CalibratedTGC(nn.Module):
@@ -42,28 +42,70 @@ class CalibratedTGC(nn.Module):
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, classes) probabilities."""
         frames = torch.ones_like(counts[0, :, 0, 0]).sum()
-        temperature = self.first + (self.bends * torch.relu(frames - self.lengths)).sum()
-        return torch.softmax(self.network(counts) / temperature, dim=-1)
+        return torch.softmax(self.network(counts) / self._temperature(frames), dim=-1)
+
+    def step(self, counts: Tensor, state: State) -> tuple[Tensor, State]:
+        """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
+        logits, state = self.network.step(counts, state)
+        temperature = self._temperature(state.frames.to(logits.dtype))
+        return torch.softmax(logits / temperature, dim=-1), state
+
+    def _temperature(self, frames: Tensor) -> Tensor:
+        return self.first + (self.bends * torch.relu(frames - self.lengths)).sum()
+
+
+class _Step(nn.Module):
+    """The graph as it is exported: its state in and out as a flat row of tensors."""
+
+    def __init__(self, calibrated: CalibratedTGC) -> None:
+        super().__init__()
+        self.calibrated = calibrated
+
+    def forward(
+        self, counts: Tensor, level: Tensor, motion: Tensor, memory: list[Tensor], pooled: Tensor, frames: Tensor
+    ) -> tuple[Tensor, ...]:
+        state = State(level, motion, tuple(memory), pooled, frames)
+        probabilities, after = self.calibrated.step(counts, state)
+        return probabilities, after.level, after.motion, *after.memory, after.pooled, after.frames
 
 
 def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
-    """Write the network as one ONNX file that describes itself."""
+    """Write the network as one ONNX file that describes itself.
+
+    Asked with `counts` alone it answers about a whole window; with the state that an answer before left, about
+    the frames that this one had and those that follow.
+    """
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     calibrated = CalibratedTGC(network, temperatures).eval()
-    example = torch.zeros(2, 144, ROWS, COLUMNS)
+    start = network.initial_state()
+    names = ["level", "motion", *(f"memory{i}" for i in range(len(start.memory))), "pooled", "frames"]
+    batch, frames = torch.export.Dim("batch"), torch.export.Dim("frames", min=1)
+    memory = [torch.zeros(1, kept.shape[1], 30, kept.shape[3]) for kept in start.memory]
     program = torch.onnx.export(
-        calibrated,
-        (example,),
+        _Step(calibrated).eval(),
+        (torch.zeros(2, 144, ROWS, COLUMNS), start.level, start.motion, memory, start.pooled, start.frames),
         dynamo=True,
         verbose=False,
         opset_version=OPSET,
-        input_names=["counts"],
-        output_names=["probabilities"],
-        dynamic_shapes={"counts": {0: torch.export.Dim("batch"), 1: torch.export.Dim("frames", min=1)}},
+        input_names=["counts", *names],
+        output_names=["probabilities", *(f"next_{name}" for name in names)],
+        dynamic_shapes={
+            "counts": {0: batch, 1: frames},
+            "level": {},
+            "motion": {},
+            "memory": [{2: torch.export.Dim(f"kept{i}", min=0)} for i in range(len(memory))],
+            "pooled": {},
+            "frames": {},
+        },
     )
     assert program is not None
     proto = program.model_proto
     _forget_where_it_was_made(proto)
+    # An input that has an initializer may be left out (ONNX IR, "default values").
+    flat = (start.level, start.motion, *start.memory, start.pooled, start.frames)
+    proto.graph.initializer.extend(
+        onnx.numpy_helper.from_array(tensor.numpy(), name) for name, tensor in zip(names, flat, strict=True)
+    )
     entry = proto.metadata_props.add()
     entry.key, entry.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
     onnx.checker.check_model(proto)
