@@ -152,7 +152,7 @@ class EncoderBlock(nn.Module):
         return self.attend(x, query, key_value)
 
     def project_in(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Return queries (B, heads, T, width / heads), and keys and values (B, 2 * heads, T, width / heads)."""
+        """Return queries (B, heads, T, width / heads); keys and values (B, 2 * heads, T, width / heads)."""
         B, T, width = x.shape
         packed = self.query_key_value(self.attention_norm(x)).reshape(
             B, T, 3 * self.heads, width // self.heads
@@ -247,7 +247,7 @@ class TGC(nn.Module):
         x = self.stem.embed_level(levels, last)
         pasts = []
         layers = self._motion()
-        motion = state.motion.expand(x.shape[0], -1, -1).split([layer.past for layer in layers], dim=1)
+        motion = torch.split(state.motion.expand(x.shape[0], -1, -1), [layer.past for layer in layers], dim=1)
         for layer, past in zip(layers, motion, strict=True):
             padded = torch.cat([past, x], dim=1)
             pasts.append(padded[:, -layer.past :])

@@ -32,20 +32,21 @@ class Reference:
     @torch.no_grad()
     def probabilities(self, counts: NDArray[np.generic]) -> NDArray[np.float64]:
         """Return calibrated probabilities (7,)."""
-        return _array(self.calibrated(_batch(counts))[0])
+        return _array(self.calibrated(batch(counts))[0])
 
     @torch.no_grad()
     def logits(self, counts: NDArray[np.generic]) -> NDArray[np.float64]:
         """Return logits (7,) over the whole window."""
-        return _array(self.calibrated.network(_batch(counts))[0])
+        return _array(self.calibrated.network(batch(counts))[0])
 
     @torch.no_grad()
     def logits_at(self, counts: NDArray[np.generic], length: int) -> NDArray[np.float64]:
         """Return logits (7,) over the first `length` frames, from one pass over all of them."""
-        return _array(self.calibrated.network.at_lengths(_batch(counts), (length,))[0, 0])
+        return _array(self.calibrated.network.at_lengths(batch(counts), (length,))[0, 0])
 
 
-def _batch(counts: NDArray[np.generic]) -> torch.Tensor:
+def batch(counts: NDArray[np.generic]) -> torch.Tensor:
+    """Return counts (T, 8, 8) as a batch of one, in float64."""
     return torch.from_numpy(counts[np.newaxis].astype(np.float64))
 
 

@@ -112,7 +112,7 @@ def _reference(model: Path, classifier: Classifier) -> Reference | None:
 def chunked(
     classifier: Classifier, window: NDArray[np.float32], sizes: Sequence[int], every: int = 1
 ) -> float:
-    """Return how far answers a few frames at a time are from whole windows', looked at `every` so many frames.
+    """Return how far answers a few frames at a time are from whole windows', looked at every so many frames.
 
     sizes: how many frames come at a time, over and over.
     """
@@ -167,7 +167,7 @@ def _deviations(
     deviations = {
         SUMS_TO_1: _off_one(answer),
         BATCH: _distance(answer, classifier.batch_probabilities(others)[1]),
-        CHUNKED: max(chunked(classifier, window, CHUNKS), chunked(classifier, window, (1,), SAMPLED_FRAMES)),
+        CHUNKED: max(chunked(classifier, window, sizes, SAMPLED_FRAMES) for sizes in (CHUNKS, (1,))),
         THREADS: _distance(answer, two_threads.probabilities(window)),
         REPEATED: max(_distance(answer, repeat) for repeat in again),
     }

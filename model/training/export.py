@@ -62,7 +62,13 @@ class _Step(nn.Module):
         self.calibrated = calibrated
 
     def forward(
-        self, counts: Tensor, level: Tensor, motion: Tensor, memory: list[Tensor], pooled: Tensor, frames: Tensor
+        self,
+        counts: Tensor,
+        level: Tensor,
+        motion: Tensor,
+        memory: list[Tensor],
+        pooled: Tensor,
+        frames: Tensor,
     ) -> tuple[Tensor, ...]:
         state = State(level, motion, tuple(memory), pooled, frames)
         probabilities, after = self.calibrated.step(counts, state)
@@ -72,8 +78,8 @@ class _Step(nn.Module):
 def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     """Write the network as one ONNX file that describes itself.
 
-    Asked with `counts` alone it answers about a whole window; with the state that an answer before left, about
-    the frames that this one had and those that follow.
+    Asked with `counts` alone it answers about a whole window; given the state that an earlier answer left,
+    about that answer's frames and these.
     """
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     calibrated = CalibratedTGC(network, temperatures).eval()

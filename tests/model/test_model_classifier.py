@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.frame import FRAME_RATE_HZ
-from model.checks.hard_cases import hand
+from model.checks.hard_cases import checkerboard, flat, hand
+from model.checks.stability import chunked
 from model.classifier import (
     MAX_FILE_BYTES,
     METADATA_KEY,
@@ -107,6 +108,28 @@ def test_an_empty_and_an_endless_window_are_refused(shipped: Classifier) -> None
             shipped.probabilities(np.zeros((length, 8, 8), dtype=np.uint16))
 
 
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_every_length_is_answered_frame_by_frame_as_at_once(shipped: Classifier) -> None:
+    for window in (hand(432), checkerboard(432), flat(1023.0, 432), flat(0.0, 432)):
+        assert chunked(shipped, window, (1,)) <= 1e-5
+
+
+def test_a_touch_is_answered_a_few_frames_at_a_time(shipped: Classifier) -> None:
+    assert shipped.states
+    assert chunked(shipped, hand(144), (20, 1, 1, 7)) <= 1e-5
+
+
+def test_two_touches_in_turn_do_not_see_each_other(shipped: Classifier) -> None:
+    one, other = hand(54), checkerboard(54)
+    _, of_one = shipped.step(one[:27])
+    _, of_other = shipped.step(other[:27])
+    answer, _ = shipped.step(one[27:], of_one)
+    assert answer == pytest.approx(shipped.probabilities(one), abs=1e-5)
+    answer, _ = shipped.step(other[27:], of_other)
+    assert answer == pytest.approx(shipped.probabilities(other), abs=1e-5)
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     message = refusal(tmp_path / "nowhere.onnx")
     assert (
@@ -171,6 +194,14 @@ class TestOtherModels:
         proto.metadata_props.append(self.onnx.load(SHIPPED_MODEL).metadata_props[0])
         self.onnx.save(proto, path)
         return path
+
+    def test_a_file_without_a_state_is_answered_frame_by_frame_too(self, tmp_path: Path) -> None:
+        proto = self.onnx.load(SHIPPED_MODEL)
+        del proto.graph.input[1:]
+        self.onnx.save(proto, tmp_path / "m.onnx")
+        without = Classifier.load(tmp_path / "m.onnx")
+        assert not without.states
+        assert chunked(without, hand(54), (20, 1, 7)) <= 1e-6
 
     def test_without_metadata_it_is_no_touchd_model(self, tmp_path: Path) -> None:
         path = self.tiny_graph(tmp_path / "m.onnx", "counts", ["batch", "frames", 8, 8], 7)

@@ -11,9 +11,9 @@ from rich.console import Console
 
 from drivers.frame import MAX_COUNT
 from model.checks import stability
-from model.checks.hard_cases import hard_cases
+from model.checks.hard_cases import hand, hard_cases
 from model.checks.stability import FLOAT64, LATER, TOLERANCES, Check
-from model.classifier import SHIPPED_MODEL
+from model.classifier import SHIPPED_MODEL, Classifier
 
 # Every case is asked in both runtimes; a busy machine takes its time.
 pytestmark = pytest.mark.timeout(120)
@@ -87,3 +87,21 @@ def test_the_tiny_values_are_denormal() -> None:
 def test_the_longest_window_and_the_shortest_are_there() -> None:
     assert {len(window) for window in CASES["the longest window"].windows} == {432}
     assert {len(window) for window in CASES["a window of 1 frame"].windows} == {1}
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_an_hour_of_frames_neither_drifts_nor_grows() -> None:
+    torch = pytest.importorskip("torch", reason="needs the extra `train`")
+    from model.checks import reference
+    from model.tgc import MEMORY_FRAMES
+
+    classifier = Classifier.load()
+    exact = reference.Reference.load(SHIPPED_MODEL.with_suffix(".pt"), classifier.metadata).calibrated
+    frames, state, exact_state = hand(540), None, exact.network.initial_state()
+    for _ in range(360):
+        answer, state = classifier.step(frames, state)
+        with torch.no_grad():
+            expected, exact_state = exact.step(reference.batch(frames), exact_state)
+        assert np.abs(answer - expected[0].numpy()).max() <= 1e-5
+    assert state.tensors["memory0"].shape()[2] == MEMORY_FRAMES

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -19,7 +20,7 @@ from torch import Tensor  # noqa: E402
 from model.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
 from model.classifier import Classifier, ModelMetadata  # noqa: E402
 from model.settings import NetworkSettings  # noqa: E402
-from model.tgc import TGC, FeatureDropout  # noqa: E402
+from model.tgc import MEMORY_FRAMES, TGC, FeatureDropout  # noqa: E402
 from model.training.export import CalibratedTGC, export  # noqa: E402
 from model.training.threads import one_torch_thread  # noqa: E402
 
@@ -93,6 +94,30 @@ def test_windows_in_a_batch_do_not_see_each_other(network: TGC) -> None:
     together = network(windows)
     for place in range(3):
         assert (together[place] - network(windows[place : place + 1])[0]).abs().max().item() <= 1e-9
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("settings", [SMALL, msgspec.structs.replace(SMALL, blocks=2)])
+def test_frames_a_few_at_a_time_are_answered_as_the_whole_window(settings: NetworkSettings) -> None:
+    network = random_network(settings).double()
+    window = batch(hand(144))
+    state, start = network.initial_state(), 0
+    for size in (1, 1, 2, 50, 1, 7, 60, 22):
+        logits, state = network.step(window[:, start : start + size], state)
+        start += size
+        assert (logits - network(window[:, :start])).abs().max().item() <= 1e-9
+    assert start == 144
+
+
+@torch.no_grad()
+def test_attention_forgets_only_what_weighs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    network, frames = random_network(), batch(checkerboard(6000)).float()
+    kept = network.step(frames, network.initial_state())[1]
+    assert kept.memory[0].shape[2] == MEMORY_FRAMES < 6000
+    monkeypatch.setattr("model.tgc.MEMORY_FRAMES", 10**6)
+    unbounded = network.step(frames, network.initial_state())[1]
+    answers = [network.step(batch(hand(1)).float(), state)[0] for state in (kept, unbounded)]
+    assert (answers[0] - answers[1]).abs().max().item() <= 1e-6
 
 
 def test_in_training_whole_features_are_dropped_and_the_mean_is_kept() -> None:
