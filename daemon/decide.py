@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.events import UNCERTAIN, Stage
+from model.classifier import State
 
 NO_TOUCH = "notouch"
 
@@ -33,6 +34,10 @@ class ProbabilityModel(typing.Protocol):
 
     def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return calibrated probabilities, shape (labels,), for counts of shape (T, 8, 8) at 54 Hz."""
+        ...
+
+    def step(self, frames: NDArray[np.float32], state: State | None) -> tuple[NDArray[np.float64], State]:
+        """Return the same for a touch's frames up to now, from the new ones and the state before them."""
         ...
 
 
@@ -93,7 +98,7 @@ class Decision:
         At "released", when nothing was told and nothing can be, the answer's stage is "uncertain" instead. At
         "uncertain", for a touch that ended with nothing told, it is always that.
         """
-        scene = self._renormalise(probabilities)
+        scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
         if self.told is None:
             stands, tell = best, best != NO_TOUCH and self._may_tell(stage, scene[best])
@@ -115,7 +120,8 @@ class Decision:
         """The robot hears that there was a touch without a name, unless the model sees no touch at all."""
         return Answer("uncertain", UNCERTAIN, scene[best], scene, True, best != NO_TOUCH)
 
-    def _renormalise(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
+    def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
+        """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""
         kept = np.where(self._occurs, probabilities, 0.0)
         total = kept.sum()
         if total <= 0.0:

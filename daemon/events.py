@@ -63,6 +63,18 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     pad: str = DEFAULT_PAD
 
 
+class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="live_prediction"):
+    """What the model makes of the touch at this moment: for whoever looks, and no event.
+
+    frames: length of the touch so far. probabilities: as in `Prediction`.
+    """
+
+    touch: int
+    frames: int
+    probabilities: dict[str, float]
+    pad: str = DEFAULT_PAD
+
+
 class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_ended"):
     """The hand is gone, or can no longer be followed.
 

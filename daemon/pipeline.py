@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from daemon.decide import Answer, Decision, DecisionSettings, ProbabilityModel
 from daemon.events import (
     UNCERTAIN,
     EndReason,
     Event,
+    LivePrediction,
     Prediction,
     SensorEvent,
     Stage,
@@ -26,6 +29,7 @@ from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTrack
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
+from model.classifier import State
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # Two inferences a second while a long touch goes on: a change is seen within half a second, at little cost.
@@ -34,6 +38,10 @@ ONGOING_STRIDE_FRAMES = 27
 # best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
 # with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
 LIFT_OFF_FRAMES = 13
+
+
+# Asked every third frame, the network takes half of the processor time, and a pad is shown 18 times a second.
+STRIDE_FRAMES = 3
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,13 +62,20 @@ class Clock:
 
 @dataclass
 class Touch:
-    """The touch that goes on. due: the stages still to come, with the length at which each is asked."""
+    """The touch that goes on.
+
+    due: the stages still to come, with the length at which each is asked. heard: the model's answers so far,
+    by length. state: the model's, after the touch's first `given` frames.
+    """
 
     number: int
     first_index: int
     decision: Decision
     due: list[tuple[int, Stage]]
     degraded: bool
+    heard: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    state: State | None = None
+    given: int = 0
 
 
 class Pipeline:
@@ -77,8 +92,10 @@ class Pipeline:
         emit: Callable[[Event], None],
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,
+        show: Callable[[LivePrediction], None] = lambda _: None,
     ) -> None:
         self._emit = emit
+        self._show = show
         self._pad = pad
         self._clock = clock or Clock()
         self._tracker = TouchTracker(settings.touch)
@@ -129,6 +146,7 @@ class Pipeline:
                 self._end(release, frame.host_s)
         if self._touch is not None:
             self._touch.degraded |= frame.bridged
+            self._follow(self._touch, frame)
             self._ask_what_is_due(self._touch, frame)
 
     def _stop(self, reason: EndReason) -> None:
@@ -150,6 +168,19 @@ class Pipeline:
         )
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
+
+    def _follow(self, touch: Touch, frame: GridFrame) -> None:
+        """Give the model the touch's new frames, up to those of the final answer, and keep what it says."""
+        length = frame.index + 1 - touch.first_index
+        is_due = any(length == due_length for due_length, _ in touch.due)
+        if length > self._final_frames or not (is_due or length % STRIDE_FRAMES == 0):
+            return
+        window = self._ring.window(frame.index + 1, length - touch.given)
+        probabilities, touch.state = self._model.step(window, touch.state)
+        touch.heard[length], touch.given = probabilities, length
+        weighed = touch.decision.weigh(probabilities)
+        shown = {label: round(value, 4) for label, value in weighed.items()}
+        self._show(LivePrediction(touch=touch.number, frames=length, probabilities=shown, pad=self._pad))
 
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:
@@ -190,8 +221,10 @@ class Pipeline:
     def _ask(self, touch: Touch, stage: Stage, length: int, since_s: float) -> None:
         """Ask the model about the touch's first `length` frames, or the last of those that it can take."""
         frames = min(length, self._final_frames)
-        window = self._ring.window(touch.first_index + length, frames)
-        answer = touch.decision.answer(stage, self._model.probabilities(window))
+        probabilities = touch.heard.get(length)
+        if probabilities is None:
+            probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
+        answer = touch.decision.answer(stage, probabilities)
         if stage != "ongoing" or answer.told:
             self._report(touch, answer, frames, length, since_s)
 

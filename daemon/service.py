@@ -14,7 +14,7 @@ from daemon.bridges.bridges import Bridges
 from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.destinations import link_to_robot, open_journal, open_touch_stores, parser_for
-from daemon.events import UNCERTAIN, Event, TouchBegan
+from daemon.events import UNCERTAIN, Event, LivePrediction, TouchBegan
 from daemon.health import Health
 from daemon.kept.touch_sink import TouchSink
 from daemon.live.sink import LiveSink
@@ -46,6 +46,7 @@ class Outlet:
         self.kept = TouchSink(open_touch_stores(settings))
         self.bridges = Bridges()
         self.sinks: list[Sink] = [self.journal, self.robot, self.live, self.kept, self.bridges]
+        self.shows: list[Callable[[LivePrediction], None]] = [self.live.put_live]
         self.touches = 0
 
     def emit(self, event: Event) -> None:
@@ -58,6 +59,11 @@ class Outlet:
         """Hand a pad's frame to the sinks that show it, and how many the daemon was too slow for so far."""
         self.live.put_frame(frame, dropped, pad)
         self.bridges.put_frame(frame, pad)
+
+    def show_live(self, prediction: LivePrediction) -> None:
+        """Show what the model makes of a touch to whoever looks."""
+        for show in self.shows:
+            show(prediction)
 
     def stop(self) -> None:
         """Stop every sink, all of them within SINKS_STOP_S."""
@@ -133,13 +139,13 @@ class Pad:
         name: str,
         settings: Settings,
         model: Classifier,
-        emit: Callable[[Event], None],
+        outlet: Outlet,
         arrived: threading.Condition,
     ) -> None:
         self.name = name
         self.settings = settings
         self.queue = FrameQueue(filled=arrived)
-        self.pipeline = Pipeline(settings.pipeline, model, emit, pad=name)
+        self.pipeline = Pipeline(settings.pipeline, model, outlet.emit, pad=name, show=outlet.show_live)
         self.watch = PadWatch(name)
         self._sensor = self._reader()
 
@@ -188,7 +194,7 @@ class Service:
         self._show_frame = show_frame
         self._arrived = threading.Condition()
         self._pads = [
-            Pad(name, pad, models[name], outlet.emit, self._arrived) for name, pad in settings.pads.items()
+            Pad(name, pad, models[name], outlet, self._arrived) for name, pad in settings.pads.items()
         ]
 
     def run(self, stop: threading.Event) -> None:

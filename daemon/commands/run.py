@@ -95,6 +95,7 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))
             show_frame = view.show_frame
             outlet.sinks.append(view)
+            outlet.shows.append(view.put_live)
         else:
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
             outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))

@@ -11,7 +11,7 @@ import struct
 import msgspec
 
 from daemon.events import Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from drivers.frame import DEFAULT_PAD, Frame
+from drivers.frame import Frame
 
 CLOCK = struct.Struct("<I")
 CLOCK_MASK = 0xFFFFFFFF
@@ -54,18 +54,6 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
     dropped: int
     viewers: int
     pad: str
-
-
-class Leaning(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="leaning"):
-    """What the model makes of the touch between two answers; nobody but the page is told.
-
-    frames: length of the touch so far. probabilities: as in `daemon.events.Prediction`.
-    """
-
-    touch: int
-    frames: int
-    probabilities: dict[str, float]
-    pad: str = DEFAULT_PAD
 
 
 def encode_frame(frame: Frame, pad: int = 0) -> bytes:

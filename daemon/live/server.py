@@ -18,10 +18,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 from daemon.config import LiveSettings
-from daemon.events import Event, RobotEvent
+from daemon.events import Event, LivePrediction, RobotEvent
 from daemon.live.address import own_names
 from daemon.live.door import Door
-from daemon.live.leaning import Leanings
 from daemon.live.memory import Memory, Scene
 from daemon.live.messages import Status, encode_frame, encode_message
 from daemon.live.page import Page
@@ -33,8 +32,6 @@ log = logging.getLogger(__name__)
 # Ten seconds of frames, which wait only when the machine is far too busy.
 CAPACITY = 540
 STATUS_EVERY_S = 0.5
-# With so much to show at once, the model is not asked what it leans to.
-BEHIND_ITEMS = 9
 RATE_SAMPLES = 5
 # Connections of any kind, those that ask for a file and those that ask for nothing among them.
 MOST_CONNECTIONS = 64
@@ -44,7 +41,7 @@ PING_EVERY_S = 5.0
 GOODBYE_S = 0.2
 
 Scenes: TypeAlias = Mapping[str, Scene]
-Item: TypeAlias = Event | tuple[Frame, str] | Scenes
+Item: TypeAlias = Event | LivePrediction | tuple[Frame, str] | Scenes
 
 
 @dataclass
@@ -52,7 +49,6 @@ class _Shown:
     """What is shown of one pad. frames: so far."""
 
     memory: Memory
-    leanings: Leanings
     frames: int = 0
 
 
@@ -65,7 +61,7 @@ class LiveServer:
     def __init__(self, listening: socket.socket, settings: LiveSettings, scenes: Scenes) -> None:
         self.dropped = 0
         self._listening = listening
-        self._pads = {name: _Shown(Memory(scene), Leanings(scene)) for name, scene in scenes.items()}
+        self._pads = {name: _Shown(Memory(scene)) for name, scene in scenes.items()}
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
         self._items: deque[Item] = deque()
@@ -78,8 +74,8 @@ class LiveServer:
         self._thread = threading.Thread(target=self._run, name="touchd-live", daemon=True)
         self._thread.start()
 
-    def put(self, item: Event | Scenes) -> None:
-        """Take an event, or the scenes that count from now on, to be shown with the next frame.
+    def put(self, item: Event | LivePrediction | Scenes) -> None:
+        """Take an event, a live prediction or the scenes from now on, to be shown with the next frame.
 
         Without a frame it is shown with the next status. Waking the page's thread here would have it compete
         with passing an answer on.
@@ -183,33 +179,29 @@ class LiveServer:
         with self._lock:
             items, self._items = self._items, deque()
             self._is_woken = False
-        is_behind = len(items) > BEHIND_ITEMS
         for item in items:
             # A thread that still works when Python ends would take the process down with it.
             if self._is_stopping:
                 return
             try:
-                self._show(item, is_behind)
+                self._show(item)
             except Exception:
                 log.exception("live: something could not be shown")
 
-    def _show(self, item: Item, is_behind: bool) -> None:
+    def _show(self, item: Item) -> None:
         match item:
             case (frame, pad):
                 self._viewers.show(encode_frame(frame, list(self._pads).index(pad)))
-                leaning = self._pads[pad].leanings.push(frame, may_ask=not is_behind)
-                if leaning is not None:
-                    self._viewers.show(encode_message(leaning))
+            case LivePrediction():
+                self._viewers.show(encode_message(item))
             case Mapping():
                 for pad, scene in item.items():
                     self._pads[pad].memory.scene = scene
-                    self._pads[pad].leanings.change(scene)
                 for state in self._state():
                     self._viewers.tell(state)
             case _:
                 for pad in [item.pad] if not isinstance(item, RobotEvent) else self._pads:
                     self._pads[pad].memory.put(item)
-                    self._pads[pad].leanings.put(item)
                 self._viewers.tell(encode_message(item))
 
     def _state(self) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from daemon.config import LiveSettings, Settings
 from daemon.decide import ProbabilityModel
-from daemon.events import Event, RobotEvent, SensorEvent
+from daemon.events import Event, LivePrediction, RobotEvent, SensorEvent
 from daemon.live.address import LiveError, listen, require_library, urls_of
 from daemon.live.memory import Scene
 from drivers.frame import DEFAULT_PAD, Frame
@@ -66,6 +66,12 @@ class LiveSink:
         server = self._server
         if server is not None:
             server.put(event)
+
+    def put_live(self, prediction: LivePrediction) -> None:
+        """Show what the model makes of the touch at this moment; returns at once."""
+        server = self._server
+        if server is not None:
+            server.put(prediction)
 
     def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:
         """Show a pad's frame, and how many the daemon was too slow for so far; returns at once."""

@@ -14,10 +14,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.terminal.describe import describe
 from daemon.terminal.pad_picture import PAD_WIDTH, pad_picture
-from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Counts
+from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 REFRESH_HZ = 12
 WIDTH = 80
@@ -42,6 +42,7 @@ class View:
         self._pressure: Counts = np.zeros((ROWS, COLUMNS), dtype=np.uint16)
         self._touch: int | None = None
         self._answer: Prediction | None = None
+        self._now: LivePrediction | None = None
         self._pad = "waiting for the pad"
         self._history: deque[tuple[str, str]] = deque(maxlen=HISTORY)
         self._live = Live(
@@ -51,6 +52,10 @@ class View:
     def show_frame(self, pressure: Counts) -> None:
         """Show a frame, (8, 8) counts, at the next refresh."""
         self._pressure = pressure
+
+    def put_live(self, prediction: LivePrediction) -> None:
+        """Show what the model makes of the touch at this moment, at the next refresh."""
+        self._now = prediction
 
     def note(self, text: str, style: str = "") -> None:
         """Add a line to what happened."""
@@ -62,11 +67,11 @@ class View:
         with self._lock:
             match event:
                 case TouchBegan():
-                    self._touch, self._answer = event.touch, None
+                    self._touch, self._answer, self._now = event.touch, None, None
                 case Prediction():
-                    self._answer = event
+                    self._answer, self._now = event, None
                 case TouchEnded():
-                    self._touch = None
+                    self._touch, self._now = None, None
                 case SensorEvent():
                     self._pad = f"pad {event.state}"
         self.note(describe(event), "bold" if isinstance(event, Prediction) and event.told else "dim")
@@ -101,18 +106,22 @@ class View:
         return Panel(picture, title=self._pad, width=PAD_WIDTH, padding=0)
 
     def _draw_answer(self) -> Panel:
-        answer = self._answer
+        answer, now = self._answer, self._now
+        shown = now or answer
         rows: list[Text] = []
-        if answer is not None:
+        if shown is not None:
             # A lab's own model may know more gestures than there are lines for: the likeliest are shown.
-            likeliest = sorted(answer.probabilities.values(), reverse=True)[:MOST_LABELS]
-            for label, probability in answer.probabilities.items():
+            likeliest = sorted(shown.probabilities.values(), reverse=True)[:MOST_LABELS]
+            for label, probability in shown.probabilities.items():
                 if probability < likeliest[-1] or len(rows) == MOST_LABELS:
                     continue
-                style = "bold green" if label == answer.gesture else ""
+                style = "bold green" if answer is not None and label == answer.gesture else ""
                 bar = "#" * round(probability * BAR_WIDTH)
                 name = f"{label[:LABEL_WIDTH]:<{LABEL_WIDTH}}"
                 rows.append(Text(f"{name} {bar:<{BAR_WIDTH}} {probability:4.0%}", style))
+        if now is not None:
+            rows.append(Text(f"so far, after {now.frames / FRAME_RATE_HZ:.1f} s", "dim"))
+        elif answer is not None:
             rows.append(Text(f"{answer.stage}, after {answer.elapsed_s:.1f} s", "dim"))
         title = f"touch {self._touch}" if self._touch is not None else "nothing touches"
         return Panel(Text("\n").join(rows), title=title, width=WIDTH - PAD_WIDTH, height=ROWS + 2)

@@ -12,7 +12,7 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
 from daemon.decide import DecisionSettings
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.touch import TouchSettings
 from drivers.frame import MAX_COUNT, Counts, Frame
@@ -101,7 +101,9 @@ def test_a_prediction_says_everything_a_listener_needs() -> None:
 def test_the_model_is_asked_about_the_sensor_s_own_frames_from_the_touch_s_first() -> None:
     bench = Bench()
     bench.feel(palm(3.0))
-    for window, length in zip(bench.model.asked, (54, 81, 144), strict=True):
+    windows = {len(window): window for window in bench.model.stepped}
+    for length in (54, 81, 144):
+        window = windows[length]
         np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + length])
 
 
@@ -109,7 +111,8 @@ def test_a_short_touch_is_answered_when_it_ends_from_its_contact_alone() -> None
     bench = Bench()
     events = bench.feel(palm(0.5), nothing(2.0))
     assert [(event.stage, event.frames) for event in predictions(events)] == [("released", 27)]
-    (window,) = bench.model.asked
+    window = next(window for window in bench.model.stepped if len(window) == 27)
+    assert bench.model.asked == []
     np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 27])
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
@@ -126,7 +129,8 @@ def test_an_answer_due_in_a_pause_waits_until_the_hand_is_back() -> None:
         ("revised", 81),
         ("final", 144),
     ]
-    np.testing.assert_array_equal(bench.model.asked[0], bench.sent[LEAD_FRAMES : LEAD_FRAMES + 54])
+    window = next(window for window in bench.model.stepped if len(window) == 54)
+    np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 54])
 
 
 def test_an_answer_that_the_next_has_overtaken_is_not_asked() -> None:
@@ -150,17 +154,34 @@ def test_the_lift_offs_of_a_pat_are_part_of_what_is_asked() -> None:
 def test_while_nothing_touches_the_model_is_not_run_and_nothing_is_said() -> None:
     bench = Bench()
     assert bench.feel(nothing(60.0)) == []
-    assert bench.model.asked == []
+    assert bench.model.asked == bench.model.stepped == []
+
+
+def test_a_touch_is_shown_as_the_model_sees_it_while_it_goes_on() -> None:
+    shown: list[LivePrediction] = []
+    classifier = Classifier.load()
+    pad, said = MadePad(), list[Event]()
+    pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED, show=shown.append)
+    counts = list(pad.counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)])))
+    for number, ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
+        pipeline.on_frame(Frame(number, ms, 0.0, counts[number]))
+    begins = next(event.sensor_ms for event in said if isinstance(event, TouchBegan))
+    first = ideal_clock_ms(len(counts)).tolist().index(begins)
+    assert [prediction.frames for prediction in shown[-5:]] == [132, 135, 138, 141, 144]
+    for prediction in shown[::7]:
+        window = np.stack(counts[first : first + prediction.frames])
+        expected = dict(zip(classifier.labels, classifier.probabilities(window).tolist(), strict=True))
+        assert prediction.probabilities == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_long_touch_speaks_again_only_when_its_gesture_changes() -> None:
-    bench = Bench(Scripted(lambda asked: "stroke" if asked <= 6 else "rub"))
+    bench = Bench(Scripted(lambda asked: "stroke" if asked <= 3 else "rub"))
     events = bench.feel(palm(8.0), nothing(2.0))
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
     assert [event.stage for event in predictions(events)] == ["early", "revised", "final", "ongoing"]
     ongoing = predictions(events)[-1]
     assert (ongoing.frames, ongoing.elapsed_s) == (144, 4.667)
-    assert len(bench.model.asked) == 3 + (432 + 13 - 144) // 27
+    assert len(bench.model.asked) == (432 + 13 - 144) // 27
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
     assert ended.gesture == "rub"
@@ -285,18 +306,17 @@ def test_the_same_bytes_give_the_same_events_however_they_are_cut() -> None:
     assert events(np.random.default_rng(7).integers(1, 700, 100).tolist()) == whole
 
 
-class Fickle:
+class Fickle(Scripted):
     """A model that says something else each time."""
 
-    labels = LABELS
-    name = "fickle"
-
     def __init__(self, rng: np.random.Generator) -> None:
+        super().__init__()
         self._rng = rng
 
-    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
-        assert frames.min() >= 0
-        assert frames.max() <= MAX_COUNT
+    def answer(self) -> NDArray[np.float64]:
+        window = (self.stepped or self.asked)[-1]
+        assert window.min() >= 0
+        assert window.max() <= MAX_COUNT
         return self._rng.dirichlet(np.full(len(LABELS), 0.3))
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rigs.haart_folder import needs_haart
+from rigs.scripted_model import Scripted
 
 from daemon.events import Event, Prediction
 from daemon.pipeline import Pipeline, PipelineSettings
@@ -93,18 +93,10 @@ def test_a_recording_at_the_ideal_clock_is_seen_by_the_model_as_it_is(recordings
     by_gesture = {recording.gesture: recording for recording in recordings}
     quiet, gesture = by_gesture[NO_TOUCH], by_gesture["constant"]
     counts = np.concatenate([quiet.counts[:270], gesture.counts])
-    asked: list[NDArray[np.float32]] = []
-
-    class Listening:
-        labels = Classifier.load().labels
-        name = "listening"
-
-        def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
-            asked.append(frames)
-            return np.full(7, 1 / 7)
-
-    pipeline = Pipeline(PipelineSettings(), Listening(), lambda event: None)
+    model = Scripted()
+    pipeline = Pipeline(PipelineSettings(), model, lambda event: None)
     for ms, scan in zip(ideal_clock_ms(len(counts)), counts, strict=True):
         pipeline.on_frame(Frame(0, int(ms), 0.0, scan))
-    for window, length in zip(asked[:3], (54, 81, 144), strict=True):
-        np.testing.assert_array_equal(window, gesture.counts[:length])
+    windows = {len(window): window for window in model.stepped}
+    for length in (54, 81, 144):
+        np.testing.assert_array_equal(windows[length], gesture.counts[:length])

@@ -33,7 +33,7 @@ let announced = null;
 let trouble = "";
 let isDue = false;
 let hasEvent = true;
-let hasLeaning = false;
+let hasLive = false;
 
 function draw() {
   isDue = false;
@@ -42,12 +42,12 @@ function draw() {
   line.draw(store);
   line.show(store);
   show.showClock(store);
-  if (hasEvent || hasLeaning) show.showChances(store);
+  if (hasEvent || hasLive) show.showChances(store);
   if (hasEvent) {
     show.showAnswer(store);
     show.showTouches(store);
   }
-  hasEvent = hasLeaning = false;
+  hasEvent = hasLive = false;
 }
 
 function drawSoon() {
@@ -102,7 +102,7 @@ function onMessage(message) {
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
   if (message.type === "prediction") announce(message);
-  if (message.type === "leaning") hasLeaning = true;
+  if (message.type === "live_prediction") hasLive = true;
   else if (message.type !== "status") hasEvent = true;
   if (message.type === "status") watch();
   else drawSoon();

@@ -50,10 +50,10 @@ function remarks({ scene, robot }, said, previous) {
   return [...parts, heard, degraded];
 }
 
-/** The probabilities: as the model leans now, or as they were when it last answered. */
+/** The probabilities: as they are now, or as they were when it last answered. */
 export function showChances(store) {
   const answer = store.touch?.predictions.at(-1);
-  const shown = store.leaning ?? answer;
+  const shown = store.live ?? answer;
   const { labels, frame_rate_hz: rate } = store.scene;
   const bars = $("bars");
   if (bars.childElementCount !== labels.length) bars.replaceChildren(...labels.map(makeBar));
@@ -66,8 +66,8 @@ export function showChances(store) {
     bar.firstElementChild.style.setProperty("--share", share);
     say(number, shown ? percent(share) : "–");
   });
-  const when = store.leaning
-    ? `leaning after ${seconds(Number((store.leaning.frames / rate).toFixed(1)))}`
+  const when = store.live
+    ? `so far, after ${seconds(Number((store.live.frames / rate).toFixed(1)))}`
     : answer
       ? `answered after ${seconds(answer.elapsed_s)}`
       : "";

@@ -19,7 +19,7 @@ export class Store {
   robot = null;
   status = null;
   touches = [];
-  leaning = null;
+  live = null;
   /** Pressure above rest of each taxel, in counts. */
   pressure = new Float32Array(TAXELS);
   /** The sensor's clock at the last frame, and when it came by ours; null before the first. */
@@ -53,7 +53,7 @@ export class Store {
         const before = this.touch?.began;
         ({ sensor: this.sensor, robot: this.robot, touches: this.touches } = message);
         this.scene = message;
-        this.leaning = null;
+        this.live = null;
         const began = this.touch?.began;
         if (began?.touch !== before?.touch || began?.time !== before?.time) this.trace = this.#lateTrace();
         break;
@@ -67,21 +67,21 @@ export class Store {
       case "status":
         this.status = message;
         break;
-      case "leaning":
-        this.leaning = message;
+      case "live_prediction":
+        this.live = message;
         break;
       case "touch_began":
         this.touches = [...this.touches, { began: message, predictions: [], ended: null }].slice(-TOUCHES);
-        this.leaning = null;
+        this.live = null;
         this.trace = this.#lateTrace();
         break;
       case "prediction":
         if (this.touch?.began.touch === message.touch) this.touch.predictions.push(message);
-        this.leaning = null;
+        this.live = null;
         break;
       case "touch_ended":
         if (this.touch?.began.touch === message.touch) this.touch.ended = message;
-        this.leaning = null;
+        this.live = null;
         break;
     }
   }
