@@ -18,10 +18,11 @@ from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, Ros
 from daemon.decide import DecisionSettings
 from daemon.pipeline import PipelineSettings
 from daemon.touch import TouchSettings
+from daemon.words import Language, Vocabulary, vocabulary
 from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, DEFAULT_PAD, ROWS
 from drivers.pad.grid import RingSettings
-from drivers.robot.actions import ActionRule
+from drivers.robot.actions import ActionRule, Words
 
 T = TypeVar("T", bound=msgspec.Struct)
 Keys = tuple[str, ...]
@@ -149,7 +150,8 @@ class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd.
 
-    sensor: the only pad. sensors: instead of it, several pads by their names.
+    sensor: the only pad. sensors: instead of it, several pads by their names. language: what gestures are
+    called in, by robot, page and terminal. words: a gesture's own name and phrase, in place of those shipped.
     """
 
     sensor: SensorSettings = SensorSettings()
@@ -165,6 +167,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     lsl: LslSettings | None = None
     ros2: Ros2Settings | None = None
     rosbridge: RosbridgeSettings | None = None
+    language: Language = "en"
+    words: dict[str, Words] = {}
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     def __post_init__(self) -> None:
@@ -202,6 +206,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def bridges(self) -> dict[str, Section | None]:
         """The sections for bridges by their names."""
         return {"mqtt": self.mqtt, "lsl": self.lsl, "ros2": self.ros2, "rosbridge": self.rosbridge}
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        """What gestures are called."""
+        return vocabulary(self.language, self.words)
 
     @property
     def pipeline(self) -> PipelineSettings:

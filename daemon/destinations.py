@@ -8,13 +8,14 @@ from contextlib import suppress
 from functools import partial
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.events import Event, RobotEvent, one_line, timestamp
+from daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
 from daemon.kept.journal import Journal
 from daemon.kept.touch_store import TouchStore, folder_of
 from drivers.frame import Counts
 from drivers.pad.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
 from drivers.recording import RecordingError
-from drivers.robot.link import RobotLink, RobotSettings, State
+from drivers.robot.actions import Kind
+from drivers.robot.link import RobotLink, RobotMessage, RobotSettings, State
 
 BYTES_PER_MB = 1_000_000
 
@@ -47,11 +48,15 @@ def open_touch_stores(settings: Settings) -> dict[str, TouchStore]:
 def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLink | None:
     """Return a link, not yet started, to the configured robot, if any; raises RobotError.
 
-    emit: gets an event when the robot comes or goes, from the link's thread.
+    emit: gets an event when the robot comes, goes or does something, from the link's threads.
     """
 
     def report(state: State, reason: str) -> None:
         emit(RobotEvent(state=state, time=timestamp(time.time()), reason=one_line(reason)))
+
+    def act(message: RobotMessage, kind: Kind, what: str) -> None:
+        now = timestamp(time.time())
+        emit(RobotAction(touch=message.touch, action=kind, what=one_line(what), time=now, pad=message.pad))
 
     robot = settings.robot
     if robot is None:
@@ -64,8 +69,10 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
             token_file=robot.token_file,
             token_env=robot.token_env,
             pads={name: pad.scene.actions for name, pad in settings.pads.items()},
+            words=settings.vocabulary,
         ),
         report,
+        on_act=act,
     )
 
 

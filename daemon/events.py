@@ -111,7 +111,20 @@ class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     reason: str = ""
 
 
-Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent
+class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot_action"):
+    """The robot begins to do something about a touch.
+
+    action: its kind. what: the words that it says, the behaviour's name or the colour.
+    """
+
+    touch: int
+    action: Literal["say", "animated_say", "behavior", "leds"]
+    what: str
+    time: str
+    pad: str = DEFAULT_PAD
+
+
+Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent | RobotAction
 
 
 def one_line(reason: str) -> str:

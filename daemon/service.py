@@ -176,7 +176,7 @@ class Pad:
 class Service:
     """The daemon's loop and all that it joins.
 
-    models: for each pad. show_frame: gets each frame of the first pad.
+    models: for each pad. show_frame: gets the counts and the clock of each frame of the first pad.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class Service:
         models: dict[str, Classifier],
         outlet: Outlet,
         health: Health,
-        show_frame: Callable[[Counts], None] | None = None,
+        show_frame: Callable[[Counts, int], None] | None = None,
     ) -> None:
         self._settings = settings
         self._models = models
@@ -240,7 +240,8 @@ class Service:
             check_fit(pad.scene, models[name])
         if settings.sensor.port != before.sensor.port:
             check_pad(settings)
-        tells_anew = bool(changed & {"robot", "sensors"}) or settings.scene.actions != before.scene.actions
+        is_told_otherwise = bool(changed & {"robot", "sensors", "language", "words"})
+        tells_anew = is_told_otherwise or settings.scene.actions != before.scene.actions
         link = link_to_robot(settings, self._outlet.emit) if tells_anew else None
         keeps_anew = bool(changed & {"journal", "sensor", "sensors"})
         stores = open_touch_stores(settings) if keeps_anew else {}
@@ -280,7 +281,7 @@ class Service:
                 self._health.frame_processed(pad.name)
                 pad.watch.update(frame)
                 if self._show_frame is not None and pad is self._pads[0]:
-                    self._show_frame(frame.pressure)
+                    self._show_frame(frame.pressure, frame.sensor_ms)
                 self._outlet.show(frame, self._dropped(), pad.name)
             case SensorState() as state:
                 pad.pipeline.on_sensor_state(state)

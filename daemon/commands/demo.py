@@ -7,22 +7,25 @@ import statistics
 import sys
 import tempfile
 import threading
+import time
 import typing
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import msgspec
 
-from daemon.config import LiveSettings, RobotConfig, SceneSettings, SensorSettings, Settings
+from daemon.config import LiveSettings, RobotConfig, SceneSettings, Settings
 from daemon.destinations import encoder_for
-from daemon.events import Event, Prediction, TouchEnded
-from daemon.live.address import listen, parse_address, require_library, urls_of
+from daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
+from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
+from daemon.own_name import own_name
 from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import DEMO_RECORDING
 from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
+from daemon.words import Language, Vocabulary, name_of
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.fakes.services import Call
@@ -39,18 +42,28 @@ PACE = 1.0
 # Answers that are counted at the end.
 KEPT = 1000
 
-ACTIONS = (
-    ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {gesture}."))),
-    ActionRule(do=(Action(animated_say="Oh, it is {gesture}!"),), changed=True),
-    ActionRule(do=(Action(say="What was that?"),), gestures=("uncertain",)),
-)
+SAYINGS: Mapping[Language, tuple[str, str, str]] = {
+    "en": ("That feels like {phrase}.", "Oh, it is {phrase}!", "What was that?"),
+    "de": ("Das fühlt sich an wie {phrase}.", "Ach, das ist {phrase}!", "Was war das?"),
+}
+
+
+def actions_in(language: Language) -> tuple[ActionRule, ...]:
+    """Return what the robot does: it says what it feels, and corrects itself."""
+    feels, corrects, wonders = SAYINGS[language]
+    return (
+        ActionRule(do=(Action(leds=Leds(color="green")), Action(say=feels))),
+        ActionRule(do=(Action(animated_say=corrects),), changed=True),
+        ActionRule(do=(Action(say=wonders),), gestures=("uncertain",)),
+    )
+
 
 NEXT = """
 What to try next:
-  touchd replay FILE.csv.gz        a recording as a pad; prints a fake serial port
-  touchd run --view --port PORT    the daemon on that port, or on a real pad
-  touchd demo --live               the same on a page for browsers, again and again
-  touchd classify FILE.csv.gz      all answers to a recording at once
+  {touchd} demo --live    the same on a page for browsers, again and again
+  {touchd} classify       all answers to the same recording at once
+  {touchd} replay         the recording as a pad: prints the command that reads it
+  {touchd} doctor         looks for a pad and a robot, and says what to do
 docs/install.md tells how to wire a real pad and a real Nao.
 """
 
@@ -58,11 +71,15 @@ docs/install.md tells how to wire a real pad and a real Nao.
 class Show(typing.Protocol):
     """Where the demo shows what happens: the terminal view, or plain lines."""
 
-    def show_frame(self, pressure: Counts) -> None:
+    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Show a frame."""
         ...
 
-    def note(self, text: str, style: str = "") -> None:
+    def doing(self, text: str) -> None:
+        """Show what the hand begins to do."""
+        ...
+
+    def note(self, text: str) -> None:
         """Show a line."""
         ...
 
@@ -74,17 +91,24 @@ class Show(typing.Protocol):
 class PlainLines:
     """A show for where there is no terminal: one line for each thing that happens."""
 
-    def show_frame(self, pressure: Counts) -> None:
+    def __init__(self, words: Vocabulary) -> None:
+        self._words = words
+
+    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Lines cannot show a pad that moves."""
 
-    def note(self, text: str, style: str = "") -> None:
+    def doing(self, text: str) -> None:
+        """Write what the hand begins to do."""
+        self.note(text)
+
+    def note(self, text: str) -> None:
         """Write a line; from any thread, so that a reader who is gone is left to `put` to notice."""
         with suppress(BrokenPipeError):
             self._write(text)
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when nobody reads any more."""
-        self._write(describe(event))
+        self._write(describe(event, self._words))
 
     def _write(self, text: str) -> None:
         sys.stdout.write(f"{text}\n")
@@ -98,6 +122,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also on a page for browsers, until Ctrl-C"
     )
+    parser.add_argument(
+        "--language",
+        choices=typing.get_args(Language),
+        default="en",
+        help="of names and of the robot's speech",
+    )
     return parser
 
 
@@ -107,16 +137,22 @@ def main(arguments: Sequence[str]) -> int:
     live = None if options.live is None else _available(parse_address(options.live, None))
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
-        show = PlainLines() if options.plain else _show(closing)
-        predictions, told = _play(stream, show, closing, live)
-    hand = [span.gesture for span in stream.spans if span.gesture != "notouch"]
+        settings = Settings(
+            scene=SceneSettings(actions=actions_in(options.language)),
+            live=live,
+            language=options.language,
+            log_level="warning",
+        )
+        show = PlainLines(settings.vocabulary) if options.plain else _show(closing, settings)
+        predictions, told = _play(stream, show, closing, settings)
+    hand = [name_of(settings.vocabulary, span.gesture) for span in stream.spans if span.gesture != "notouch"]
     latencies = [prediction.latency_ms for prediction in predictions]
     lines = [
         "",
         f"The simulated hand did:  {', '.join(hand)}",
-        f"The robot was told:      {', '.join(told)}",
+        f"The robot was told:      {', '.join(name_of(settings.vocabulary, gesture) for gesture in told)}",
         f"{len(latencies)} answers, half of them within {statistics.median(latencies):.1f} ms of a frame.",
-        NEXT,
+        NEXT.format(touchd=own_name()),
     ]
     sys.stdout.write("\n".join(lines))
     return 0
@@ -129,40 +165,44 @@ def _available(live: LiveSettings) -> LiveSettings:
         return msgspec.structs.replace(live, port=listening.getsockname()[1])
 
 
-def _show(closing: ExitStack) -> Show:
+def _show(closing: ExitStack, settings: Settings) -> Show:
     """Return the view where there is a terminal to draw in, plain lines elsewhere."""
     from rich.console import Console
 
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
-        return PlainLines()
+        return PlainLines(settings.vocabulary)
     from daemon.terminal.view import View
 
-    return closing.enter_context(View("a simulated hand, the real daemon, a stand-in robot", console))
+    urls = urls_of(settings.live, settings.live.port) if settings.live else []
+    view = View(
+        " ".join(urls) or "the daemon at work",
+        settings.vocabulary,
+        settings.scene.answer_at_frames,
+        console,
+        qr_code(urls[0]) if urls and settings.live and settings.live.host in EVERY_ADDRESS else "",
+    )
+    return closing.enter_context(view)
 
 
 def _play(
-    stream: Stream, show: Show, closing: ExitStack, live: LiveSettings | None
+    stream: Stream, show: Show, closing: ExitStack, settings: Settings
 ) -> tuple[Sequence[Prediction], Sequence[str]]:
     """Play the stream to the daemon and show what comes of it; returns all answers, and each touch's last.
 
-    live: where to serve the live page; with one, the stream begins anew whenever it ends.
+    With a live page the stream begins anew whenever it ends.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
-    sensor = SensorSettings()
-    encode = _showing(stream, encoder_for(sensor), show)
+    live, words = settings.live, settings.vocabulary
+    encode = _showing(stream, encoder_for(settings.sensor), show, words)
     port = closing.enter_context(FakePort(stream, encode, speed=PACE, loop=live is not None))
-    settings = Settings(
-        sensor=msgspec.structs.replace(sensor, port=port.path),
-        scene=SceneSettings(actions=ACTIONS),
-        live=live,
-        log_level="warning",
-    )
+    sensor = msgspec.structs.replace(settings.sensor, port=port.path)
+    settings = msgspec.structs.replace(settings, sensor=sensor)
 
     def show_call(call: Call) -> None:
-        if words := _words(call):
-            show.note(words, "cyan")
+        if heard := _heard(call):
+            show.note(heard)
 
     forward: Callable[[Event], None] | None = None
     if qi_installed():
@@ -171,7 +211,13 @@ def _play(
     else:
         # The stub lives in this process, so its link does too, fed with the daemon's events.
         stub = closing.enter_context(StubRobot(say_s=SPEECH_S, on_call=show_call))
-        link = RobotLink(RobotSettings(url=stub.url, actions=ACTIONS), open_session=stub.open_session)
+        link = RobotLink(
+            RobotSettings(url=stub.url, actions=settings.scene.actions, words=words),
+            open_session=stub.open_session,
+            on_act=lambda message, kind, what: show.put(
+                RobotAction(touch=message.touch, action=kind, what=what, time=timestamp(time.time()))
+            ),
+        )
         forward = RobotSink(link).put
         closing.callback(link.stop)
     daemon = SpawnedDaemon(settings, folder, log)
@@ -179,7 +225,7 @@ def _play(
     if live is None:
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
     else:
-        show.note(f"live page: {' '.join(urls_of(live, live.port))}   Ctrl-C ends", "bold")
+        show.note(f"live page: {' '.join(urls_of(live, live.port))}   Ctrl-C ends")
     predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
@@ -202,7 +248,7 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
 
 
 def _showing(
-    stream: Stream, encode: Callable[[Counts, int], bytes], show: Show
+    stream: Stream, encode: Callable[[Counts, int], bytes], show: Show, words: Vocabulary
 ) -> Callable[[Counts, int], bytes]:
     """Return `encode` such that what is sent is also shown, and what the hand does is said as it begins."""
     first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
@@ -211,27 +257,20 @@ def _showing(
     begins = {int(stream.sensor_ms[span.start]) - first_ms: span.gesture for span in stream.spans}
 
     def shown(counts: Counts, sensor_ms: int) -> bytes:
-        show.show_frame(counts)
+        show.show_frame(counts, sensor_ms)
         gesture = begins.get((sensor_ms - first_ms) % length_ms, "notouch")
         if gesture != "notouch":
-            show.note(f"the simulated hand: {gesture}", "yellow")
+            show.doing(f"the simulated hand: {name_of(words, gesture)}")
         return encode(counts, sensor_ms)
 
     return shown
 
 
-def _words(call: Call) -> str:
-    """Return what the stand-in robot does as one line, empty for what only helps it along."""
+def _heard(call: Call) -> str:
+    """Return what the stand-in robot hears as one line, empty for what its link tells of already."""
     if call.refused:
         return f"robot refuses {call.method}: {call.refused}"
-    first = call.arguments[0] if call.arguments else ""
-    match call.method:
-        case "raiseEvent":
-            event = str(first).rpartition("/")[2]
-            return "" if event == "Detail" else f"robot hears {event}: {call.arguments[1]}"
-        case "say":
-            return f'robot says "{first}"'
-        case "runBehavior":
-            return f"robot does {first}"
-        case _:
-            return ""
+    if call.method != "raiseEvent":
+        return ""
+    event = str(call.arguments[0]).rpartition("/")[2]
+    return "" if event == "Detail" else f"robot hears {event}: {call.arguments[1]}"

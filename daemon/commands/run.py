@@ -18,7 +18,7 @@ import msgspec
 from daemon.config import Settings, load, only_pad
 from daemon.destinations import link_to_robot
 from daemon.health import Health, Notifier
-from daemon.live.address import parse_address
+from daemon.live.address import parse_address, urls_of
 from daemon.reread import rereading
 from daemon.service import Outlet, Service, check_pad, load_models
 from daemon.sinks import LinesSink
@@ -91,7 +91,11 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         if with_view:
             from daemon.terminal.view import View, ViewHandler
 
-            view = closing.enter_context(View(f"touchd on {next(iter(settings.pads.values())).sensor.port}"))
+            (name, first), *_ = settings.pads.items()
+            where = f" · {urls_of(settings.live, settings.live.port)[0]}" if settings.live else ""
+            title = f"on {first.sensor.port}{where}"
+            view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
+            closing.enter_context(view)
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))
             show_frame = view.show_frame
             outlet.sinks.append(view)

@@ -47,7 +47,7 @@ class LabelDialogue:
                 f"{place + 1} of {len(touches)}: touch {offered.kept.number}, taken for {offered.taken_for}"
             )
             self._console.print()
-            self._console.print(draw(offered, frames, title))
+            self._console.print(draw(offered, frames, title, self._console))
             answer = self._ask()
             if answer == "u" and asked:
                 place = self._undo(touches, asked)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from rich.columns import Columns
-from rich.console import Group
+from rich.console import Console, Group
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -16,10 +16,14 @@ from rich.text import Text
 from daemon.events import UNCERTAIN, Prediction
 from daemon.kept.touch_store import KeptFrames, KeptTouch
 from daemon.kept.touches import Touch
-from daemon.terminal.pad_picture import PAD_WIDTH, pad_picture
+from daemon.terminal.pad_picture import level_of, pad_picture
+from daemon.terminal.palette import palette_for
 from drivers.frame import FRAME_RATE_HZ
 
 WIDTH = 80
+PAD_SCALE = 2
+# With a border.
+PAD_WIDTH = 8 * PAD_SCALE + 2
 CHART_WIDTH, CHART_HEIGHT = WIDTH - 4, 5
 MOST_ANSWERS = 8
 # Noise alone is not blown up to a touch.
@@ -72,12 +76,15 @@ def list_touches(offered: Sequence[Offered]) -> Table:
     return table
 
 
-def draw(offered: Offered, frames: KeptFrames, title: str) -> Group:
+def draw(offered: Offered, frames: KeptFrames, title: str, console: Console) -> Group:
     """Return a touch as a picture of 20 lines of 80 characters."""
     rise = rise_above_rest(frames)
     mean = rise.mean(axis=0)
+    lines = pad_picture(level_of(mean, max(float(mean.max()), 1.0)), PAD_SCALE, palette_for(console))
     pad = Panel(
-        pad_picture(mean, max(float(mean.max()), 1.0)),
+        Text("\n").join(
+            Text.assemble(*((segment.text, segment.style or "") for segment in line)) for line in lines
+        ),
         title=f"mean pad, 0 to {max(mean.max(), 1.0):.0f} counts",
         width=PAD_WIDTH,
         padding=0,

@@ -1,33 +1,55 @@
-"""The pad in characters: as it is pressed now, or as it was on average."""
+"""The pad in half blocks, so that its taxels are square: as it is pressed now, or as it was on average."""
 
 from __future__ import annotations
 
+from functools import cache
+from itertools import groupby
+
 import numpy as np
 from numpy.typing import NDArray
-from rich.color import Color
-from rich.style import Style
-from rich.text import Text
+from rich.segment import Segment
 
+from daemon.terminal.palette import CHARACTERS, Palette, halves
 from drivers.frame import COLUMNS
 
-TAXEL_WIDTH = 4
-# With a border.
-PAD_WIDTH = COLUMNS * TAXEL_WIDTH + 2
-# Seen where a terminal has no colours.
-SHADES = " .:-=+*#%@"
+# As on the live page: colours rise with the logarithm of pressure, from "light" to "firm" counts.
+LIGHT_COUNTS = 4.0
+FIRM_COUNTS = 250.0
+
+Line = list[Segment]
 
 
-def pad_picture(pressure: NDArray[np.uint16] | NDArray[np.float64], highest: float) -> Text:
-    """Return (8, 8) counts as 8 lines of 32 characters, from dark at 0 to bright at `highest`."""
-    # The root lifts light touches, which would else be lost beside a press.
-    levels = np.sqrt(np.clip(pressure / highest, 0.0, 1.0))
-    lines = [Text().join(_taxel(float(level)) for level in row) for row in levels]
-    return Text("\n").join(lines)
+def level_of(pressure: NDArray[np.float64], firm: float = FIRM_COUNTS) -> NDArray[np.float64]:
+    """Return counts above rest as levels from 0 to 1."""
+    levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(firm / LIGHT_COUNTS)
+    clipped: NDArray[np.float64] = np.minimum(levels, 1.0)
+    return clipped
 
 
-def _taxel(level: float) -> Text:
-    """Return a taxel pressed at `level` (0 to 1): from dark through red and yellow to white."""
-    shade = SHADES[min(int(level * len(SHADES)), len(SHADES) - 1)]
-    red, green, blue = (round(255 * min(max(3 * level - step, 0.0), 1.0)) for step in range(3))
-    color = Color.from_rgb(max(red, 40), max(green, 40), max(blue, 60))
-    return Text(shade * TAXEL_WIDTH, Style(color=color, bgcolor=color))
+def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> list[Line]:
+    """Return (8, 8) levels as 4 * scale lines of 8 * scale characters; the scale is even."""
+    weights = _weights(scale)
+    pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
+    if not palette.heat:
+        return [_in_characters(row) for row in pixels[::2]]
+    shades = np.rint(pixels * (len(palette.heat) - 1)).astype(int)
+    return [_in_halves(upper, lower, palette) for upper, lower in zip(shades[::2], shades[1::2], strict=True)]
+
+
+def _in_halves(upper: NDArray[np.int_], lower: NDArray[np.int_], palette: Palette) -> Line:
+    heat = palette.heat
+    runs = groupby(zip(upper.tolist(), lower.tolist(), strict=True))
+    return [Segment("▀" * len(list(run)), halves(heat[a], heat[b])) for (a, b), run in runs]
+
+
+def _in_characters(row: NDArray[np.float64]) -> Line:
+    at = np.minimum((row * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
+    return [Segment("".join(CHARACTERS[i] for i in at.tolist()))]
+
+
+@cache
+def _weights(scale: int) -> NDArray[np.float64]:
+    """Return the share of each taxel in each pixel, (8 * scale, 8): linear between taxels."""
+    at = (np.arange(COLUMNS * scale) + 0.5) / scale - 0.5
+    distance = np.abs(np.clip(at, 0, COLUMNS - 1)[:, None] - np.arange(COLUMNS)[None, :])
+    return np.maximum(0.0, 1.0 - distance)

@@ -1,83 +1,187 @@
-"""The terminal view: the pad as it is pressed, what is made of it and what happened, in 80x24 characters."""
+"""The terminal view, the live page's sister: pad, answer, time line, probabilities, and the robot's words."""
 
 from __future__ import annotations
 
 import logging
 import threading
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from types import TracebackType
 
 import numpy as np
-from rich.console import Console, Group
+from numpy.typing import NDArray
+from rich.console import Console, ConsoleOptions
 from rich.live import Live
-from rich.panel import Panel
-from rich.table import Table
-from rich.text import Text
+from rich.segment import Segment
+from rich.style import Style
 
-from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import (
+    Event,
+    LivePrediction,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+)
+from daemon.terminal.bars import bars
+from daemon.terminal.big_words import big
 from daemon.terminal.describe import describe
-from daemon.terminal.pad_picture import PAD_WIDTH, pad_picture
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from daemon.terminal.pad_picture import Line, level_of, pad_picture
+from daemon.terminal.palette import palette_for
+from daemon.terminal.time_line import Flag, time_line
+from daemon.words import Vocabulary, name_of
+from drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
 
 REFRESH_HZ = 12
-WIDTH = 80
-HISTORY = 11
-BAR_WIDTH = 22
-LABEL_WIDTH = 12
-MOST_LABELS = ROWS - 1
+TOUCHES = 12
+NOTES = 50
+# Frames in which the pad's rest is followed, and four times its noise in counts, as on the live page.
+REST_FRAMES = 54
+NOISE_COUNTS = 3.0
+# Frames before a touch is noticed that belong to it.
+LATE_FRAMES = 3
+LONGEST_TRACE = 60 * 54
+NARROWEST, LOWEST = 40, 16
+# Lines from which letters are large, and from which there is room between things.
+LOW, HIGH = 18, 33
+# The bars' place while nothing was answered yet.
+FEWEST_BARS = 7
+LARGEST_SCALE = 8
+GAP = 2
+
+
+@dataclass
+class Felt:
+    """A touch so far. trace: seconds since it began, and counts in all."""
+
+    number: int
+    said: list[Prediction] = field(default_factory=list)
+    trace: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LONGEST_TRACE))
+    ended: TouchEnded | None = None
+
+    @property
+    def length_s(self) -> float:
+        """How long it has lasted."""
+        if self.ended is not None:
+            return self.ended.frames / FRAME_RATE_HZ
+        return self.trace[-1][0] if self.trace else 0.0
 
 
 class View:
     """A sink of events that draws them; also takes frames and notes. Safe to use from several threads.
 
-    title: what is shown, one line. console: where, the terminal on standard output when left out.
+    title: what is shown, one line. words: what gestures are called. answer_at_frames: the scene's marks.
+    console: where, the terminal on standard output when left out. card: lines to show where there is room.
+    pad: whose touches are shown.
     """
 
     name = "view"
     dropped = 0
 
-    def __init__(self, title: str, console: Console | None = None) -> None:
+    def __init__(
+        self,
+        title: str,
+        words: Vocabulary,
+        answer_at_frames: Sequence[int],
+        console: Console | None = None,
+        card: str = "",
+        pad: str = DEFAULT_PAD,
+    ) -> None:
         self._title = title
+        self._words = words
+        self._marks_s = [frames / FRAME_RATE_HZ for frames in answer_at_frames]
+        self._card = card.splitlines()
+        self._shown_pad = pad
+        self._console = console or Console()
+        self._palette = palette_for(self._console)
         self._lock = threading.Lock()
-        self._pressure: Counts = np.zeros((ROWS, COLUMNS), dtype=np.uint16)
-        self._touch: int | None = None
-        self._answer: Prediction | None = None
+        self._rest: NDArray[np.float64] | None = None
+        self._pressure = np.zeros((ROWS, COLUMNS))
+        self._recent: deque[float] = deque([0.0], maxlen=LATE_FRAMES)
+        self._last_ms: int | None = None
+        self._touches: deque[Felt] = deque(maxlen=TOUCHES)
+        self._labels: dict[str, str] = {}
         self._now: LivePrediction | None = None
-        self._pad = "waiting for the pad"
-        self._history: deque[tuple[str, str]] = deque(maxlen=HISTORY)
+        self._pad = ""
+        self._robot = ""
+        self._said_by_robot = ""
+        self._doing = ""
+        self._notes: deque[tuple[str, bool]] = deque(maxlen=NOTES)
         self._live = Live(
-            console=console, get_renderable=self.render, refresh_per_second=REFRESH_HZ, redirect_stdout=False
+            console=self._console,
+            get_renderable=lambda: self,
+            refresh_per_second=REFRESH_HZ,
+            screen=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
         )
 
-    def show_frame(self, pressure: Counts) -> None:
-        """Show a frame, (8, 8) counts, at the next refresh."""
-        self._pressure = pressure
+    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
+        """Show a frame, (8, 8) counts and the sensor's clock, at the next refresh."""
+        with self._lock:
+            touch = self._going_on()
+            if self._rest is None:
+                self._rest = pressure.astype(np.float64)
+            elif touch is None:
+                self._rest += (pressure - self._rest) / REST_FRAMES
+            self._pressure = np.maximum(pressure - self._rest - NOISE_COUNTS, 0.0)
+            load = float(self._pressure.sum())
+            self._recent.append(load)
+            step_s = max(sensor_ms - self._last_ms, 0) / 1000 if self._last_ms is not None else 0.0
+            self._last_ms = sensor_ms
+            if touch is not None:
+                touch.trace.append((touch.length_s + min(step_s, 1.0), load))
 
     def put_live(self, prediction: LivePrediction) -> None:
         """Show what the model makes of the touch at this moment, at the next refresh."""
-        self._now = prediction
+        if prediction.pad == self._shown_pad:
+            with self._lock:
+                self._now = prediction
+                self._name_labels(prediction.probabilities)
 
-    def note(self, text: str, style: str = "") -> None:
+    def note(self, text: str, is_bad: bool = False) -> None:
         """Add a line to what happened."""
         with self._lock:
-            self._history.append((text, style))
+            self._notes.append((text, is_bad))
+
+    def doing(self, text: str) -> None:
+        """Show what the hand does."""
+        self._doing = text
 
     def put(self, event: Event) -> None:
         """Show an event at the next refresh."""
+        if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
+            return
         with self._lock:
+            if isinstance(event, TouchBegan | Prediction | TouchEnded):
+                self._now = None
             match event:
                 case TouchBegan():
-                    self._touch, self._answer, self._now = event.touch, None, None
-                case Prediction():
-                    self._answer, self._now = event, None
-                case TouchEnded():
-                    self._touch, self._now = None, None
+                    felt = Felt(event.touch)
+                    felt.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
+                    self._touches.append(felt)
+                    self._said_by_robot = ""
+                case Prediction() if self._touches and self._touches[-1].number == event.touch:
+                    self._touches[-1].said.append(event)
+                    self._name_labels(event.probabilities)
+                case TouchEnded() if self._touches and self._touches[-1].number == event.touch:
+                    self._touches[-1].ended = event
                 case SensorEvent():
-                    self._pad = f"pad {event.state}"
-        self.note(describe(event), "bold" if isinstance(event, Prediction) and event.told else "dim")
+                    self._pad = event.state
+                case RobotEvent():
+                    self._robot = event.state
+                case RobotAction(action="say" | "animated_say"):
+                    self._said_by_robot = f"“{event.what}”"
+                case RobotAction(action="behavior"):
+                    self._said_by_robot = event.what
+        if isinstance(event, SensorEvent | RobotEvent):
+            self.note(describe(event, self._words), event.state == "down")
 
     def stop(self, timeout_s: float = 0.0) -> None:
-        """Draw once more and leave the terminal as it was; never waits."""
+        """Leave the terminal as it was; never waits."""
         self._live.stop()
 
     def __enter__(self) -> View:
@@ -89,42 +193,199 @@ class View:
     ) -> None:
         self.stop()
 
-    def render(self) -> Group:
-        """Return the whole picture, 23 lines of 80 characters."""
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        """Yield the whole picture, as wide and as high as the terminal."""
+        width, height = console.size
+        paper = self._palette.paper
         with self._lock:
-            top = Table.grid(padding=0)
-            top.add_row(self._draw_pad(), self._draw_answer())
-            line_break = Text("\n", no_wrap=True, overflow="ellipsis")
-            history = line_break.join(Text(text, style) for text, style in self._history)
-            return Group(
-                top,
-                Panel(history, title=self._title, width=WIDTH, height=HISTORY + 2),
-            )
+            lines = self._draw(width, height)
+        for row in range(height):
+            yield from _fit(lines[row] if row < len(lines) else [], width, paper)
+            if row < height - 1:
+                yield Segment.line()
 
-    def _draw_pad(self) -> Panel:
-        picture = pad_picture(self._pressure, MAX_COUNT)
-        return Panel(picture, title=self._pad, width=PAD_WIDTH, padding=0)
+    def _draw(self, width: int, height: int) -> list[Line]:
+        body = height - 3
+        card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
+        scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
+        scale -= scale % 2 and scale > 3
+        with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
+        pad_width = COLUMNS * scale if with_pad else 0
+        left = self._left(scale, pad_width, body) if with_pad else []
+        right_width = width - 2 - (pad_width + GAP if with_pad else 0)
+        right = self._right(right_width, body)
+        paper = self._palette.paper
+        lines = [self._header(width)]
+        for row in range(body):
+            line: Line = [Segment(" ", paper)]
+            if with_pad:
+                line += _fit(left[row] if row < len(left) else [], pad_width, paper)
+                line.append(Segment(" " * GAP, paper))
+            line += _fit(right[row] if row < len(right) else [], right_width, paper)
+            lines.append(line)
+        return [*lines, self._robot_line(), self._note_line()]
 
-    def _draw_answer(self) -> Panel:
-        answer, now = self._answer, self._now
-        shown = now or answer
-        rows: list[Text] = []
-        if shown is not None:
-            # A lab's own model may know more gestures than there are lines for: the likeliest are shown.
-            likeliest = sorted(shown.probabilities.values(), reverse=True)[:MOST_LABELS]
-            for label, probability in shown.probabilities.items():
-                if probability < likeliest[-1] or len(rows) == MOST_LABELS:
-                    continue
-                style = "bold green" if answer is not None and label == answer.gesture else ""
-                bar = "#" * round(probability * BAR_WIDTH)
-                name = f"{label[:LABEL_WIDTH]:<{LABEL_WIDTH}}"
-                rows.append(Text(f"{name} {bar:<{BAR_WIDTH}} {probability:4.0%}", style))
-        if now is not None:
-            rows.append(Text(f"so far, after {now.frames / FRAME_RATE_HZ:.1f} s", "dim"))
-        elif answer is not None:
-            rows.append(Text(f"{answer.stage}, after {answer.elapsed_s:.1f} s", "dim"))
-        title = f"touch {self._touch}" if self._touch is not None else "nothing touches"
-        return Panel(Text("\n").join(rows), title=title, width=WIDTH - PAD_WIDTH, height=ROWS + 2)
+    def _going_on(self) -> Felt | None:
+        touch = self._touches[-1] if self._touches else None
+        return touch if touch is not None and touch.ended is None else None
+
+    def _header(self, width: int) -> Line:
+        palette = self._palette
+        states = [("pad", self._pad), *([("robot", self._robot)] if self._robot else [])]
+        vitals: Line = []
+        for name, state in states:
+            style = {"up": palette.accent, "": palette.muted}.get(state, palette.bad)
+            vitals += [
+                Segment(f"  {'●' if state == 'up' else '○'} ", style),
+                Segment(f"{name} {state or 'awaited'}", palette.muted),
+            ]
+        taken = sum(segment.cell_length for segment in vitals) + 1
+        title: Line = [
+            Segment(" touchd", palette.ink + Style(bold=True)),
+            Segment(f"  {self._title}", palette.muted),
+        ]
+        return [*_fit(title, max(width - taken, 0), palette.paper), *vitals]
+
+    def _left(self, scale: int, width: int, height: int) -> list[Line]:
+        palette = self._palette
+        lines = pad_picture(level_of(self._pressure), scale, palette)
+        if len(lines) < height:
+            lines.append(self._scale_line(width))
+        if self._card and height - len(lines) > len(self._card):
+            lines += [[], *([Segment(line, Style.parse("#ffffff on #000000"))] for line in self._card)]
+        if height - len(lines) >= 2:
+            lines.append([Segment("Last touches", palette.muted)])
+            ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
+            for touch in ended[: height - len(lines)]:
+                lines.append(self._last_touch(touch))
+        return lines
+
+    def _scale_line(self, width: int) -> Line:
+        palette = self._palette
+        room = width - len("light  firm")
+        if not palette.heat or room < len(palette.heat) // 8:
+            return [Segment("light", palette.muted), Segment(" " * room), Segment("firm", palette.muted)]
+        shades = [palette.heat[at * len(palette.heat) // room] for at in range(room)]
+        ramp = [Segment("▄", palette.paper + Style(color=shade)) for shade in shades]
+        return [Segment("light ", palette.muted), *ramp, Segment(" firm", palette.muted)]
+
+    def _last_touch(self, touch: Felt) -> Line:
+        palette = self._palette
+        changes = list(dict.fromkeys(said.gesture for said in touch.said))
+        line = [
+            Segment(
+                f"{self._name(touch.ended.gesture if touch.ended else '')} ", palette.ink + Style(bold=True)
+            ),
+            Segment(f"{touch.length_s:.1f} s", palette.muted),
+        ]
+        if len(changes) > 1:
+            before = ", ".join(self._name(gesture) for gesture in changes[:-1])
+            line.append(Segment(f" ↻ {before} before", palette.changed))
+        return line
+
+    def _right(self, width: int, height: int) -> list[Line]:
+        palette = self._palette
+        touch = self._touches[-1] if self._touches else None
+        is_touched = self._going_on() is not None
+        is_high = height >= HIGH
+        room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
+        lines: list[Line] = [[Segment(self._which(touch), palette.muted)]]
+        word, style = self._answer(touch)
+        letters = big(word, width, is_high) if height >= LOW else [word]
+        lines += [[Segment(line, style + Style(bold=True))] for line in letters]
+        lines += self._remarks(touch)
+        if is_high:
+            lines.append([])
+        flags = [self._flag(touch, at) for at in range(len(touch.said))] if touch else []
+        trace = list(touch.trace) if touch else []
+        after = (2 * room_for_bars + 2) if is_high else room_for_bars
+        line_height = height - len(lines) - after
+        if line_height >= 3:
+            lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
+        if is_high:
+            lines += [[], [Segment("Probabilities", palette.muted)]]
+        answer = touch.said[-1] if touch and touch.said and is_touched else None
+        shown = (self._now or answer) if is_touched else None
+        for bar in bars(
+            self._labels,
+            shown.probabilities if shown else {},
+            answer.gesture if answer else "",
+            (width, room_for_bars),
+            palette,
+        ):
+            lines += [bar, []] if is_high else [bar]
+        return lines
+
+    def _which(self, touch: Felt | None) -> str:
+        if touch is None:
+            return "No touch yet"
+        return f"{'Touch' if touch.ended is None else 'Last touch:'} {touch.number} · {touch.length_s:.1f} s"
+
+    def _answer(self, touch: Felt | None) -> tuple[str, Style]:
+        palette = self._palette
+        if touch is None or (touch.ended is not None and not touch.said):
+            return ("no pad" if self._pad == "down" else "touch me", palette.faint)
+        if not touch.said:
+            return "...", palette.faint
+        word = self._name(touch.said[-1].gesture)
+        if touch.ended is not None:
+            return word, palette.muted
+        return word, palette.changed if self._before(touch, len(touch.said) - 1) else palette.accent
+
+    def _remarks(self, touch: Felt | None) -> list[Line]:
+        palette = self._palette
+        if touch is None or not touch.said:
+            return [[], []]
+        answer = touch.said[-1]
+        sure = [
+            Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True)),
+            Segment(f" sure, after {answer.elapsed_s:.3g} s", palette.ink),
+        ]
+        remark: Line = []
+        if before := self._before(touch, len(touch.said) - 1):
+            remark.append(Segment(f"↻ was {before} · ", palette.changed))
+        told = [said for said in touch.said if said.told and said.gesture == answer.gesture]
+        heard = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
+        remark.append(Segment(heard, palette.muted))
+        likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
+        if likeliest != answer.gesture and answer.gesture in answer.probabilities:
+            remark.append(Segment(f" · {self._name(likeliest)} not ahead by enough", palette.muted))
+        return [sure, remark]
+
+    def _flag(self, touch: Felt, at: int) -> Flag:
+        said = touch.said[at]
+        before = self._before(touch, at)
+        told = " ✓" if said.told else ""
+        text = f"{'↻ ' if before else ''}{self._name(said.gesture)} {said.confidence:.0%}{told}"
+        return Flag(said.elapsed_s, text, bool(before))
+
+    def _before(self, touch: Felt, at: int) -> str:
+        """Return the name of the answer that this one replaced, "" for none."""
+        said = touch.said[at]
+        earlier = [one.gesture for one in touch.said[:at] if one.gesture != said.gesture]
+        return self._name(earlier[-1]) if said.changed and earlier else ""
+
+    def _robot_line(self) -> Line:
+        palette = self._palette
+        if not self._said_by_robot:
+            return []
+        return [
+            Segment(" Robot ", palette.muted),
+            Segment(self._said_by_robot, palette.robot + Style(bold=True)),
+        ]
+
+    def _note_line(self) -> Line:
+        line: Line = [Segment(f" {self._doing} ", self._palette.ink)] if self._doing else []
+        if self._notes:
+            text, is_bad = self._notes[-1]
+            line.append(Segment(f" {text}", self._palette.bad if is_bad else self._palette.faint))
+        return line
+
+    def _name_labels(self, labels: Iterable[str]) -> None:
+        self._labels = {label: name_of(self._words, label) for label in labels}
+
+    def _name(self, gesture: str) -> str:
+        return name_of(self._words, gesture)
 
 
 class ViewHandler(logging.Handler):
@@ -136,4 +397,9 @@ class ViewHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show one line."""
-        self._view.note(record.getMessage(), "red" if record.levelno >= logging.WARNING else "dim")
+        self._view.note(record.getMessage(), record.levelno >= logging.WARNING)
+
+
+def _fit(line: Line, width: int, paper: Style) -> Line:
+    """Return a line cut or filled to a width."""
+    return Segment.adjust_line_length(line, width, paper)

@@ -5,7 +5,7 @@ actions:
     stages: [final, released]          # left out: whenever the answer is news
     do:                                # in this order
       - leds: {color: green, fade_s: 0.2}
-      - say: "That was a {gesture}, I am {confidence} percent sure"
+      - say: "That was {phrase}, I am {confidence} percent sure"
     refractory_s: 5                    # left out: 0
   - gestures: [tickle]
     changed: true                      # only when the robot was told something else in this touch
@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import re
 import string
+from collections.abc import Mapping
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -36,11 +37,19 @@ COLORS = {
     "cyan": 0x00FFFF,
     "off": 0x000000,
 }
-PLACEHOLDERS = {"gesture", "confidence"}
+PLACEHOLDERS = {"gesture", "name", "phrase", "confidence"}
 
-Words = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
+Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+Kind: TypeAlias = Literal["say", "animated_say", "behavior", "leds"]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
+
+
+class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a gesture is called ("pat"), and how it is spoken of ("a pat")."""
+
+    name: Name
+    phrase: Name
 
 
 class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -63,12 +72,13 @@ class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One thing the robot does: exactly one of these is set.
 
-    say: speak. animated_say: speak and move along. Both may hold {gesture} and {confidence} (whole percent).
+    say: speak. animated_say: speak and move along. Both may hold {gesture} (the model's label), {name} and
+    {phrase} (see Words), and {confidence} (whole percent).
     behavior: an installed behaviour, run to its end. leds: lights.
     """
 
-    say: Words | None = None
-    animated_say: Words | None = None
+    say: Speech | None = None
+    animated_say: Speech | None = None
     behavior: Name | None = None
     leds: Leds | None = None
 
@@ -104,9 +114,12 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     refractory_s: Seconds = 0.0
 
 
-def spoken(template: str, gesture: str, confidence: float) -> str:
-    """Fill in {gesture} and {confidence}; the confidence (0 to 1) is said in whole percent."""
-    return template.format(gesture=gesture, confidence=round(100 * confidence))
+def spoken(template: str, gesture: str, confidence: float, words: Mapping[str, Words]) -> str:
+    """Fill in the gesture, its words where it has any, and the confidence (0 to 1) in whole percent."""
+    called = words.get(gesture) or Words(name=gesture, phrase=gesture)
+    return template.format(
+        gesture=gesture, name=called.name, phrase=called.phrase, confidence=round(100 * confidence)
+    )
 
 
 def _check_placeholders(template: str) -> None:
@@ -118,4 +131,7 @@ def _check_placeholders(template: str) -> None:
         if name is None:
             continue
         if name not in PLACEHOLDERS or form or conversion:
-            raise ValueError(f"{template!r} may hold {{gesture}} and {{confidence}}, nothing else in braces")
+            raise ValueError(
+                f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, "
+                "nothing else in braces"
+            )

@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Event
 
 from drivers.frame import DEFAULT_PAD
-from drivers.robot.actions import ActionRule
+from drivers.robot.actions import ActionRule, Kind, Words
 from drivers.robot.events import EventDuty
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
@@ -40,8 +40,9 @@ class RobotSettings:
     no certificate. prefix: of the events' names.
     user, and one of token_file and token_env (a file, or an environment variable, that holds the token): for
     NAOqi 2.9, which asks.
-    actions: what the robot does on an answer; every rule is looked at for every message.
-    pads: the same for each pad that has a name; empty where the only pad has none.
+    actions: what the robot does on an answer; every rule is looked at for every message. words: of the
+    gestures, for what it says.
+    pads: the actions for each pad that has a name; empty where the only pad has none.
     """
 
     url: str
@@ -51,6 +52,7 @@ class RobotSettings:
     token_env: str | None = None
     actions: tuple[ActionRule, ...] = ()
     pads: Mapping[str, tuple[ActionRule, ...]] = field(default_factory=dict)
+    words: Mapping[str, Words] = field(default_factory=dict)
     limits: RobotLimits = field(default_factory=RobotLimits)
 
 
@@ -62,6 +64,7 @@ class RobotLink:
     settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from a worker's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot, real qi when left out.
+    on_act: called from a worker's thread when the robot begins to speak, move or shine, with what and how.
     """
 
     def __init__(
@@ -69,6 +72,7 @@ class RobotLink:
         settings: RobotSettings,
         on_state: Callable[[State, str], None] | None = None,
         open_session: OpenSession | None = None,
+        on_act: Callable[[RobotMessage, Kind, str], None] | None = None,
     ) -> None:
         login = read_login(settings)
         if open_session is None:
@@ -88,7 +92,11 @@ class RobotLink:
         self._actions: RobotWorker[Reaction] | None = None
         if any(rules.values()):
             self._actions = RobotWorker(
-                "touchd-robot-actions", opener, ReactionDuty(limits), limits, _say_nothing
+                "touchd-robot-actions",
+                opener,
+                ReactionDuty(limits, settings.words, on_act or _tell_nobody),
+                limits,
+                _say_nothing,
             )
 
     @property
@@ -199,6 +207,10 @@ def _open(
     open_session: OpenSession, url: str, login: Login | None, limits: RobotLimits, hurry: Event
 ) -> RobotSession:
     return open_session(url, login, limits, hurry)
+
+
+def _tell_nobody(message: RobotMessage, kind: Kind, what: str) -> None:
+    """For who does not want to know what the robot does."""
 
 
 def _say_nothing(state: State, reason: str) -> None:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from drivers.robot.actions import UNCERTAIN, Action, ActionRule, spoken
+from drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, spoken
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.session import RobotRefused, RobotSession
@@ -72,10 +72,20 @@ class Reactions:
 
 
 class ReactionDuty:
-    """Carries reactions out, one action after the other, each to its end."""
+    """Carries reactions out, one action after the other, each to its end.
 
-    def __init__(self, limits: RobotLimits) -> None:
+    words: of the gestures, for speech. on_act: told which action begins, and with which words or name.
+    """
+
+    def __init__(
+        self,
+        limits: RobotLimits,
+        words: Mapping[str, Words],
+        on_act: Callable[[RobotMessage, Kind, str], None],
+    ) -> None:
         self._limits = limits
+        self._words = words
+        self._on_act = on_act
 
     def begin(self, session: RobotSession) -> None:
         """Nothing is told when the robot comes."""
@@ -85,7 +95,7 @@ class ReactionDuty:
         refused: list[RobotRefused] = []
         for action in item.actions:
             try:
-                perform(session, action, item.message, self._limits.action_s)
+                self._perform(session, action, item.message)
             except RobotRefused as error:
                 refused.append(error)
         if refused:
@@ -98,20 +108,24 @@ class ReactionDuty:
     def end(self, session: RobotSession) -> None:
         """Nothing is left behind."""
 
+    def _perform(self, session: RobotSession, action: Action, message: RobotMessage) -> None:
+        """Have the robot do one action and wait for its end; raises RobotLost or RobotRefused."""
 
-def perform(session: RobotSession, action: Action, message: RobotMessage, limit_s: float) -> None:
-    """Have the robot do one action and wait for its end; raises RobotLost or RobotRefused."""
-    if action.say is not None:
-        words = spoken(action.say, message.gesture, message.confidence)
-        session.call("ALTextToSpeech", "say", words, limit_s=limit_s)
-    elif action.animated_say is not None:
-        words = spoken(action.animated_say, message.gesture, message.confidence)
-        session.call("ALAnimatedSpeech", "say", words, limit_s=limit_s)
-    elif action.behavior is not None:
-        session.call("ALBehaviorManager", "runBehavior", action.behavior, limit_s=limit_s)
-    elif action.leds is not None:
-        leds = action.leds
-        session.call("ALLeds", "fadeRGB", leds.group, leds.rgb, leds.fade_s, limit_s=limit_s)
+        def call(kind: Kind, what: str, service: str, method: str, *arguments: object) -> None:
+            self._on_act(message, kind, what)
+            session.call(service, method, *arguments, limit_s=self._limits.action_s)
+
+        if action.say is not None:
+            words = spoken(action.say, message.gesture, message.confidence, self._words)
+            call("say", words, "ALTextToSpeech", "say", words)
+        elif action.animated_say is not None:
+            words = spoken(action.animated_say, message.gesture, message.confidence, self._words)
+            call("animated_say", words, "ALAnimatedSpeech", "say", words)
+        elif action.behavior is not None:
+            call("behavior", action.behavior, "ALBehaviorManager", "runBehavior", action.behavior)
+        elif action.leds is not None:
+            leds = action.leds
+            call("leds", leds.color, "ALLeds", "fadeRGB", leds.group, leds.rgb, leds.fade_s)
 
 
 def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:

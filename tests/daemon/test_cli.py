@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import io
 import json
 import subprocess
 import sys
@@ -13,19 +12,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
-from rich.console import Console
 from rigs.expectations import RECORDINGS, expected
 
 from daemon import cli
 from daemon.commands import demo
 from daemon.config import ConfigError, SceneSettings
-from daemon.events import Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from daemon.events import Prediction, RobotAction, TouchBegan, TouchEnded, decode
 from daemon.playback.rig import outline
 from daemon.service import check_fit
 from daemon.terminal.describe import describe
-from daemon.terminal.view import View
+from daemon.words import vocabulary
 from drivers.fakes.hand import record
 from drivers.recording import Selection, read_recordings
 from drivers.robot.session import qi_installed
@@ -233,28 +230,14 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
     assert 'robot says "' in shown.out
 
 
-def test_the_view_fits_80_by_24_whatever_it_shows() -> None:
-    screen = io.StringIO()
-    console = Console(file=screen, width=80, height=24, color_system=None)
-    view = View("a title", console)
-    view.show_frame(np.full((8, 8), 1023, dtype=np.uint16))
-    view.put(SensorEvent(state="up", time="", reason="x" * 200))
-    view.put(TouchBegan(touch=1, time="", sensor_ms=0))
-    view.put(prediction())
-    for _ in range(30):
-        view.note("y" * 200)
-    console.print(view.render(), end="")
-    lines = screen.getvalue().splitlines()
-    assert len(lines) <= 23
-    assert all(len(line) == 80 for line in lines if line)
-    assert any("stroke" in line and "81%" in line for line in lines)
-
-
 def test_events_are_told_in_words() -> None:
-    assert describe(TouchBegan(touch=7, time="", sensor_ms=1)) == "touch 7 begins"
-    assert describe(prediction()) == "  early     after  1.0 s: stroke     81%  in 1.9 ms  told"
-    ended = TouchEnded(touch=7, gesture="stroke", frames=216, reason="gap", time="")
-    assert describe(ended) == "touch 7 ends: stroke, 4.0 s, too many frames were lost"
+    words = vocabulary("en", {})
+    assert describe(TouchBegan(touch=7, time="", sensor_ms=1), words) == "touch 7 begins"
+    assert describe(prediction(), words) == "  early     after  1.0 s: stroke      81%  in 1.9 ms  told"
+    ended = TouchEnded(touch=7, gesture="constant", frames=216, reason="gap", time="")
+    assert describe(ended, words) == "touch 7 ends: still hand, 4.0 s, too many frames were lost"
+    says = RobotAction(touch=7, action="say", what="Hello.", time="")
+    assert describe(says, words) == 'robot says "Hello."'
 
 
 def prediction() -> Prediction:

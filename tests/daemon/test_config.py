@@ -81,7 +81,10 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
             "scene.actions.do.sai is not a setting; did you mean say?",
         ),
         ("scene: {actions: [{stages: [end], do: []}]}", "scene.actions.stages must be early or revised or"),
-        ("scene: {actions: [{do: [{say: '{who}'}]}]}", "may hold {gesture} and {confidence}"),
+        (
+            "scene: {actions: [{do: [{say: '{who}'}]}]}",
+            "may hold {gesture}, {name}, {phrase} and",
+        ),
         ("robot: {url: 'tcp://nao:9559', prefix: ALTouch}", "does not begin with AL"),
         ("robot: {url: 'tcp://n:1', token_file: a, token_env: B}", "token_file and token_env are both set"),
         ("journal: {path: x, max_mb: .inf}", "journal.max_mb must be a number <= 10000.0, not inf"),

@@ -203,7 +203,7 @@ def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
         terminal.answer("foam")
         shown = terminal.until("u undo, q quit: ")
         assert "1 of 4: touch 4, taken for scratch" in shown
-        assert "mean pad" in shown
+        assert "mean, 0 to" in shown
         assert "early       1.0 s  scratch 61%" in shown
         assert "anna, foam under the pad, fur over it" in shown
         assert "7 tickle" in shown

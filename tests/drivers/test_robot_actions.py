@@ -9,9 +9,11 @@ import pytest
 import yaml
 from rigs.robots import message
 
+from daemon.words import Language, vocabulary
 from drivers.robot import actions as robot_actions
-from drivers.robot.actions import Action, ActionRule, spoken
+from drivers.robot.actions import Action, ActionRule, Words, spoken
 from drivers.robot.reactions import Reactions
+from model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
 
@@ -45,9 +47,9 @@ def test_the_example_in_the_documentation_is_valid() -> None:
         ("[{do: [{}]}]", "exactly one of say, animated_say, behavior, leds; here: none"),
         ("[{do: [{say: a, behavior: b}]}]", "here: say, behavior"),
         ("[{do: [{shout: a}]}]", "unknown field `shout`"),
-        ("[{do: [{say: '{gestur}'}]}]", "may hold {gesture} and {confidence}"),
-        ("[{do: [{say: '{gesture.__class__}'}]}]", "may hold {gesture} and {confidence}"),
-        ("[{do: [{say: '{confidence:.3f}'}]}]", "may hold {gesture} and {confidence}"),
+        ("[{do: [{say: '{gestur}'}]}]", "may hold {gesture}, {name}, {phrase} and {confidence}"),
+        ("[{do: [{say: '{gesture.__class__}'}]}]", "may hold {gesture}, {name}, {phrase} and {confidence}"),
+        ("[{do: [{say: '{confidence:.3f}'}]}]", "may hold {gesture}, {name}, {phrase} and {confidence}"),
         ("[{do: [{say: 'a {'}]}]", "write {{ for a brace"),
         ("[{do: [{leds: {color: pink}}]}]", "'pink' is neither #rrggbb nor one of white, red"),
         ("[{do: [{say: a}], stages: [middle]}]", "Invalid enum value 'middle'"),
@@ -62,7 +64,22 @@ def test_a_wrong_rule_is_refused_with_what_is_wrong(text: str, complaint: str) -
 
 def test_a_confidence_is_spoken_in_whole_percent_and_braces_can_be_said() -> None:
     assert Action(say="{{{gesture}}} {confidence}").say is not None
-    assert spoken("{{{gesture}}} {confidence}", "pat", 0.994) == "{pat} 99"
+    assert spoken("{{{gesture}}} {confidence}", "pat", 0.994, {}) == "{pat} 99"
+
+
+def test_the_robot_speaks_of_gestures_as_people_do() -> None:
+    says = "{name}: that feels like {phrase}."
+    assert spoken(says, "pat", 1.0, vocabulary("en", {})) == "pat: that feels like a pat."
+    assert spoken(says, "tickle", 1.0, vocabulary("en", {})) == "tickle: that feels like tickling."
+    assert spoken("Das war {phrase}.", "pat", 1.0, vocabulary("de", {})) == "Das war Tätscheln."
+    own = {"pat": Words(name="tap", phrase="a tap")}
+    assert spoken(says, "pat", 1.0, vocabulary("en", own)) == "tap: that feels like a tap."
+    assert spoken(says, "poke", 1.0, vocabulary("en", own)) == "poke: that feels like poke."
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_every_answer_of_the_model_has_words(language: Language) -> None:
+    assert {*Classifier.load().labels, "uncertain"} <= vocabulary(language, {}).keys()
 
 
 def test_a_rule_without_a_stage_answers_news_only() -> None:

@@ -1,0 +1,103 @@
+"""The live page's colours in a terminal, and what stands in for them where it has fewer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+
+from rich.console import Console
+from rich.style import Style
+
+# The page's dark theme; from no pressure to firm.
+HEAT = ("#171c24", "#42249a", "#85248a", "#d04361", "#f9903f", "#fdf4b5")
+# The same where a terminal has the sixteen colours of old.
+OLD_HEAT = ("black", "blue", "magenta", "red", "bright_red", "bright_yellow", "bright_white")
+SHADES = 64
+# Where there is no colour at all.
+CHARACTERS = " ·:-=+*#%@"
+
+
+@dataclass(frozen=True)
+class Palette:
+    """Styles of everything that is drawn. heat: from no pressure to firm, empty without colours."""
+
+    paper: Style
+    ink: Style
+    muted: Style
+    faint: Style
+    accent: Style
+    changed: Style
+    robot: Style
+    bad: Style
+    accent_flag: Style
+    changed_flag: Style
+    rail: Style
+    trace: Style
+    heat: tuple[str, ...]
+
+
+def palette_for(console: Console) -> Palette:
+    """Return the palette for what a console can show."""
+    match console.color_system:
+        case "truecolor" | "256":
+            paper = "on #0c0f13"
+            colours = {
+                "ink": "#f3f5f8",
+                "muted": "#aab4c2",
+                "faint": "#5d6877",
+                "accent": "#7cc4ff",
+                "changed": "#ffb65c",
+                "robot": "#9be7c4",
+                "bad": "#ff9a9a",
+                "accent_flag": "#f3f5f8 on #17364f",
+                "changed_flag": "#ffb65c on #3b2a12",
+                "rail": "#2b323d",
+                "trace": "#2f5d80",
+            }
+            heat = _between(HEAT)
+        case None:
+            paper = ""
+            colours = dict.fromkeys(Palette.__annotations__, "")
+            heat = ()
+        case _:
+            paper = "on black"
+            colours = {
+                "ink": "bright_white",
+                "muted": "white",
+                "faint": "white",
+                "accent": "bright_cyan",
+                "changed": "bright_yellow",
+                "robot": "bright_green",
+                "bad": "bright_red",
+                "accent_flag": "bright_white on blue",
+                "changed_flag": "bright_yellow on black",
+                "rail": "bright_black",
+                "trace": "blue",
+            }
+            heat = OLD_HEAT
+    paper_style = Style.parse(paper)
+    names = [name for name in Palette.__annotations__ if name not in ("paper", "heat")]
+    return Palette(
+        paper=paper_style, heat=heat, **{name: paper_style + Style.parse(colours[name]) for name in names}
+    )
+
+
+@cache
+def halves(upper: str, lower: str) -> Style:
+    """Return the style in which ▀ shows one colour above another."""
+    return Style(color=upper, bgcolor=lower)
+
+
+def _between(stops: tuple[str, ...]) -> tuple[str, ...]:
+    """Return SHADES colours along the stops."""
+    rgb = [[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops]
+    pairs = list(pairwise(rgb))
+    shades = []
+    for shade in range(SHADES):
+        at = shade / (SHADES - 1) * len(pairs)
+        low, high = pairs[min(int(at), len(pairs) - 1)]
+        part = at - min(int(at), len(pairs) - 1)
+        mixed = [round(a + (b - a) * part) for a, b in zip(low, high, strict=True)]
+        shades.append("#{:02x}{:02x}{:02x}".format(*mixed))
+    return tuple(shades)

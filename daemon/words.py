@@ -1,0 +1,50 @@
+"""How gestures are called where people read or hear of them, in the languages that ship with touchd."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, TypeAlias
+
+from daemon.decide import NO_TOUCH
+from daemon.events import UNCERTAIN
+from drivers.robot.actions import Words
+
+Language: TypeAlias = Literal["en", "de"]
+Vocabulary: TypeAlias = Mapping[str, Words]
+
+# Name, and phrase as after "that feels like" ("das fühlt sich an wie").
+SHIPPED: Mapping[Language, Mapping[str, tuple[str, str]]] = {
+    "en": {
+        "constant": ("still hand", "a still hand"),
+        "pat": ("pat", "a pat"),
+        "rub": ("rub", "a rub"),
+        "scratch": ("scratch", "scratching"),
+        "stroke": ("stroke", "a stroke"),
+        "tickle": ("tickle", "tickling"),
+        NO_TOUCH: ("no touch", "nothing"),
+        UNCERTAIN: ("not sure", "something I do not know"),
+    },
+    "de": {
+        "constant": ("ruhende Hand", "eine ruhende Hand"),
+        "pat": ("Tätscheln", "Tätscheln"),
+        "rub": ("Reiben", "Reiben"),
+        "scratch": ("Kratzen", "Kratzen"),
+        "stroke": ("Streicheln", "Streicheln"),
+        "tickle": ("Kitzeln", "Kitzeln"),
+        NO_TOUCH: ("keine Berührung", "nichts"),
+        UNCERTAIN: ("unklar", "etwas, das ich nicht kenne"),
+    },
+}
+
+
+def vocabulary(language: Language, own: Vocabulary) -> Vocabulary:
+    """Return the words of a language, a deployment's own in place of those that ship."""
+    shipped = {
+        gesture: Words(name=name, phrase=phrase) for gesture, (name, phrase) in SHIPPED[language].items()
+    }
+    return {**shipped, **own}
+
+
+def name_of(words: Vocabulary, gesture: str) -> str:
+    """Return what a gesture is called; a model's own is called as its label."""
+    return words[gesture].name if gesture in words else gesture

@@ -1,0 +1,207 @@
+"""The terminal view: what it shows fits and stays, at any size and with any number of colours."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import re
+import select
+import struct
+import subprocess
+import sys
+import time
+from fcntl import ioctl
+from termios import TIOCSWINSZ
+
+import numpy as np
+import pyte
+import pytest
+from rich.cells import cell_len
+from rich.console import Console
+
+from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.terminal.big_words import big
+from daemon.terminal.view import View
+from daemon.words import vocabulary
+
+SIZES = [(60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
+MARKS = (54, 81, 144)
+
+
+# A view on a terminal of its own, until a line is typed.
+SHOWN = """
+from daemon.events import SensorEvent
+from daemon.terminal.view import View
+from daemon.words import vocabulary
+with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
+    view.put(SensorEvent(state="up", time=""))
+    input()
+print("gone")
+"""
+
+
+def prediction(
+    stage: str = "early", frames: int = 54, gesture: str = "stroke", **other: object
+) -> Prediction:
+    shares = {
+        "constant": 0.01,
+        "notouch": 0.0,
+        "pat": 0.15,
+        "rub": 0.01,
+        "scratch": 0.01,
+        "stroke": 0.81,
+        "tickle": 0.01,
+    }
+    values: dict[str, object] = {
+        "touch": 7,
+        "stage": stage,
+        "frames": frames,
+        "elapsed_s": round(frames / 54, 3),
+        "gesture": gesture,
+        "confidence": 0.81,
+        "probabilities": shares,
+        "changed": True,
+        "told": True,
+        "degraded": False,
+        "latency_ms": 1.9,
+        "model": "touchd-1",
+        "time": "",
+    }
+    return Prediction(**(values | other))  # type: ignore[arg-type]
+
+
+def view_of(
+    width: int, height: int, colours: str | None = None, language: str = "en"
+) -> tuple[View, Console]:
+    console = Console(
+        file=io.StringIO(),
+        width=width,
+        height=height,
+        color_system=colours,
+        force_terminal=colours is not None,
+    )
+    return View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console), console
+
+
+def touch(view: View) -> None:
+    view.put(SensorEvent(state="up", time="", reason="x" * 200))
+    view.put(RobotEvent(state="up", time=""))
+    view.show_frame(np.zeros((8, 8), np.uint16), 0)
+    view.put(TouchBegan(touch=7, time="", sensor_ms=0))
+    for number in range(1, 160):
+        view.show_frame(np.full((8, 8), 90, np.uint16), 18 * number)
+    view.put(prediction(gesture="pat"))
+    view.put(prediction("final", 144))
+    view.put(RobotAction(touch=7, action="say", what="Oh, it is a stroke!", time=""))
+
+
+def screen(view: View, console: Console) -> list[str]:
+    file = io.StringIO()
+    console.file = file
+    console.print(view, end="", soft_wrap=True)
+    return re.sub(r"\x1b\[[0-9;]*m", "", file.getvalue()).split("\n")
+
+
+@pytest.mark.parametrize("colours", ["truecolor", "256", "standard", None])
+@pytest.mark.parametrize("size", SIZES)
+def test_the_view_fills_the_terminal_exactly(size: tuple[int, int], colours: str | None) -> None:
+    view, console = view_of(*size, colours)
+    for _ in range(2):
+        lines = screen(view, console)
+        assert [cell_len(line) for line in lines] == [size[0]] * size[1]
+        touch(view)
+
+
+@pytest.mark.parametrize("size", [(60, 24), (80, 24), (120, 40)])
+def test_nothing_is_lost_at_the_usual_sizes(size: tuple[int, int]) -> None:
+    view, console = view_of(*size)
+    touch(view)
+    shown = "\n".join(screen(view, console))
+    for text in (
+        "http://127.0.0.1:8054/",
+        "pad up",
+        "robot up",
+        "Touch 7 · 2.9 s",
+        "81% sure, after 2.67 s",
+        "↻ was pat · told after 2.67 s",
+        "pat 81% ✓",
+        "↻ stroke 81% ✓",
+        "still hand",
+        "tickle",
+        "2.67 s",
+        "“Oh, it is a stroke!”",
+        "Last touches",
+    ):
+        assert text in shown, text
+
+
+def test_the_old_bars_go_after_a_touch() -> None:
+    view, console = view_of(80, 24)
+    touch(view)
+    assert any(re.search(r"stroke +█.* 81% *$", line) for line in screen(view, console))
+    view.put(TouchEnded(touch=7, gesture="stroke", frames=170, reason="released", time=""))
+    lines = screen(view, console)
+    assert any(re.search(r"stroke +─+ +- *$", line) for line in lines)
+    assert any("stroke 3.1 s" in line for line in lines)
+
+
+def test_a_word_is_large_where_it_fits_and_never_cut() -> None:
+    assert len(big("rub", 40, False)) == 3
+    assert len(big("rub", 40, True)) == 5
+    assert len({len(line) for line in big("Tätscheln", 60, False)}) == 1
+    assert big("scratch", 20, False) == ["scratch"]
+    assert big("pat🤚", 60, False) == ["pat🤚"]
+
+
+def test_gestures_are_called_in_the_configured_language() -> None:
+    view, console = view_of(120, 40, language="de")
+    touch(view)
+    shown = "\n".join(screen(view, console))
+    assert "↻ Streicheln 81% ✓" in shown
+    assert "Kitzeln" in shown
+
+
+def test_resizing_leaves_nothing_behind_and_the_end_leaves_the_terminal_as_it_was() -> None:
+    master, slave = pty.openpty()
+    screen = pyte.Screen(80, 24)
+    stream = pyte.ByteStream(screen)
+
+    def show_until(text: str) -> None:
+        until_s = time.monotonic() + 20
+        while not any(text in line for line in screen.display):
+            assert time.monotonic() < until_s, screen.display
+            if select.select([master], [], [], 0.5)[0]:
+                stream.feed(os.read(master, 65536))
+
+    def resize(width: int, height: int) -> None:
+        ioctl(slave, TIOCSWINSZ, struct.pack("4H", height, width, 0, 0))
+        screen.resize(height, width)
+
+    resize(80, 24)
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    with subprocess.Popen(
+        [sys.executable, "-c", SHOWN],
+        stdin=slave,
+        stdout=slave,
+        stderr=subprocess.DEVNULL,
+        env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
+    ):
+        show_until("pad up")
+        resize(60, 24)
+        # Two refreshes later all is drawn anew.
+        until_s = time.monotonic() + 0.5
+        while time.monotonic() < until_s:
+            if select.select([master], [], [], 0.1)[0]:
+                stream.feed(os.read(master, 65536))
+        for once in ("touchd", "Last touches", "firm", "2.67 s"):
+            assert sum(once in line for line in screen.display) == 1, (once, screen.display)
+        os.write(master, b"\n")
+        left = b""
+        while b"gone" not in left:
+            assert select.select([master], [], [], 10)[0], left
+            left += os.read(master, 65536)
+    assert b"\x1b[?1049l" in left
+    assert b"\x1b[?25h" in left
+    os.close(slave)
+    os.close(master)
