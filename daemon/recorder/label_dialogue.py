@@ -87,7 +87,7 @@ class LabelDialogue:
         substrate, cover = setting.substrate, setting.cover
         self._say(f"{setting.participant}, {substrate} under the pad, {cover} over it. It was:")
         self._say(keys, "bold")
-        question = "A key, then Enter. Enter alone: it was right; l later, w someone else, u undo, q quit: "
+        question = "A key and Enter; only Enter: right, l later, w who or what, u undo, q quit: "
         return ask(self._console, question, (*self._gestures, "", "l", "w", "u"))
 
     def _ask_setting(self) -> Setting:

@@ -85,7 +85,7 @@ def draw(offered: Offered, frames: KeptFrames, title: str, console: Console) -> 
         Text("\n").join(
             Text.assemble(*((segment.text, segment.style or "") for segment in line)) for line in lines
         ),
-        title=f"mean pad, 0 to {max(mean.max(), 1.0):.0f} counts",
+        title=f"mean, 0 to {max(mean.max(), 1.0):.0f}",
         width=PAD_WIDTH,
         padding=0,
     )
