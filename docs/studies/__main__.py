@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 STUDIES = {
     "accuracy": ("docs.studies.accuracy", "rewrites the accuracy page from the stored scores"),
-    "report": ("docs.studies.commands.report", "the paper's tables and figures beside ours"),
-    "speed": ("docs.studies.commands.speed", "times an answer against the paper's network"),
-    "quantize": ("docs.studies.commands.quantize", "compares int8 copies of the model with float32"),
+    "report": ("docs.studies.report.page", "the paper's tables and figures beside ours"),
+    "speed": ("docs.studies.speed", "times an answer against the paper's network"),
+    "quantize": ("docs.studies.quantize", "compares int8 copies of the model with float32"),
     "adapting": ("docs.studies.adapting.study", "what adapting to a person gains and costs"),
     "tracker": ("docs.studies.tracker.report", "how well touches are noticed"),
     "decision": ("docs.studies.decision.report", "how early and how often the daemon is right"),

@@ -8,6 +8,7 @@ Needs the extra `train`.
 
 from __future__ import annotations
 
+import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,15 +23,18 @@ from onnxruntime.quantization import (
     quantize_dynamic,
     quantize_static,
 )
+from rich.console import Console
 from rich.table import Table
 
+from daemon.commands.haart_folder import add_haart_argument
 from drivers.recording import Recording
 from model.checks import evaluate
 from model.checks.hard_cases import FRAMES, hand
 from model.checks.timing import Timing, time_in_turn
-from model.classifier import Classifier, ModelError
+from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 from model.settings import LENGTHS
 from model.training import haart
+from model.training.ship import LEFT_OUT_FOLDER
 
 FLOAT32 = "float32"
 Quantize = Callable[[Path, Path, Sequence[Recording]], None]
@@ -58,6 +62,22 @@ class Decision:
 
     ship: str
     reason: str
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Quantize in a temporary folder, score and time, show table and decision; returns 0."""
+    parser = argparse.ArgumentParser(
+        prog="python -m docs.studies quantize", description="Weighs int8 against float32."
+    )
+    add_haart_argument(parser)
+    parser.add_argument(
+        "--weights", type=Path, default=Path("model/weights"), help="folder of the model files"
+    )
+    options = parser.parse_args(arguments)
+    folds = sorted((options.weights / LEFT_OUT_FOLDER).glob("*.onnx"))
+    variants = run(options.weights / SHIPPED_MODEL.name, folds, haart.read_training(options.haart))
+    Console().print(table(variants))
+    return 0
 
 
 def run(model: Path, folds: Sequence[Path], training: Sequence[Recording]) -> list[Variant]:

@@ -1,33 +1,30 @@
 """Size and speed of one answer, ours against the paper's TGC: `python -m docs.studies speed`.
 
-Shares are of processor time, each network on one thread. The paper's networks have random weights: a product
-takes as long with any. Needs the extra `train`.
+Shares are of processor time, each network on one thread. The paper's networks have random weights, which take
+as long as any. Needs the extra `train`.
 """
 
 from __future__ import annotations
 
+import argparse
+import sys
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-import onnx
-import onnxruntime
-import torch
+import msgspec
+from rich.console import Console
 from rich.table import Table
 
-from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
-from drivers.frame import COLUMNS, ROWS
-from model.checks.hard_cases import hand
+from docs.studies.report.front import ONNX_RUNTIME, PYTORCH, answers_of
+from docs.studies.report.networks import OURS, Network, papers
+from docs.studies.report.paper_tgc import PaperSettings
 from model.checks.timing import Timing, time_in_turn
-from model.classifier import SHIPPED_MODEL, Classifier
+from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
-from model.training.export import OPSET
 from model.training.threads import one_torch_thread
 
-ONNX_RUNTIME = "ONNX Runtime"
-PYTORCH = "PyTorch eager"
 PAPER = (PaperSettings("printed"), PaperSettings("public"))
 ANSWERS = 200
 # Of the paper's time for an answer, in each runtime.
@@ -35,119 +32,60 @@ ALLOWED_SHARE = {ONNX_RUNTIME: 1 / 10, PYTORCH: 1 / 25}
 
 
 @dataclass(frozen=True)
-class Contestant:
-    """One way to answer over one window. file_bytes: of the ONNX file."""
-
-    network: str
-    runtime: str
-    frames: int
-    file_bytes: int
-    answer: Callable[[], object]
-
-
-@dataclass(frozen=True)
 class Speed:
-    """How long one answer of a contestant takes."""
+    """How long one answer takes; share: our processor time over the same window as a share of it."""
 
     network: str
     runtime: str
     frames: int
     file_bytes: int
     timing: Timing
+    share: float | None = None
 
 
-@dataclass(frozen=True)
-class Share:
-    """Our median processor time as a share of another network's, both over the same window."""
-
-    of: str
-    runtime: str
-    share: float
-    allowed: float
-    met: bool
+def main(arguments: Sequence[str]) -> int:
+    """Time the answers and show the table; returns 0."""
+    parser = argparse.ArgumentParser(prog="python -m docs.studies speed", description="Times one answer.")
+    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file; ours without it")
+    parser.add_argument("--answers", type=int, default=ANSWERS, help="answers timed of each (%(default)s)")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+    options = parser.parse_args(arguments)
+    speeds = run(options.model, options.answers)
+    if options.json:
+        sys.stdout.buffer.write(msgspec.json.encode({"speeds": speeds}) + b"\n")
+    else:
+        Console().print(table(speeds))
+    return 0
 
 
 def run(
     model: Path = SHIPPED_MODEL, answers: int = ANSWERS, paper: Sequence[PaperSettings] = PAPER
 ) -> list[Speed]:
     """Time the model file at each answered length and the paper's networks; raises ModelError."""
+    lengths = tuple(sorted(LENGTHS, reverse=True))
+    networks = [Network(model.stem, OURS, "float32", lengths, model, 0, 0)]
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
-        contestants = [
-            *ours(model),
-            *(each for settings in paper for each in papers(settings, Path(folder))),
+        for settings in paper:
+            networks += [each for each in papers(settings, Path(folder)) if each.eager is not None]
+        asked = [(network, *each) for network in networks for each in answers_of(network)]
+        timings = time_in_turn([answer for *_, answer in asked], answers)
+        speeds = [
+            Speed(network.name, runtime, frames, network.path.stat().st_size, timing)
+            for (network, frames, runtime, _), timing in zip(asked, timings, strict=True)
         ]
-        timings = time_in_turn([contestant.answer for contestant in contestants], answers)
-    return [
-        Speed(each.network, each.runtime, each.frames, each.file_bytes, timing)
-        for each, timing in zip(contestants, timings, strict=True)
-    ]
+    return with_shares(speeds)
 
 
-def shares(speeds: Sequence[Speed]) -> list[Share]:
-    """Compare our time in ONNX Runtime with every other contestant's over the same window."""
-    own = {speed.frames: speed.timing.processor_ms for speed in speeds if speed.network == speeds[0].network}
-    found = []
-    for speed in speeds:
-        if speed.network != speeds[0].network:
-            share = own[speed.frames] / speed.timing.processor_ms
-            allowed = ALLOWED_SHARE[speed.runtime]
-            found.append(Share(speed.network, speed.runtime, share, allowed, share <= allowed))
-    return found
+def with_shares(speeds: Sequence[Speed]) -> list[Speed]:
+    """Return the speeds, others than the first network's with its share of their time."""
+    ours = {each.frames: each.timing.processor_ms for each in speeds if each.network == speeds[0].network}
 
+    def share(each: Speed) -> float | None:
+        if each.network == speeds[0].network:
+            return None
+        return ours[each.frames] / each.timing.processor_ms
 
-def ours(model: Path) -> list[Contestant]:
-    """Return the model file at each answered length, as the daemon asks it."""
-    classifier = Classifier.load(model)
-    return [
-        Contestant(
-            classifier.name,
-            ONNX_RUNTIME,
-            frames,
-            model.stat().st_size,
-            _bind(classifier.probabilities, frames),
-        )
-        for frames in sorted(LENGTHS, reverse=True)
-    ]
-
-
-def papers(settings: PaperSettings, folder: Path) -> list[Contestant]:
-    """Return a network of the paper's, exported into `folder`, in both runtimes."""
-    network = PaperTGC(settings, classes=7).eval()
-    path = folder / f"{settings.variant}.onnx"
-    export_paper(network, path)
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    counts = hand(settings.frames)[np.newaxis]
-    tensor = torch.from_numpy(counts)
-
-    def answer_eager() -> object:
-        with torch.inference_mode():
-            return network(tensor)
-
-    name, size = f"the paper's TGC, {settings.variant}", path.stat().st_size
-    return [
-        Contestant(name, ONNX_RUNTIME, settings.frames, size, lambda: session.run(None, {"counts": counts})),
-        Contestant(name, PYTORCH, settings.frames, size, answer_eager),
-    ]
-
-
-def export_paper(network: PaperTGC, path: Path) -> None:
-    """Write a network of the paper's as one ONNX file: (B, frames, 8, 8) counts to logits."""
-    example = torch.zeros(2, network.settings.frames, ROWS, COLUMNS)
-    program = torch.onnx.export(
-        network,
-        (example,),
-        dynamo=True,
-        opset_version=OPSET,
-        input_names=["counts"],
-        output_names=["logits"],
-        dynamic_shapes={"counts": {0: torch.export.Dim("batch")}},
-        verbose=False,
-    )
-    assert program is not None
-    onnx.save(program.model_proto, path)
+    return [replace(each, share=share(each)) for each in speeds]
 
 
 def table(speeds: Sequence[Speed]) -> Table:
@@ -157,23 +95,11 @@ def table(speeds: Sequence[Speed]) -> Table:
         shown.add_column(heading, justify="left" if heading in ("network", "runtime") else "right")
     shown.add_column("ours takes", justify="right")
     shown.add_column("allowed", justify="right")
-    compared = {(share.of, share.runtime): share for share in shares(speeds)}
-    for speed in speeds:
-        share = compared.get((speed.network, speed.runtime))
-        against = (f"1/{1 / share.share:.1f}", f"1/{1 / share.allowed:.0f}") if share else ("", "")
+    for each in speeds:
+        share = (f"1/{1 / each.share:.1f}", f"1/{1 / ALLOWED_SHARE[each.runtime]:.0f}") if each.share else ()
+        times = (each.timing.p50_ms, each.timing.p99_ms, each.timing.processor_ms)
+        size = f"{each.file_bytes / 1e6:.2f}"
         shown.add_row(
-            speed.network,
-            speed.runtime,
-            str(speed.frames),
-            f"{speed.file_bytes / 1e6:.2f}",
-            f"{speed.timing.p50_ms:.2f}",
-            f"{speed.timing.p99_ms:.2f}",
-            f"{speed.timing.processor_ms:.2f}",
-            *against,
+            each.network, each.runtime, str(each.frames), size, *(f"{ms:.2f}" for ms in times), *share
         )
     return shown
-
-
-def _bind(answer: Callable[[np.ndarray], object], frames: int) -> Callable[[], object]:
-    window = hand(frames)
-    return lambda: answer(window)

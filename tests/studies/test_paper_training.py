@@ -24,8 +24,7 @@ from docs.studies.report.paper_cells import (  # noqa: E402
     trained_networks,
 )
 from docs.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, is_at, train, trained  # noqa: E402
-from docs.studies.report.results import Results  # noqa: E402
-from docs.studies.report.study import Study  # noqa: E402
+from docs.studies.report.results import Results, Study  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
 from model.settings import SettingsError  # noqa: E402
 from model.training import haart  # noqa: E402

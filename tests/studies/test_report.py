@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,21 +13,9 @@ from rigs.stored_report import DOCS, RESULTS
 pytest.importorskip("torch", reason="needs the extra train")
 pytest.importorskip("sklearn", reason="needs the extra train")
 
-from docs.studies.commands.report import PART_NAMES, main
-from docs.studies.report import (
-    kept_int8,
-    ours,
-    page,
-    paper_cells,
-    paper_kept,
-    paper_training,
-    representation,
-    table2,
-    table3,
-)
-from docs.studies.report.paper_cells import predictions_path
-from docs.studies.report.results import Results
-from docs.studies.report.study import Study
+from docs.studies.marked import fill
+from docs.studies.report import page, paper_cells, paper_training, representation, tables23
+from docs.studies.report.paper_cells import predictions_path, trained_cells
 from drivers.recording import Recording
 from model.checks import evaluate
 from model.classifier import Classifier
@@ -45,8 +34,11 @@ def test_recordings() -> list[Recording]:
     return haart.read_test(Path(str(HAART)))
 
 
-def test_the_page_says_what_the_results_say() -> None:
-    assert (DOCS / page.PAGE_NAME).read_text(encoding="utf-8") == "\n".join(page.page_lines(RESULTS)) + "\n"
+def test_the_page_says_what_the_results_say(tmp_path: Path) -> None:
+    again = tmp_path / page.PAGE_NAME
+    shutil.copy(DOCS / page.PAGE_NAME, again)
+    fill(again, page.tables(RESULTS))
+    assert again.read_text(encoding="utf-8") == (DOCS / page.PAGE_NAME).read_text(encoding="utf-8")
 
 
 def test_every_picture_on_the_page_is_there() -> None:
@@ -87,27 +79,12 @@ def test_the_stored_answers_are_over_the_test_participants_windows(
 @needs_haart
 @pytest.mark.timeout(120)
 def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list[Recording]) -> None:
-    cell = paper_kept.kept_cell(RESULTS)
-    assert cell is not None
+    (cell,) = trained_cells(RESULTS, "public", 1, 144)
     windows = haart.cut(test_recordings, cell.frames)
     with one_torch_thread():
-        probabilities = paper_training.answer(paper_kept.load_kept(DOCS, cell), windows.counts)
+        probabilities = paper_training.answer(paper_training.load_kept(DOCS, cell), windows.counts)
     again = paper_training.macro_accuracy(probabilities, windows.labels)
     assert again == pytest.approx(RESULTS.get(cell.key)["accuracies"][-1], abs=TOLERANCE)
-
-
-@needs_haart
-@pytest.mark.slow
-@pytest.mark.timeout(180)
-def test_the_kept_network_costs_in_int8_what_is_reported(tmp_path: Path) -> None:
-    cell = paper_kept.kept_cell(RESULTS)
-    assert cell is not None
-    again = Study(Path(str(HAART)), tmp_path, Results(tmp_path / "report.json"), 1, DOCS)
-    again.results.put(cell.key, RESULTS.get(cell.key), 0.0)
-    kept_int8.run(again)
-    reported = RESULTS.get(kept_int8.key(cell))
-    # Processors round int8 products differently.
-    assert again.results.get(kept_int8.key(cell)) == pytest.approx(reported, abs=5 * TOLERANCE)
 
 
 @needs_haart
@@ -116,40 +93,10 @@ def test_the_kept_network_costs_in_int8_what_is_reported(tmp_path: Path) -> None
 def test_our_networks_score_in_the_papers_windows_as_reported(
     file: int, frames: int, test_recordings: list[Recording]
 ) -> None:
-    reported = ours.accuracies(RESULTS, "published", frames)
-    assert len(reported) == len(ours.model_files())
-    again = evaluate.score([(Classifier.load(ours.model_files()[file]), test_recordings)], frames)
+    reported = RESULTS.get(tables23.our_key("published", frames))["accuracies"]
+    assert len(reported) == len(tables23.model_files())
+    again = evaluate.score([(Classifier.load(tables23.model_files()[file]), test_recordings)], frames)
     assert again.accuracy == pytest.approx(reported[file], abs=TOLERANCE)
-
-
-def test_the_page_is_written_without_measuring_when_no_part_is_asked_for(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["--only", "--docs", str(tmp_path)]) == 0
-    text = (tmp_path / page.PAGE_NAME).read_text(encoding="utf-8")
-    assert capsys.readouterr().out == f"{tmp_path / page.PAGE_NAME}\n"
-    assert "not trained" in text
-    assert "missing" in text
-    assert not (tmp_path / page.RESULTS_NAME).exists()
-
-
-def test_a_part_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as raised:
-        main(["--only", "table9"])
-    assert raised.value.code == 2
-    assert "table9" in capsys.readouterr().err
-
-
-def test_the_command_knows_every_part_of_the_page() -> None:
-    assert {part.name for part in page.PARTS} == set(PART_NAMES)
-
-
-def test_every_table_of_the_paper_is_on_the_page_with_its_printed_figures() -> None:
-    text = (DOCS / page.PAGE_NAME).read_text(encoding="utf-8")
-    for frames, printed in table3.PAPER.items():
-        assert f"| {frames} | {frames / 54:.2f} | {printed} |" in text
-    for blocks, printed in table2.PAPER.items():
-        assert f"| {blocks} | {printed} |" in text
 
 
 def test_the_nearest_windows_are_sought_among_other_participants_alone() -> None:

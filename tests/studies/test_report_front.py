@@ -15,8 +15,8 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 onnx = pytest.importorskip("onnx", reason="needs the extra `train`")
 pytestmark = pytest.mark.timeout(180)
 
-from docs.studies.report import cost, cost_page, front, front_rows, law, networks, sizes  # noqa: E402
-from docs.studies.report.front_rows import Error, Row  # noqa: E402
+from docs.studies.report import cost, front, networks, sizes  # noqa: E402
+from docs.studies.report.front import Row  # noqa: E402
 from docs.studies.report.macs import multiply_adds  # noqa: E402
 from docs.studies.report.paper_tgc import PaperSettings  # noqa: E402
 from docs.studies.report.peak import idle_bytes, peak_bytes  # noqa: E402
@@ -43,35 +43,8 @@ def shipped_by_hand(frames: int) -> int:
 
 
 def timed(name: str, ms: float, error: float | None) -> Row:
-    return Row(
-        name=name,
-        family="touchd",
-        arithmetic="float32",
-        width=96,
-        blocks=1,
-        frames=144,
-        multiply_adds=1,
-        p50_ms=ms,
-        p99_ms=ms,
-        processor_ms=ms,
-        eager_p50_ms=None,
-        eager_p99_ms=None,
-        eager_processor_ms=None,
-        file_bytes=1,
-        peak_bytes=1,
-        error=error and Error(error, "measured"),
-    )
-
-
-def made_up(work: int, **score: float) -> dict[str, Any]:
-    """Figures at one length, all in proportion to the work."""
-    times = {"p50_ms": work / 100, "p99_ms": work / 50, "processor_ms": work / 100}
-    return {"multiply_adds": 1000 * work, "onnx_runtime": times, **score}
-
-
-def cell(family: str, width: int, blocks: int, at: dict[str, Any]) -> dict[str, Any]:
-    described = {"family": family, "width": width, "blocks": blocks, "answers_timed": 2}
-    return {**described, "file_bytes": 1, "peak_bytes": 2, "idle_bytes": 1, "at": at}
+    cell = {"family": "touchd", "at": {"144": {"onnx_runtime": {"processor_ms": ms}}}}
+    return Row(name, "float32", 144, cell, error, "measured")
 
 
 def recordings() -> list[Recording]:
@@ -113,15 +86,15 @@ def test_multiply_adds_of_a_grouped_convolution_and_of_linear_layers_are_those_c
 
 
 def test_a_law_is_found_again_from_what_it_says() -> None:
-    windows = (9, 27, 54, 81, 144, 432)
-    found = law.fit(windows, [0.2 + 0.01 * n + 3e-5 * n * n for n in windows], degree=2)
+    costs = {n: 0.2 + 0.01 * n + 3e-5 * n * n for n in (9, 27, 54, 81, 144, 432)}
+    found = cost.fit(costs, degree=2)
     assert found.coefficients == pytest.approx((0.2, 0.01, 3e-5))
     assert found.largest_miss == pytest.approx(0, abs=1e-6)
     assert sum(found.shares(144)) == pytest.approx(1)
 
 
 def test_no_term_of_a_law_is_a_negative_cost() -> None:
-    found = law.fit((1, 2, 4, 8), [1.0, 2.5, 5.0, 10.0], degree=2)
+    found = cost.fit({1: 1.0, 2: 2.5, 4: 5.0, 8: 10.0}, degree=2)
     assert min(found.coefficients) >= 0
     assert 0.1 < found.largest_miss < 0.3
 
@@ -129,37 +102,22 @@ def test_no_term_of_a_law_is_a_negative_cost() -> None:
 def test_the_front_holds_only_who_is_not_beaten_in_both_time_and_error() -> None:
     quick, good, beaten = timed("quick", 1.0, 0.3), timed("good", 3.0, 0.2), timed("beaten", 4.0, 0.25)
     unknown = timed("unknown", 0.1, None)
-    assert front_rows.front([beaten, good, unknown, quick]) == [quick, good]
+    assert front.front([beaten, good, unknown, quick]) == [quick, good]
 
 
-def test_a_network_of_the_papers_has_the_printed_error_until_it_is_trained_as_long(tmp_path: Path) -> None:
+def test_a_cut_short_training_says_nothing_of_the_papers_error(tmp_path: Path) -> None:
     results = Results(tmp_path / "report.json")
     key = "paper/public/blocks6/frames144/epochs{}/seed0"
     results.put(key.format(10), {"accuracies": [0.5] * 10}, 1.0)
-    assert front_rows.trained_error(results, "public", 144, 6) is None
-    printed = front_rows.printed_error(144, 6)
-    assert printed is not None
-    assert printed.share == pytest.approx(1 - 0.728)
+    assert front.trained_accuracies(results, "public", 144, 6) == []
     results.put(key.format(100), {"accuracies": [0.7] * 99 + [0.6]}, 1.0)
-    trained = front_rows.trained_error(results, "public", 144, 6)
-    assert trained == Error(pytest.approx(0.4), "trained here, 1 seed")
+    assert front.trained_accuracies(results, "public", 144, 6) == [0.6]
 
 
-def test_a_network_of_the_challenges_has_the_error_of_table_1(tmp_path: Path) -> None:
-    results = Results(tmp_path / "report.json")
-    assert front_rows.hughes_error(results, "hughes-cnn", 144) is None
-    for seed, accuracy in enumerate((0.5, 0.6)):
-        results.put(f"table1/hughes-cnn/frames144/seed{seed}", {"macro_accuracy": accuracy}, 1.0)
-    assert front_rows.hughes_error(results, "hughes-cnn", 144) == Error(
-        pytest.approx(0.45), "trained here, 2 seeds"
-    )
-
-
-def test_the_paper_prints_no_error_for_81_frames_and_one_for_each_number_of_blocks() -> None:
-    assert front_rows.printed_error(81, 6) is None
-    one_block = front_rows.printed_error(144, 1)
-    assert one_block is not None
-    assert one_block.share == pytest.approx(1 - 0.656)
+def test_the_papers_printed_errors_are_those_of_its_tables() -> None:
+    assert front.printed_error(81, 6) is None
+    assert front.printed_error(144, 6) == pytest.approx(1 - 0.728)
+    assert front.printed_error(144, 1) == pytest.approx(1 - 0.656)
 
 
 def test_a_batch_takes_more_memory_than_a_window_and_a_network_more_than_none() -> None:
@@ -237,27 +195,6 @@ def test_ours_and_the_papers_are_timed_weighed_and_ours_scored(tmp_path: Path) -
     assert min(public[runtime]["p50_ms"] for runtime in ("onnx_runtime", "pytorch_eager")) > 0
 
 
-def test_the_page_and_the_picture_show_every_network_with_its_time_and_error(tmp_path: Path) -> None:
-    results = Results(tmp_path / "report.json")
-    for name, width in ((networks.SHIPPED, 96), ("touchd-24-wide", 24)):
-        for arithmetic in ("float32", "int8"):
-            at = {str(frames): made_up(frames, accuracy=0.8) for frames in LENGTHS}
-            results.put(f"front/{name}/{arithmetic}", cell("touchd", width, 1, at), 1.0)
-    for settings in networks.paper_settings():
-        for arithmetic in ("float32", "int8"):
-            at = {str(settings.frames): made_up(10 * settings.frames)}
-            key = f"front/{networks.paper_name(settings)}/{arithmetic}"
-            results.put(key, cell(settings.variant, 512, settings.blocks, at), 1.0)
-    page = front.section(results)
-    assert "| **touchd, 96 wide (shipped)** | float32 | 144 | 0.1 | 1.44 | 2.88 | 1.44 |" in page
-    assert "the paper's network as printed takes 10.0 times as long as the shipped one" in page
-    assert "with +7.2 points of error (printed in the paper)" in page
-    assert "| 27.2 | printed in the paper |" in page
-    assert "| the paper's, as its code has it, 1 block |" in page
-    front.draw(results, tmp_path)
-    assert (tmp_path / "front.png").stat().st_size > 10_000
-
-
 def test_pads_are_answered_in_a_batch_and_one_by_one() -> None:
     asked = cost.pads((1, 4))
     assert {each.key for each in asked} <= set(cost.pad_keys())
@@ -271,37 +208,6 @@ def test_pads_are_answered_in_a_batch_and_one_by_one() -> None:
     measured = cost.measure(asked, answers=2)
     assert measured["cost/pads/4/batched"]["p50_ms"] > 0
     assert measured["cost/pads/4/batched"]["peak_bytes"] > measured["cost/pads/4/single"]["peak_bytes"]
-
-
-def test_the_page_tells_the_laws_that_the_costs_follow(tmp_path: Path) -> None:
-    results = Results(tmp_path / "report.json")
-    for key in cost.window_keys():
-        frames = int(key.split("/")[2])
-        ms = 0.1 + 0.01 * frames + 1e-5 * frames**2
-        results.put(
-            key, {"p50_ms": ms, "p99_ms": ms, "processor_ms": ms, "multiply_adds": 1000 * frames}, 1.0
-        )
-    for key in cost.pad_keys():
-        number, way = int(key.split("/")[2]), key.split("/")[3]
-        ms = 0.5 + number * (2.0 if way == "single" else 1.0)
-        results.put(key, {"p50_ms": ms, "p99_ms": ms, "processor_ms": ms, "peak_bytes": 1_000_000}, 1.0)
-    daemon = {"cpu_touching_percent": 2.5, "classify_times_real_time": 400.0, "memory_mb": 75.0}
-    results.put(cost_page.DAEMON_KEY, daemon, 1.0)
-    page = cost.section(results)
-    assert "| touchd | 0.100 | 10.00 | 10.0 | 0% | 6 / 82 / 12 | 0 / 100 / 0 | 1,000 frames |" in page
-    assert "| in one batch | 0.500 | 1.000 | 0% | 18 |" in page
-    assert "one daemon a pad with its port, 40, at 2.5 % of a core and" in page
-    cost.draw(results, tmp_path)
-    assert (tmp_path / "cost.png").stat().st_size > 10_000
-
-
-def test_what_is_not_measured_is_said_and_not_drawn(tmp_path: Path) -> None:
-    nothing = Results(tmp_path / "report.json")
-    assert "python -m docs.studies report --only front" in front.section(nothing)
-    assert "python -m docs.studies report --only cost" in cost.section(nothing)
-    front.draw(nothing, tmp_path)
-    cost.draw(nothing, tmp_path)
-    assert list(tmp_path.glob("*.png")) == []
 
 
 @measured_front

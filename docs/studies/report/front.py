@@ -1,6 +1,9 @@
-"""Speed against error: every network's time, size and memory for one answer, in one run on one thread.
+"""Speed against error: time, size and memory of one answer of every network, in one run on one thread.
 
-The networks answer in turn, so that whatever else the machine does meets all alike.
+The networks answer in turn, so that other work on the machine meets all alike. Networks other than ours are
+timed with random weights. The error of the paper's networks comes from tables 2 and 3 where they were trained
+for all epochs, otherwise from the paper, which chose its epoch on the test participants. The error of the
+challenge's networks comes from table 1.
 """
 
 from __future__ import annotations
@@ -9,24 +12,34 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median_low
 from typing import Any
 
-import torch
+import matplotlib
 
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+
+from docs.studies.accuracy import PAPER_ACCURACY
+from docs.studies.marked import table
 from docs.studies.quantize import FLOAT32
-from docs.studies.report import front_page, front_picture, kept_int8, sizes
 from docs.studies.report import networks as every
+from docs.studies.report import sizes, table1
 from docs.studies.report.macs import multiply_adds
-from docs.studies.report.networks import INT8, OURS, SHIPPED, Network
+from docs.studies.report.networks import CHALLENGE, HUGHES, INT8, OURS, PAPER_BLOCKS, SHIPPED, Network
+from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, trained_cells
 from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
-from docs.studies.report.results import Results
-from docs.studies.report.study import Study
+from docs.studies.report.results import Results, Study, timing_values
+from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
 from drivers.recording import Recording
 from model.checks import evaluate
 from model.checks.hard_cases import hand
-from model.checks.timing import Timing, time_in_turn
+from model.checks.timing import time_in_turn
 from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training import haart
@@ -35,23 +48,81 @@ from model.training.threads import one_torch_thread
 ONNX_RUNTIME = "onnx_runtime"
 PYTORCH = "pytorch_eager"
 ANSWERS = 200
+# A busy kernel sometimes lets a process hold pages that it has already given back: take the median.
 PEAKS = 3
+PANELS = {"1 s": (54,), "1.5 s": (72, 81), "2.67 s": (144,)}
+"""Windows of about one time; the paper's "1.5 seconds" are 72 frames."""
+PAPER = {"public": "as its code has it", "printed": "as printed"}
+PRINTED = "printed in the paper"
+COLOURS = {OURS: "#1f5fa8", "public": "#c4611a", "printed": "#7a3f98"}
+COST = ("multiply-adds, M", "p50, ms", "p99, ms", "processor, ms", "PyTorch p50 / p99, ms")
+WEIGHT = ("file, MB", "memory, MB", "error, %", "error from")
 
 
 @dataclass(frozen=True)
-class Asked:
-    """One network asked over windows of one length in one runtime."""
+class Row:
+    """One network over windows of one length.
 
-    network: Network
+    cell: its stored figures; at: those at this length. error: macro error, 0 to 1, None where unknown.
+    """
+
+    name: str
+    arithmetic: str
     frames: int
-    runtime: str
-    answer: Callable[[], object]
+    cell: dict[str, Any]
+    error: float | None
+    source: str
+
+    @property
+    def family(self) -> str:
+        """Whose network it is."""
+        return str(self.cell["family"])
+
+    @property
+    def at(self) -> dict[str, Any]:
+        """The figures at this length."""
+        found: dict[str, Any] = self.cell["at"][str(self.frames)]
+        return found
+
+    @property
+    def processor_ms(self) -> float:
+        """Median processor time, by which networks are compared: other work hardly stretches it."""
+        return float(self.at[ONNX_RUNTIME]["processor_ms"])
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether this is the file that ships."""
+        return (self.name, self.arithmetic) == (SHIPPED, FLOAT32)
+
+    @property
+    def title(self) -> str:
+        """What tables call the network."""
+        width, blocks = self.cell["width"], self.cell["blocks"]
+        if self.family == OURS:
+            return f"**touchd, {width} wide (shipped)**" if self.is_shipped else f"touchd, {width} wide"
+        if self.family == HUGHES:
+            return f"Hughes et al., {CHALLENGE[_system(self.name)]}"
+        return f"the paper's, {PAPER[self.family]}, {blocks} block{'s' if blocks > 1 else ''}"
+
+    def figures(self) -> list[str]:
+        """Return the columns COST and WEIGHT."""
+        runtime, eager = self.at[ONNX_RUNTIME], self.at.get(PYTORCH)
+        return [
+            f"{self.at['multiply_adds'] / 1e6:.1f}",
+            *(f"{runtime[figure]:.2f}" for figure in ("p50_ms", "p99_ms", "processor_ms")),
+            f"{eager['p50_ms']:.2f} / {eager['p99_ms']:.2f}" if eager else "",
+            f"{self.cell['file_bytes'] / 1e6:.2f}",
+            f"{self.cell['peak_bytes'] / 1e6:.0f}",
+            "" if self.error is None else f"{100 * self.error:.1f}",
+            self.source,
+        ]
 
 
 def run(study: Study) -> None:
-    """Measure every network in one run, unless all have been; sizes that are missing are trained first."""
-    kept_int8.run(study)
-    if all(study.results.has(key) for key in keys()):
+    """Measure every network in one run, unless all have been; missing sizes are trained first."""
+    names = [SHIPPED, *sizes.SHAPES, *map(every.paper_name, every.paper_settings())]
+    names += [every.hughes_name(system, frames) for system in CHALLENGE for frames in LENGTHS]
+    if all(study.results.has(f"front/{name}/{kind}") for name in names for kind in (FLOAT32, INT8)):
         return
     files = sizes.ready(study.haart, study.checkpoints, study.threads)
     training = haart.realigned(haart.read_training(study.haart))
@@ -60,34 +131,21 @@ def run(study: Study) -> None:
         networks = every.ours(files, training, Path(folder))
         for settings in every.paper_settings():
             networks += every.papers(settings, Path(folder))
-        for system in every.CHALLENGE:
+        for system in CHALLENGE:
             for frames in LENGTHS:
                 networks += every.hughes(system, frames, Path(folder))
         measured = measure(networks, haart.read_test(study.haart), ANSWERS)
-    seconds = (time.perf_counter() - began_s) / len(measured)
     for key, values in measured.items():
-        study.results.put(key, values, seconds)
-
-
-def keys() -> list[str]:
-    """Return where the results of all networks stand."""
-    names = [SHIPPED, *sizes.SHAPES, *map(every.paper_name, every.paper_settings())]
-    names += [every.hughes_name(system, frames) for system in every.CHALLENGE for frames in LENGTHS]
-    return [f"front/{name}/{arithmetic}" for name in names for arithmetic in (FLOAT32, INT8)]
+        study.results.put(key, values, (time.perf_counter() - began_s) / len(measured))
 
 
 def measure(
     networks: Sequence[Network], test: Sequence[Recording], answers: int
 ) -> dict[str, dict[str, Any]]:
-    """Return each network's figures by its key; ours are scored on the published test recordings.
-
-    Times are of one answer, bytes of the file and of a process that does nothing but answer.
-    """
-    asked = [each for network in networks for each in _askings(network)]
-    timings = time_in_turn([each.answer for each in asked], answers)
+    """Return each network's figures by its key; ours are scored on the published test recordings."""
     idle = idle_bytes()
-    # An int8 file does the same products, under other operators.
-    counts = {
+    # An int8 file has the same products, under other operators.
+    work = {
         (network.name, frames): multiply_adds(network.path, frames)
         for network in networks
         if network.arithmetic == FLOAT32
@@ -95,21 +153,26 @@ def measure(
     }
     measured: dict[str, dict[str, Any]] = {}
     for network in networks:
+        scores = accuracies(network.path, test) if network.family == OURS else {}
+        longest = max(network.frames)
         measured[network.key] = {
             "family": network.family,
             "width": network.width,
             "blocks": network.blocks,
             "answers_timed": answers,
             "file_bytes": network.path.stat().st_size,
-            "peak_bytes": _settled_peak_bytes(network),
+            "peak_bytes": median_low(peak_bytes(network.path, longest) for _ in range(PEAKS)),
             "idle_bytes": idle,
-            "at": {str(frames): {"multiply_adds": counts[network.name, frames]} for frames in network.frames},
+            "at": {
+                str(frames): {"multiply_adds": work[network.name, frames]}
+                | ({"accuracy": round(scores[str(frames)], 5)} if scores else {})
+                for frames in network.frames
+            },
         }
-        if network.family == OURS:
-            for frames, accuracy in accuracies(network.path, test).items():
-                measured[network.key]["at"][frames]["accuracy"] = round(accuracy, 5)
-    for each, timing in zip(asked, timings, strict=True):
-        measured[each.network.key]["at"][str(each.frames)][each.runtime] = _times(timing)
+    asked = [(network.key, *each) for network in networks for each in answers_of(network)]
+    timings = time_in_turn([answer for *_, answer in asked], answers)
+    for (key, frames, runtime, _), timing in zip(asked, timings, strict=True):
+        measured[key]["at"][str(frames)][runtime] = timing_values(timing)
     return measured
 
 
@@ -118,52 +181,177 @@ def accuracies(path: Path, test: Sequence[Recording]) -> dict[str, float]:
     return evaluate.accuracies([(Classifier.load(path), test)], LENGTHS)
 
 
-def section(results: Results) -> str:
-    """Return the part of the page on speed against error, in Markdown."""
-    return front_page.page(results)
+def rows(results: Results) -> list[Row]:
+    """Return what has been measured, ours first, by width and blocks."""
+    found = []
+    for key in results.keys("front/"):
+        _, name, arithmetic = key.split("/")
+        cell = results.get(key)
+        for frames in map(int, cell["at"]):
+            found.append(
+                Row(name, arithmetic, frames, cell, *_error(results, name, arithmetic, cell, frames))
+            )
+    order = {OURS: 0, HUGHES: 1, "public": 2, "printed": 3}
+    return sorted(found, key=lambda r: (order[r.family], r.cell["width"], r.cell["blocks"], r.frames))
+
+
+def front(candidates: Sequence[Row]) -> list[Row]:
+    """Return those that no other beats in both time and error, fastest first."""
+    kept: list[Row] = []
+    best = np.inf
+    for row in sorted(candidates, key=lambda row: row.processor_ms):
+        if row.error is not None and row.error < best:
+            kept.append(row)
+            best = row.error
+    return kept
+
+
+def printed_error(frames: int, blocks: int) -> float | None:
+    """Return the error that the paper prints for a length at its 6 blocks, or for blocks at 144 frames."""
+    if blocks == PAPER_BLOCKS and frames in PAPER_ACCURACY:
+        return 1.0 - PAPER_ACCURACY[frames] / 100
+    return 1.0 - float(TABLE2[blocks].split()[0]) / 100 if frames == TABLE2_FRAMES else None
+
+
+def trained_accuracies(results: Results, variant: Variant, frames: int, blocks: int) -> list[float]:
+    """Return the last epoch's accuracy of networks trained here for as long as the paper's."""
+    cells = trained_cells(results, variant, blocks, frames)
+    return [results.get(cell.key)["accuracies"][-1] for cell in cells if cell.epochs >= PAPER_EPOCHS]
+
+
+def tables(results: Results) -> dict[str, str]:
+    """Return a table for each time, and one of the paper's networks by blocks."""
+    found = rows(results)
+    made = {}
+    for name, lengths in PANELS.items():
+        together = [
+            row
+            for row in found
+            if row.frames in lengths and (row.family not in PAPER or row.cell["blocks"] == PAPER_BLOCKS)
+        ]
+        best = front(together)
+        made[f"front-{name.replace(' ', '')}"] = table(
+            ("network", "arithmetic", "frames", *COST, *WEIGHT, "on the front"),
+            [
+                (row.title, row.arithmetic, row.frames, *row.figures(), "yes" if row in best else "")
+                for row in together
+            ],
+        )
+    small = {row.name: row for row in found if row.arithmetic == INT8 and row.frames == TABLE2_FRAMES}
+    made["front-blocks"] = table(
+        ("network", *COST, *WEIGHT, "int8 processor, ms"),
+        [
+            (row.title, *row.figures(), f"{small[row.name].processor_ms:.2f}")
+            for row in found
+            if row.family in PAPER and row.frames == TABLE2_FRAMES and row.arithmetic == FLOAT32
+        ],
+    )
+    return made
 
 
 def draw(results: Results, figures: Path) -> None:
-    """Draw the front."""
-    front_picture.draw(results, figures / "front.png")
+    """Draw error against the time of one answer, a panel for each time."""
+    found = rows(results)
+    figure, panels = plt.subplots(
+        1, len(PANELS), figsize=(13, 5.4), layout="constrained", sharex=True, sharey=True
+    )
+    for axes, (name, lengths) in zip(panels, PANELS.items(), strict=True):
+        _panel(axes, [row for row in found if row.frames in lengths])
+        axes.set(title=f"after {name}", xlabel="processor time of one answer, ms", xscale="log")
+        axes.grid(True, which="both", linewidth=0.3, color="0.85")
+        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    panels[0].set_xlim(left=0.5 * min(row.processor_ms for row in found))
+    panels[0].set_ylabel("macro error on the test participants, %")
+    legends = [axes.get_legend_handles_labels() for axes in panels]
+    handles = {label: handle for pair in legends for handle, label in zip(*pair, strict=True)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3, frameon=False)
+    figure.savefig(figures / "front.png", dpi=120)
+    plt.close(figure)
 
 
-def _askings(network: Network) -> list[Asked]:
+def _panel(axes: Axes, together: Sequence[Row]) -> None:
+    best = front(together)
+    style: dict[str, Any] = {"where": "post", "color": "0.6", "linewidth": 5, "alpha": 0.45}
+    label = "the front: none is both faster and better"
+    axes.step([row.processor_ms for row in best], [_percent(row) for row in best], label=label, **style)
+    blue = COLOURS[OURS]
+    for arithmetic, fill, line in ((FLOAT32, blue, "-"), (INT8, "white", ":")):
+        ours = [row for row in together if (row.family, row.arithmetic) == (OURS, arithmetic)]
+        _points(axes, ours, f"touchd {arithmetic}, by width", blue, marker="o", mfc=fill, linestyle=line)
+    shipped = [row for row in together if row.is_shipped]
+    for row in together:
+        if row.family == OURS and row.arithmetic == FLOAT32:
+            # The star of the shipped model would hide what stands to its left.
+            is_wider = row.cell["width"] > shipped[0].cell["width"]
+            offset, side = ((8, -4), "left") if is_wider else ((-20, -4), "right")
+            place = (row.processor_ms, _percent(row))
+            axes.annotate(
+                f"{row.cell['width']}", place, offset, textcoords="offset points", ha=side, color=blue
+            )
+    _points(axes, shipped, "the shipped model", "gold", marker="*", mec=blue, markersize=18, zorder=5)
+    challenge = [row for row in together if row.family == HUGHES and row.error is not None]
+    _points(axes, challenge, "the challenge's networks, Hughes et al.", "0.35", marker="D")
+    for family, code in PAPER.items():
+        theirs = [row for row in together if row.family == family and row.error is not None]
+        trained = [row for row in theirs if row.source != PRINTED]
+        printed = [row for row in theirs if row.source == PRINTED]
+        own = [row for row in printed if row.cell["blocks"] == PAPER_BLOCKS]
+        others = [row for row in printed if row.cell["blocks"] != PAPER_BLOCKS]
+        colour = COLOURS[family]
+        _points(axes, others, f"its figures for other numbers of blocks, {code}", colour, marker=".")
+        _points(axes, trained, f"the paper's network {code}, trained here", colour, marker="s")
+        _points(axes, own, f"the paper's figure, network {code}", colour, marker="X", markersize=11)
+
+
+def _points(axes: Axes, shown: Sequence[Row], label: str, colour: str, **style: Any) -> None:
+    if shown:
+        times, errors = [row.processor_ms for row in shown], [_percent(row) for row in shown]
+        axes.plot(times, errors, **{"linestyle": "", "markersize": 7, **style}, color=colour, label=label)
+
+
+def _percent(row: Row) -> float:
+    return 100 * (row.error or 0.0)
+
+
+def _error(
+    results: Results, name: str, arithmetic: str, cell: dict[str, Any], frames: int
+) -> tuple[float | None, str]:
+    """Return a network's error and where it is from."""
+    figures, family, blocks = cell["at"][str(frames)], cell["family"], cell["blocks"]
+    if "accuracy" in figures:
+        return 1.0 - figures["accuracy"], "measured"
+    if arithmetic != FLOAT32:
+        return None, ""
+    if family == HUGHES:
+        measured = table1.scores_of(results, _system(name), frames, "macro_accuracy")
+    else:
+        measured = trained_accuracies(results, family, frames, blocks)
+    if measured:
+        seeds = "1 seed" if len(measured) == 1 else f"{len(measured)} seeds"
+        return 1.0 - float(np.mean(measured)), f"trained here, {seeds}"
+    printed = None if family == HUGHES else printed_error(frames, blocks)
+    return printed, "" if printed is None else PRINTED
+
+
+def _system(name: str) -> str:
+    return name.rsplit("-", 2)[0]
+
+
+def answers_of(network: Network) -> list[tuple[int, str, Callable[[], object]]]:
+    """Return the answers to time: frames, runtime, and what answers."""
     if network.family == OURS:
         classifier = Classifier.load(network.path)
-        return [
-            Asked(network, frames, ONNX_RUNTIME, _bind(classifier.probabilities, hand(frames)))
-            for frames in network.frames
-        ]
+        return [(n, ONNX_RUNTIME, partial(classifier.probabilities, hand(n))) for n in network.frames]
     (frames,) = network.frames
-    window = hand(frames)[None]
-    session = open_session(network.path)
-    asked = [Asked(network, frames, ONNX_RUNTIME, lambda: session.run(None, {"counts": window}))]
-    if network.eager is not None:
-        asked.append(Asked(network, frames, PYTORCH, _eager(network.eager, torch.from_numpy(window))))
+    window, session = hand(frames)[None], open_session(network.path)
+    asked: list[tuple[int, str, Callable[[], object]]] = [
+        (frames, ONNX_RUNTIME, lambda: session.run(None, {"counts": window}))
+    ]
+    if (eager := network.eager) is not None:
+        asked.append((frames, PYTORCH, partial(_ask_eagerly, eager, torch.from_numpy(window))))
     return asked
 
 
-def _bind(answer: Callable[[Any], object], window: object) -> Callable[[], object]:
-    return lambda: answer(window)
-
-
-def _eager(network: torch.nn.Module, window: torch.Tensor) -> Callable[[], object]:
-    def answer() -> object:
-        with torch.inference_mode():
-            return network(window)
-
-    return answer
-
-
-def _settled_peak_bytes(network: Network) -> int:
-    # Now and then a busy kernel lets a process hold pages that it has given back already.
-    return median_low(peak_bytes(network.path, max(network.frames)) for _ in range(PEAKS))
-
-
-def _times(timing: Timing) -> dict[str, float]:
-    return {
-        "p50_ms": round(timing.p50_ms, 4),
-        "p99_ms": round(timing.p99_ms, 4),
-        "processor_ms": round(timing.processor_ms, 4),
-    }
+def _ask_eagerly(network: torch.nn.Module, window: torch.Tensor) -> object:
+    with torch.inference_mode():
+        return network(window)

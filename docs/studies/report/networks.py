@@ -15,10 +15,10 @@ from torch import Tensor, nn
 
 from docs.studies import quantize
 from docs.studies.quantize import FLOAT32
-from docs.studies.report import table2
 from docs.studies.report.challenge_hughes import AUTOENCODER_RNN, CNN, CRNN, RECURRENT, HughesNetwork
 from docs.studies.report.paper_cells import Variant
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
+from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
 from drivers.frame import COLUMNS, ROWS
 from drivers.recording import Recording
 from model.classifier import SHIPPED_MODEL, Classifier
@@ -75,7 +75,7 @@ class HughesAnswer(nn.Module):
 def paper_settings() -> list[PaperSettings]:
     """Return the paper's networks: 6 blocks at every length, and those of Table 2, printed and public."""
     shapes = [(frames, PAPER_BLOCKS) for frames in PAPER_LENGTHS]
-    shapes += [(table2.FRAMES, blocks) for blocks in table2.PAPER if blocks != PAPER_BLOCKS]
+    shapes += [(TABLE2_FRAMES, blocks) for blocks in TABLE2 if blocks != PAPER_BLOCKS]
     return [PaperSettings(variant, frames, blocks) for variant in VARIANTS for frames, blocks in shapes]
 
 

@@ -17,6 +17,7 @@ PREFIX = "paper/"
 GRID = Path(__file__).parent / "grid.yaml"
 STORED_FOLDER = "report"
 """In the folder of the pages."""
+PAPER_EPOCHS = 100
 
 Variant = Literal["public", "printed"]
 
@@ -100,6 +101,11 @@ def parse(key: str) -> PaperCell:
         epochs=int(epochs.removeprefix("epochs")),
         seed=int(seed.removeprefix("seed")),
     )
+
+
+def describe(variant: Variant, blocks: int) -> str:
+    """Return which of the paper's networks it is, in words."""
+    return f"{variant}, {blocks} block{'s' if blocks > 1 else ''}"
 
 
 def predictions_path(docs: Path, cell: PaperCell) -> Path:

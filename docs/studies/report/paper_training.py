@@ -23,9 +23,9 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from docs.studies.report.paper_cells import Grid, PaperCell, predictions_path
+from docs.studies.report.paper_cells import STORED_FOLDER, Grid, PaperCell, predictions_path
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
-from docs.studies.report.study import Study
+from docs.studies.report.results import Study
 from model.training import haart, metrics
 from model.training.checkpoint import CheckpointError
 from model.training.haart import GESTURES, Windows
@@ -165,6 +165,14 @@ def trained(study: Study, cell: PaperCell) -> PaperTGC:
     state = _load(study.checkpoints / cell.training / CHECKPOINT_NAME)
     network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
     network.load_state_dict(state["network"])
+    return network.eval()
+
+
+def load_kept(docs: Path, cell: PaperCell) -> PaperTGC:
+    """Return a network that is kept with the page, in float16, ready to answer in float32."""
+    network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
+    path = docs / STORED_FOLDER / f"{cell.training}-epochs{cell.epochs}.pt"
+    network.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
     return network.eval()
 
 

@@ -8,31 +8,36 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 import numpy as np
 import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from sklearn.manifold import TSNE
 from torch import Tensor, nn
 
-from docs.studies.report import ours, paper_training, representation_pictures
-from docs.studies.report.markdown import percent, provenance, table
+from docs.studies.marked import table
+from docs.studies.report import paper_training
 from docs.studies.report.paper_cells import (
     PaperCell,
+    describe,
     layout_path,
     predictions_path,
     trained_cells,
     trained_networks,
 )
-from docs.studies.report.paper_tables import describe
-from docs.studies.report.representation_pictures import CONFUSION_PICTURE, TSNE_PICTURE
-from docs.studies.report.results import Results
-from docs.studies.report.study import Study
+from docs.studies.report.results import Results, Study, percent
+from docs.studies.report.tables23 import our_key
 from model.classifier import SHIPPED_MODEL
-from model.training import checkpoint, haart
-from model.training.haart import Windows
+from model.training import checkpoint, haart, metrics
+from model.training.haart import GESTURES, Windows
 
 log = logging.getLogger(__name__)
 
@@ -40,6 +45,10 @@ FRAMES = 144
 PERPLEXITY = 30.0
 BATCH = 64
 OURS = "representation/ours"
+CONFUSION_PICTURE = "report-confusion.png"
+TSNE_PICTURE = "report-tsne.png"
+DARK_PERCENT = 55
+COLOURS = tuple(f"C{number}" for number in range(len(GESTURES)))
 
 
 def run(study: Study) -> None:
@@ -56,9 +65,17 @@ def run(study: Study) -> None:
         log.warning("%s: its last epoch is not in %s; no t-SNE of it", paper.training, study.checkpoints)
 
 
-def section(results: Results) -> str:
-    """Return both pictures with their captions, in Markdown."""
-    return "\n".join(_lines(results))
+def tables(results: Results) -> dict[str, str]:
+    """Return how often the nearest window of another participant shows the same gesture."""
+    paper = shown_cell(results)
+    keys = {"touchd": OURS} if paper is None else {name(paper): paper_key(paper), "touchd": OURS}
+    rows = [
+        (network, results.get(key)["features"], percent([results.get(key)["nearest_agree"]]))
+        for network, key in keys.items()
+        if results.has(key)
+    ]
+    heading = "windows whose nearest one of another participant is of the same gesture, %"
+    return {"representation": table(("network", "width", heading), rows)}
 
 
 def draw(results: Results, figures: Path) -> None:
@@ -66,18 +83,16 @@ def draw(results: Results, figures: Path) -> None:
     paper = shown_cell(results)
     confusions, layouts = {}, {}
     if paper is not None:
-        confusions[name(paper)] = representation_pictures.stored_confusion(
-            predictions_path(figures.parent, paper)
-        )
+        confusions[name(paper)] = stored_confusion(predictions_path(figures.parent, paper))
         if results.has(paper_key(paper)):
             layouts[name(paper)] = layout_path(figures.parent, paper_key(paper))
-    own = ours.key("published", FRAMES)
+    own = our_key("published", FRAMES)
     if results.has(own):
         confusions["touchd"] = np.array(results.get(own)["confusions"][0])
     if results.has(OURS):
         layouts["touchd"] = layout_path(figures.parent, OURS)
-    representation_pictures.draw_confusions(confusions, figures / CONFUSION_PICTURE)
-    representation_pictures.draw_layouts(layouts, figures / TSNE_PICTURE)
+    draw_confusions(confusions, figures / CONFUSION_PICTURE)
+    draw_layouts(layouts, figures / TSNE_PICTURE)
 
 
 def shown_cell(results: Results) -> PaperCell | None:
@@ -137,38 +152,55 @@ def _lay_out(study: Study, key: str, represent: Callable[[Tensor], Tensor]) -> N
     study.results.put(key, values, time.perf_counter() - began)
 
 
-def _lines(results: Results) -> Iterator[str]:
-    paper = shown_cell(results)
-    if paper is None:
-        yield "None of the paper's networks is trained at 144 frames yet; run"
-        yield "`python -m docs.studies report --only table3`."
-        yield ""
-    yield f"![What is confused after 144 frames](figures/{CONFUSION_PICTURE})"
-    yield ""
-    yield "Figure 2: rows are the true gesture, in percent of its windows; test participants, 144 frames as"
-    yield "published. touchd is the shipped file."
-    if paper is not None:
-        yield f"The paper's network: {provenance(results, paper.key)}."
-    yield f"touchd: {provenance(results, ours.key('published', FRAMES))}."
-    yield ""
-    yield f"![The learnt representations](figures/{TSNE_PICTURE})"
-    yield ""
-    yield f"Figure 3: t-SNE (perplexity {PERPLEXITY:.0f}) of what each network's last layer gets, a dot a"
-    yield f"window; by {provenance(results, 'representation/')}."
-    yield ""
-    yield "In figures rather than by eye, before t-SNE:"
-    yield ""
-    yield from table(
-        ("network", "width", "windows whose nearest one of another participant is of the same gesture, %"),
-        _agreement_rows(results, paper),
+def stored_confusion(path: Path) -> NDArray[np.int64]:
+    """Return the confusion counts (7, 7) of stored probabilities and labels."""
+    with np.load(path) as stored:
+        predicted = stored["probabilities"].argmax(axis=1).astype(np.int64)
+        return metrics.confusion(predicted, stored["labels"].astype(np.int64), len(GESTURES))
+
+
+def draw_confusions(confusions: Mapping[str, NDArray[np.int64]], path: Path) -> None:
+    """Draw confusion counts (7, 7) in percent of each true gesture, one panel a network."""
+    figure, panels = _panels(len(confusions), height=5.0)
+    for axes, (name, counts) in zip(panels, confusions.items(), strict=False):
+        shares = 100 * counts / counts.sum(axis=1, keepdims=True)
+        axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
+        for (row, column), share in np.ndenumerate(shares):
+            colour = "white" if share > DARK_PERCENT else "black"
+            axes.text(column, row, f"{share:.0f}", ha="center", va="center", color=colour, fontsize=8)
+        axes.set_xticks(range(len(GESTURES)), GESTURES, rotation=45, ha="right")
+        axes.set_yticks(range(len(GESTURES)), GESTURES)
+        axes.set_title(name, fontsize=10)
+    panels[0].set_ylabel("true gesture")
+    _save(figure, path)
+
+
+def draw_layouts(layouts: Mapping[str, Path], path: Path) -> None:
+    """Draw stored points (N, 2) coloured by their gestures, one panel a network."""
+    figure, panels = _panels(len(layouts), height=5.2)
+    for axes, (name, stored) in zip(panels, layouts.items(), strict=False):
+        with np.load(stored) as layout:
+            points, labels = layout["points"].astype(np.float32), layout["labels"]
+        for gesture, colour in enumerate(COLOURS):
+            of_gesture = points[labels == gesture]
+            axes.plot(
+                of_gesture[:, 0], of_gesture[:, 1], ".", color=colour, markersize=4, label=GESTURES[gesture]
+            )
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(name, fontsize=10)
+    if layouts:
+        entries = panels[0].get_legend_handles_labels()
+        figure.legend(*entries, loc="outside lower center", ncols=len(GESTURES), markerscale=2)
+    _save(figure, path)
+
+
+def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    figure, panels = plt.subplots(
+        1, max(count, 1), figsize=(5.2 * max(count, 1), height), layout="constrained", squeeze=False
     )
+    return figure, list(panels[0])
 
 
-def _agreement_rows(results: Results, paper: PaperCell | None) -> Iterator[list[str]]:
-    keys = {"touchd": OURS} if paper is None else {name(paper): paper_key(paper), "touchd": OURS}
-    for network, key in keys.items():
-        if results.has(key):
-            values = results.get(key)
-            yield [network, str(values["features"]), percent([values["nearest_agree"]])]
-        else:
-            yield [network, "", "missing"]
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=110)
+    plt.close(figure)

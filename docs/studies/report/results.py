@@ -1,4 +1,4 @@
-"""The study's results: one JSON file of cells, each with the command, commit and machine that made it."""
+"""What every part of the report works with: one JSON file of results that say how each was made."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from drivers.errors import TouchdError
+from model.checks.timing import Timing
 
 LIBRARIES = ("numpy", "onnxruntime", "torch", "scikit-learn")
 
@@ -96,6 +99,35 @@ class Results:
             yield
         finally:
             os.close(folder)
+
+
+@dataclass(frozen=True)
+class Study:
+    """haart: folder of recordings; runs: of checkpoints; docs: of the page; threads: of the processor."""
+
+    haart: Path
+    runs: Path
+    results: Results
+    threads: int
+    docs: Path
+
+    @property
+    def checkpoints(self) -> Path:
+        """Where the parts keep what they have half done."""
+        return self.runs / "report"
+
+
+def percent(shares: Sequence[float]) -> str:
+    """Return the mean share in percent, "± sd" after it where there are several; "" for none."""
+    if not shares:
+        return ""
+    mean = f"{100 * np.mean(shares):.1f}"
+    return f"{mean} ± {100 * np.std(shares, ddof=1):.1f}" if len(shares) > 1 else mean
+
+
+def timing_values(timing: Timing) -> dict[str, float]:
+    """Return a timing as a cell keeps it."""
+    return {name: round(getattr(timing, name), 4) for name in ("p50_ms", "p99_ms", "processor_ms")}
 
 
 def _one_line_a_cell(cells: dict[str, Cell]) -> bytes:

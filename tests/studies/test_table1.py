@@ -19,25 +19,19 @@ pytest.importorskip("sklearn", reason="needs the extra `train`")
 import torch
 
 from docs.studies.report import (
-    challenge,
     challenge_balli,
     challenge_features,
     challenge_gaus,
     challenge_hughes,
-    challenge_kinds,
-    challenge_networks,
-    challenge_page,
     challenge_ta,
+    table1,
 )
-from docs.studies.report.challenge_kinds import Data, HandMade, Network, Searched, Shipped, System
-from docs.studies.report.challenge_selection import floating_search
-from docs.studies.report.challenge_systems import SYSTEMS
-from docs.studies.report.results import Results
-from docs.studies.report.study import Study
+from docs.studies.report.results import Results, Study
+from docs.studies.report.table1 import SYSTEMS, Data, HandMade, Network, Searched, Shipped, System
 from drivers.recording import Recording, ideal_clock_ms
 from model.training import haart
 
-CELLS = [key for key in RESULTS.keys(challenge_page.PREFIX) if "/seed" in key]
+CELLS = [key for key in RESULTS.keys(table1.PREFIX) if "/seed" in key]
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")
 TOLERANCE = 0.02
 """Of a refit: another processor or scikit-learn sums otherwise, and trees split on the last digit."""
@@ -147,18 +141,6 @@ def test_each_candidate_feature_has_a_name_at_its_place() -> None:
     assert named["mobility of mean pressure"] == pytest.approx(2.0 * np.sin(np.pi * 3.0 / HZ), rel=0.05)
 
 
-def test_the_search_goes_back_on_a_feature_that_only_looked_good_alone() -> None:
-    worth = {(0,): 0.5, (1,): 0.2, (2,): 0.1, (0, 1): 0.6, (0, 2): 0.55, (1, 2): 0.9, (0, 1, 2): 0.7}
-    asked: list[tuple[int, ...]] = []
-
-    def criterion(chosen: tuple[int, ...]) -> float:
-        asked.append(chosen)
-        return worth[chosen]
-
-    assert floating_search(3, 3, criterion) == ((1, 2), 0.9)
-    assert len(asked) == len(set(asked))
-
-
 def test_runs_of_motion_are_counted_by_their_length() -> None:
     moving = np.array([int(digit) for digit in "0110111001111110001"], dtype=bool)[np.newaxis, :, np.newaxis]
     assert challenge_gaus.run_lengths(moving)[0, :, 0].tolist() == [1, 1, 1, 0, 0]
@@ -198,7 +180,7 @@ KINDS = (challenge_hughes.CNN, challenge_hughes.CRNN, challenge_hughes.AUTOENCOD
 @pytest.mark.parametrize("kind", KINDS)
 def test_one_network_answers_six_times_a_second_at_every_length(kind: str) -> None:
     network = challenge_hughes.HughesNetwork(kind, 7).eval()
-    for frames in challenge_page.LENGTHS:
+    for frames in table1.LENGTHS:
         counts = torch.randint(500, (2, frames, 8, 8)).float()
         steps = frames // 9 - (4 if kind == challenge_hughes.CNN else 0)
         assert network(counts).shape == (2, steps, 7)
@@ -263,9 +245,9 @@ TRAINED = [system for system in SYSTEMS if not isinstance(system, Shipped)]
 def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
     for family in (challenge_ta, challenge_balli, challenge_gaus):
         monkeypatch.setattr(family, "TREES", 10)
-    monkeypatch.setattr(challenge_kinds, "SEARCH_TREES", 2)
-    monkeypatch.setattr(challenge_networks, "AUTOENCODER_STEPS", 50)
-    monkeypatch.setattr(challenge_networks, "CROP_FRAMES", 54)
+    monkeypatch.setattr(table1, "SEARCH_TREES", 2)
+    monkeypatch.setattr(challenge_hughes, "AUTOENCODER_STEPS", 50)
+    monkeypatch.setattr(challenge_hughes, "CROP_FRAMES", 54)
 
 
 @pytest.mark.timeout(180)
@@ -292,7 +274,7 @@ def test_a_system_learns_and_a_seed_gives_the_same_answers_again(system: System)
     (frames, named), (_, again) = twice[0][0], twice[1][0]
     assert frames == 54
     assert named.tolist() == again.tolist()
-    assert challenge.scores(named, haart.cut(data.test, 54).labels)["accuracy"] > 0.9
+    assert table1.scores(named, haart.cut(data.test, 54).labels)["accuracy"] > 0.9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -314,77 +296,31 @@ class Counted(System):
 
 def test_a_second_run_trains_only_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     system = Counted("counted", "no one", "none", None, seeds=(0, 1))
-    monkeypatch.setattr(challenge, "SYSTEMS", (system,))
-    monkeypatch.setattr(challenge, "Data", lambda folder: MadeUp())
+    monkeypatch.setattr(table1, "SYSTEMS", (system,))
+    monkeypatch.setattr(table1, "Data", lambda folder: MadeUp())
     results = Results(tmp_path / "report.json")
     study = Study(haart=tmp_path, runs=tmp_path, results=results, threads=1, docs=tmp_path)
-    present = challenge_page.cell_key(system, 144, 1)
+    present = table1.cell_key(system, 144, 1)
     results.put(present, {"accuracy": 0.25}, 1.0)
-    challenge.run(study)
-    challenge.run(study)
+    table1.run(study)
+    table1.run(study)
     assert system.trained == [(0, (432, 144, 81, 54)), (1, (432, 81, 54))]
     assert results.get(present) == {"accuracy": 0.25}
-    cell = results.get(challenge_page.cell_key(system, 432, 0))
+    cell = results.get(table1.cell_key(system, 432, 0))
     assert cell == {"windows": 6, "accuracy": 0.0, "macro_accuracy": 0.0, "answers": "000000"}
-
-
-def test_answers_are_kept_a_digit_each() -> None:
-    named = np.array([0, 6, 3], dtype=np.int64)
-    assert challenge.read(challenge.written(named)).tolist() == named.tolist()
-
-
-def test_the_table_has_the_papers_own_figures_beside_what_is_measured(tmp_path: Path) -> None:
-    results = Results(tmp_path / "report.json")
-    forest = SYSTEMS[1]
-    for seed, accuracy in enumerate((0.70, 0.72, 0.74)):
-        values = {"accuracy": accuracy, "macro_accuracy": accuracy - 0.01}
-        results.put(challenge_page.cell_key(forest, 432, seed), values, 1.0)
-    rows = [line for line in challenge.section(results).splitlines() if line.startswith("| ")][1:]
-    published = [row.split(" | ")[2] for row in rows]
-    assert published == [
-        "61.5",
-        "70.9",
-        "68.5",
-        "66.5",
-        "64.5",
-        "56.1",
-        "61.4",
-        "61.4",
-        "",
-        "72.8 (144 frames)",
-    ]
-    assert rows[1].startswith("| Ta et al. 2015 | Random forest | 70.9 | 72.0 ± 2.0 | 71.0 ± 2.0 | not run |")
-
-
-def test_the_page_names_what_is_not_run_to_the_end_and_nothing_once_all_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    machine = next(system for system in SYSTEMS if system.key == "ta-svm")
-    monkeypatch.setattr(challenge_page, "SYSTEMS", (machine,))
-    results = Results(tmp_path / "report.json")
-    assert "Not run to the end, for want of time: Ta et al. 2015, SVM." in challenge.section(results)
-    for frames in challenge_page.LENGTHS:
-        values = {"accuracy": 0.5, "macro_accuracy": 0.5}
-        results.put(challenge_page.cell_key(machine, frames, 0), values, 1.0)
-    assert "ot run" not in challenge.section(results)
-
-
-def test_the_picture_is_drawn_from_what_is_measured_so_far(tmp_path: Path) -> None:
-    challenge.draw(Results(tmp_path / "report.json"), tmp_path)
-    assert (tmp_path / challenge_page.PICTURE).stat().st_size > 1000
 
 
 @needs_haart
 def test_every_stored_figure_is_that_of_the_stored_answers() -> None:
     data = Data(Path(str(HAART)))
-    labels = {frames: haart.cut(data.test, frames).labels for frames in challenge_page.LENGTHS}
+    labels = {frames: haart.cut(data.test, frames).labels for frames in table1.LENGTHS}
     assert CELLS
     for key in CELLS:
         cell = RESULTS.get(key)
         truth = labels[int(key.split("/")[2].removeprefix("frames"))]
         assert cell["windows"] == len(truth)
-        stored = {name: cell[name] for name in challenge_page.SCORES}
-        assert challenge.scores(challenge.read(cell["answers"]), truth) == stored, key
+        stored = {name: cell[name] for name in table1.SCORES}
+        assert table1.scores(np.array(list(cell["answers"]), dtype=np.int64), truth) == stored, key
 
 
 @pytest.fixture(scope="module")
@@ -401,8 +337,8 @@ def test_a_system_trained_again_still_gives_its_figure(
 ) -> None:
     monkeypatch.undo()
     system = next(system for system in SYSTEMS if system.key == key)
-    chosen = RESULTS.get(challenge_page.chosen_key(system))
+    chosen = RESULTS.get(table1.chosen_key(system))
     ((_, named),) = system.answers(recordings, chosen, 0, (432,))
-    stored = RESULTS.get(challenge_page.cell_key(system, 432, 0))
-    measured = challenge.scores(named, haart.cut(recordings.test, 432).labels)
+    stored = RESULTS.get(table1.cell_key(system, 432, 0))
+    measured = table1.scores(named, haart.cut(recordings.test, 432).labels)
     assert measured["accuracy"] == pytest.approx(stored["accuracy"], abs=TOLERANCE)
