@@ -1,4 +1,4 @@
-"""From the shipped network and recordings of a lab to one of the lab's own, measured before and after."""
+"""Adapts the shipped network to a lab's recordings and evaluates it before and after."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import nn
 from tqdm import tqdm
 
 from drivers.recording import NO_TOUCH, Recording
-from model.adapt.backbone import Crops, Windows, crops, split, windows
+from model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
 from model.adapt.head import AdaptSettings, fit, rebuilt
 from model.adapt.measure import Answers, Comparison, compare
 from model.adapt.plan import Plan, plan
@@ -29,30 +29,30 @@ TEMPERATURE_SPREAD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
-    """The network that adapting starts from: its labels, its part that stays, its head, its temperatures."""
+class Pretrained:
+    """The network that adapting starts from: checkpoint, frozen backbone, head, temperatures."""
 
     saved: Checkpoint
-    front: TGC
+    backbone: TGC
     head: nn.Sequential
     temperatures: dict[int, float]
 
     @classmethod
-    def of(cls, saved: Checkpoint, model: Path) -> Start:
-        """Return a start; the temperatures are those in the file that the checkpoint was exported to."""
+    def of(cls, saved: Checkpoint, model: Path) -> Pretrained:
+        """Return a pretrained; the temperatures are those in the file that the checkpoint was exported to."""
         stored = Classifier.load(model).metadata.temperatures
-        front, head = split(saved.build())
-        return cls(saved, front, head, {int(length): value for length, value in stored.items()})
+        backbone, head = split(saved.build())
+        return cls(saved, backbone, head, {int(length): value for length, value in stored.items()})
 
     @classmethod
-    def shipped(cls) -> Start:
+    def shipped(cls) -> Pretrained:
         """Return the shipped network."""
         return cls.of(checkpoint.load(SHIPPED_MODEL.with_suffix(".pt")), SHIPPED_MODEL)
 
 
 @dataclass(frozen=True, eq=False)
 class Adapted:
-    """A head that has learnt from recordings, and what was measured on those left out in turn.
+    """A fine-tuned head, and what was measured on recordings left out in turn.
 
     known: the labels it began with. rehearsed: HAART's recordings were shown too.
     """
@@ -67,39 +67,47 @@ class Adapted:
 
 
 @dataclass(frozen=True, eq=False)
-class Material:
-    """What the part of the network that stays makes of recordings."""
+class Features:
+    """Recordings, with the backbone's features of their crops and windows."""
 
     recordings: Sequence[Recording]
-    shown: Crops
-    windows: Mapping[int, Windows]
+    shown: CropFeatures
+    windows: Mapping[int, WindowFeatures]
 
 
-def prepare(start: Start, recordings: Sequence[Recording], settings: AdaptSettings) -> Material:
-    """Return the recordings' crops to learn from, and their windows to be asked about."""
-    return Material(recordings, learnable(start, recordings, settings), windows(start.front, recordings))
+def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings) -> Features:
+    """Return the features of crops to learn from and of windows to evaluate."""
+    return Features(
+        recordings, learnable(pretrained, recordings, settings), windows(pretrained.backbone, recordings)
+    )
 
 
-def learnable(start: Start, recordings: Sequence[Recording], settings: AdaptSettings) -> Crops:
-    """Return recordings' crops alone."""
-    return crops(start.front, recordings, start.saved.settings.augmentation, settings.crops, settings.seed)
+def learnable(
+    pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings
+) -> CropFeatures:
+    """Return the features of crops alone."""
+    return crops(
+        pretrained.backbone, recordings, pretrained.saved.settings.augmentation, settings.crops, settings.seed
+    )
 
 
-def labels_for(start: Start, gestures: set[str], rehearses: bool) -> tuple[str, ...]:
+def labels_for(pretrained: Pretrained, gestures: set[str], rehearses: bool) -> tuple[str, ...]:
     """Return the labels of the adapted model.
 
     They are the recordings' gestures and "notouch", which the daemon counts on; with rehearsal, which keeps
-    them from being forgotten, also all that the start knows.
+    them from being forgotten, also all that the pretrained knows.
     """
-    return tuple(sorted(gestures | {NO_TOUCH} | (set(start.saved.labels) if rehearses else set())))
+    return tuple(sorted(gestures | {NO_TOUCH} | (set(pretrained.saved.labels) if rehearses else set())))
 
 
-def adapt(start: Start, material: Material, rehearsed: Crops | None, settings: AdaptSettings) -> Adapted:
+def adapt(
+    pretrained: Pretrained, material: Features, rehearsed: CropFeatures | None, settings: AdaptSettings
+) -> Adapted:
     """Adapt to all recordings, after measuring on each in turn what adapting to the others does to it."""
     gestures = {recording.gesture for recording in material.recordings}
-    labels = labels_for(start, gestures, rehearsed is not None)
-    known = start.saved.labels
-    begin = rebuilt(start.head, known, labels)
+    labels = labels_for(pretrained, gestures, rehearsed is not None)
+    known = pretrained.saved.labels
+    begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
 
     def learnt(chosen: Sequence[int]) -> nn.Sequential:
@@ -107,11 +115,11 @@ def adapt(start: Start, material: Material, rehearsed: Crops | None, settings: A
 
     planned = plan(material.recordings)
     everything = tuple(range(len(material.recordings)))
-    turns = [*(fold.learnt for fold in planned.folds), everything]
+    turns = [*(fold.trained for fold in planned.folds), everything]
     *heads, head = [
         learnt(turn) for turn in tqdm(turns, unit="head", desc="adapting", leave=False, disable=None)
     ]
-    answers = {length: _ask(begin, heads, planned, material, labels, known, length) for length in LENGTHS}
+    answers = {length: _answers(begin, heads, planned, material, labels, known, length) for length in LENGTHS}
     return Adapted(
         known=known,
         labels=labels,
@@ -119,33 +127,35 @@ def adapt(start: Start, material: Material, rehearsed: Crops | None, settings: A
         rehearsed=rehearsed is not None,
         head=head,
         temperatures={
-            length: _temperature(answers[length], material.recordings, labels, start.temperatures[length])
+            length: _temperature(
+                answers[length], material.recordings, labels, pretrained.temperatures[length]
+            )
             for length in LENGTHS
         },
         comparison=compare(answers, material.recordings, labels, known, planned.left_out),
     )
 
 
-def _ask(
+def _answers(
     begin: nn.Sequential,
     heads: Sequence[nn.Sequential],
     planned: Plan,
-    material: Material,
+    material: Features,
     labels: Sequence[str],
     known: Sequence[str],
     length: int,
 ) -> Answers:
-    """Return what is said of left-out windows before and after; each head never learnt from its own."""
+    """Return logits of left-out windows before and after; no head has learnt from its own."""
     own = material.windows[length]
     unknown = np.array([label not in known for label in labels])
     befores, afters, owners = [], [], []
     for head, fold in zip(heads, planned.folds, strict=True):
-        asked = np.isin(own.recordings, fold.asked)
-        before = logits(begin, own, asked)
+        evaluated = np.isin(own.recordings, fold.evaluated)
+        before = logits(begin, own, evaluated)
         before[:, unknown] = -np.inf
         befores.append(before)
-        afters.append(logits(head, own, asked))
-        owners.append(own.recordings[asked])
+        afters.append(logits(head, own, evaluated))
+        owners.append(own.recordings[evaluated])
     if not owners:
         nothing = np.zeros((0, len(labels)))
         return Answers(np.zeros(0, dtype=np.int64), nothing, nothing)
@@ -153,26 +163,26 @@ def _ask(
 
 
 @torch.no_grad()
-def logits(head: nn.Sequential, asked: Windows, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+def logits(head: nn.Sequential, evaluated: WindowFeatures, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return a head's logits (W, labels) of chosen windows."""
-    array: NDArray[np.float64] = head(asked.values[torch.from_numpy(chosen)]).numpy().astype(np.float64)
+    array: NDArray[np.float64] = head(evaluated.values[torch.from_numpy(chosen)]).numpy().astype(np.float64)
     return array
 
 
 def _temperature(
-    answers: Answers, recordings: Sequence[Recording], labels: Sequence[str], start: float
+    answers: Answers, recordings: Sequence[Recording], labels: Sequence[str], pretrained: float
 ) -> float:
-    """Return the likeliest temperature for left-out answers, held to the start's where they are few.
+    """Return the likeliest temperature for left-out answers, held to the pretrained's where they are few.
 
-    Windows of one recording resemble each other, so a recording counts as one answer.
+    WindowFeatures of one recording resemble each other, so a recording counts as one answer.
     """
     truth = np.array([labels.index(recordings[i].gesture) for i in answers.recordings], dtype=np.int64)
     count = len(np.unique(answers.recordings))
 
     def unlikeliness(temperature: float) -> float:
-        prior = 0.5 * (np.log(temperature / start) / TEMPERATURE_SPREAD) ** 2
+        prior = 0.5 * (np.log(temperature / pretrained) / TEMPERATURE_SPREAD) ** 2
         return float(
             prior + (count * metrics.cross_entropy(answers.after / temperature, truth) if count else 0.0)
         )
 
-    return float(min([start, *TEMPERATURES], key=unlikeliness))
+    return float(min([pretrained, *TEMPERATURES], key=unlikeliness))

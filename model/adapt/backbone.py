@@ -1,7 +1,7 @@
-"""What the part of a network that stays as it is makes of recordings, worked out once for all heads after it.
+"""Cached features of the frozen backbone.
 
-Adapting changes only the head: the dense layers behind the summary of a touch. So each crop passes the rest
-of the network once, however many heads are tried on it afterwards.
+Adapting changes only the head, the dense layers behind the summary of a touch. So each crop passes the
+backbone once, however many heads are trained on it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
-class Crops:
+class CropFeatures:
     """Summaries of varied crops: values (N, crops, 4, features), at each of LEARNT_LENGTHS.
 
     within: (N, 4) bool, whether the recording is that long. gestures: (N,) names.
@@ -38,14 +38,16 @@ class Crops:
     within: Tensor
     gestures: tuple[str, ...]
 
-    def of(self, recordings: Sequence[int]) -> Crops:
+    def of(self, recordings: Sequence[int]) -> CropFeatures:
         """Return those of some recordings."""
         chosen = torch.tensor(recordings, dtype=torch.long)
-        return Crops(self.values[chosen], self.within[chosen], tuple(self.gestures[i] for i in recordings))
+        return CropFeatures(
+            self.values[chosen], self.within[chosen], tuple(self.gestures[i] for i in recordings)
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
+class WindowFeatures:
     """Summaries of the windows of one length: values (W, features), recordings (W,) they are cut from."""
 
     values: Tensor
@@ -54,14 +56,14 @@ class Windows:
 
 def split(network: TGC) -> tuple[TGC, nn.Sequential]:
     """Return the network without its head, which then gives summaries for logits, and the head."""
-    front = copy.deepcopy(network)
-    front.dense = nn.Sequential()
-    return front.eval().requires_grad_(False), copy.deepcopy(network.dense)
+    backbone = copy.deepcopy(network)
+    backbone.dense = nn.Sequential()
+    return backbone.eval().requires_grad_(False), copy.deepcopy(network.dense)
 
 
 def crops(
-    front: TGC, recordings: Sequence[Recording], settings: AugmentationSettings, each: int, seed: int
-) -> Crops:
+    backbone: TGC, recordings: Sequence[Recording], settings: AugmentationSettings, each: int, seed: int
+) -> CropFeatures:
     """Return summaries of `each` random crops of every recording, varied as in training."""
     rng = torch.Generator().manual_seed(seed)
     counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
@@ -77,18 +79,18 @@ def crops(
             rest = counts[rests[int(torch.randint(len(rests), (1,), generator=rng))]]
             still = crop(_filled(rest, length + 1), length, msgspec.structs.replace(own, **AS_IT_IS), rng)
             windows = torch.stack([begin_from_rest(window, still, own, rng) for window in windows])
-        values.append(front.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
+        values.append(backbone.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
     lengths = torch.tensor([len(frames) for frames in counts])
     within = lengths[:, None] >= torch.tensor(LEARNT_LENGTHS)
-    return Crops(torch.stack(values), within, tuple(recording.gesture for recording in recordings))
+    return CropFeatures(torch.stack(values), within, tuple(recording.gesture for recording in recordings))
 
 
-def windows(front: TGC, recordings: Sequence[Recording]) -> dict[int, Windows]:
+def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowFeatures]:
     """Return, for each length that is answered, summaries of its windows one after the other, as HAART's."""
-    return {length: _windows(front, recordings, length) for length in LENGTHS}
+    return {length: _windows(backbone, recordings, length) for length in LENGTHS}
 
 
-def _windows(front: TGC, recordings: Sequence[Recording], length: int) -> Windows:
+def _windows(backbone: TGC, recordings: Sequence[Recording], length: int) -> WindowFeatures:
     cut = [
         (recording.counts[start : start + length], owner)
         for owner, recording in enumerate(recordings)
@@ -96,11 +98,11 @@ def _windows(front: TGC, recordings: Sequence[Recording], length: int) -> Window
     ]
     owners = np.array([owner for _, owner in cut], dtype=np.int64)
     batches = [
-        front(torch.from_numpy(np.stack([window for window, _ in cut[i : i + BATCH]]).astype(np.float32)))
+        backbone(torch.from_numpy(np.stack([window for window, _ in cut[i : i + BATCH]]).astype(np.float32)))
         for i in range(0, len(cut), BATCH)
     ]
-    features = 3 * front.settings.width
-    return Windows(torch.cat(batches) if batches else torch.zeros(0, features), owners)
+    features = 3 * backbone.settings.width
+    return WindowFeatures(torch.cat(batches) if batches else torch.zeros(0, features), owners)
 
 
 def _starts(frames: int, length: int) -> list[int]:

@@ -1,8 +1,8 @@
-"""Adapting: the head of a trained network learns from a few recordings, and is held to where it came from.
+"""Fine-tunes the head of a pretrained network on a few recordings, regularised towards where it began.
 
-The pull back to the start is a Gaussian prior on every weight (L2-SP, Li, Grandvalet and Davoine 2018). The
-fewer the recordings, the more it counts: they are evidence against a start that has seen hundreds. Which
-layers, which pull and how long was chosen on HAART's training participants left out; see docs/adapt.md.
+L2-SP (Li, Grandvalet and Davoine 2018) is a Gaussian prior on every weight around its pretrained value. The
+fewer the recordings, the more it counts. Layers, weight of the penalty and number of steps were chosen on
+HAART's training participants left out; see docs/adapt.md.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.adapt.backbone import Crops
+from model.adapt.backbone import CropFeatures
 from model.training.train import GRADIENT_LIMIT, learning_rate_at
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that decides what adapting yields, apart from the recordings and where it starts from.
 
-    crops: of each recording, varied as in training. pull: weight of the squared distance from the start,
-    shared out over the recordings; what answers for a gesture that the start did not know is not pulled.
-    rehearsed: share of each batch that shows HAART, where that is at hand; rehearsal_pull: the pull then.
+    crops: per recording, augmented as in training. l2_sp: weight of the squared distance from the pretrained
+    head, divided by the number of recordings; rows of new gestures are free. rehearsed: share of each batch
+    that shows HAART, if given; rehearsal_l2_sp: the weight then.
     """
 
     seed: int = 0
@@ -34,9 +34,9 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     batch: int = 32
     learning_rate: float = 3e-3
     label_smoothing: float = 0.05
-    pull: float = 7.0
+    l2_sp: float = msgspec.field(default=7.0, name="pull")
     rehearsed: float = 0.5
-    rehearsal_pull: float = 0.5
+    rehearsal_l2_sp: float = msgspec.field(default=0.5, name="rehearsal_pull")
 
 
 def rebuilt(head: nn.Sequential, known: Sequence[str], labels: Sequence[str]) -> nn.Sequential:
@@ -57,13 +57,13 @@ def fit(
     start: nn.Sequential,
     labels: Sequence[str],
     new: Sequence[str],
-    shown: Crops,
-    rehearsed: Crops | None,
+    shown: CropFeatures,
+    rehearsed: CropFeatures | None,
     settings: AdaptSettings,
 ) -> nn.Sequential:
     """Return a head that has learnt what is `shown`, from `start`, which stays as it is.
 
-    labels: of the head's rows. new: those that the shipped network did not know. rehearsed: what shall not be
+    labels: of the head's rows. new: those that the shipped network did not know. rehearsed: what must not be
     forgotten. The same arguments give the same head.
 
     A label that is never shown is left out of the comparison: that it is absent is no evidence against it.
@@ -72,7 +72,7 @@ def fit(
     compared = [label for label in labels if label in present]
     columns = torch.tensor([labels.index(label) for label in compared])
     head = copy.deepcopy(start).train()
-    held = _Start(start, [label in new for label in labels], settings, rehearsed is not None)
+    penalty = _L2SP(start, [label in new for label in labels], settings, rehearsed is not None)
     rng = torch.Generator().manual_seed(settings.seed)
     optimizer = torch.optim.AdamW(head.parameters(), weight_decay=0.0)
     share = settings.rehearsed if rehearsed is not None else 0.0
@@ -90,7 +90,7 @@ def fit(
                 label_smoothing=settings.label_smoothing,
                 reduction="none",
             )
-            loss = losses[within.flatten()].mean() + held.distance(head) / len(shown.gestures)
+            loss = losses[within.flatten()].mean() + penalty.distance(head) / len(shown.gestures)
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate_at(step, settings.steps, settings.learning_rate)
             optimizer.zero_grad()
@@ -100,32 +100,32 @@ def fit(
     return head.eval().requires_grad_(False)
 
 
-class _Start:
-    """Where a head began, and how strongly each of its weights is pulled back there."""
+class _L2SP:
+    """The weights that a head began with, and how strongly each is held there."""
 
     def __init__(
         self, head: nn.Sequential, is_new: Sequence[bool], settings: AdaptSettings, rehearses: bool
     ) -> None:
         self._weights = [weight.detach().clone() for weight in head.parameters()]
-        pull = settings.rehearsal_pull if rehearses else settings.pull
-        rows = torch.tensor([0.0 if new else pull for new in is_new])
+        weight = settings.rehearsal_l2_sp if rehearses else settings.l2_sp
+        rows = torch.tensor([0.0 if new else weight for new in is_new])
         last = cast(nn.Linear, head[-1])
-        self._pulls = [torch.tensor(pull) for _ in self._weights]
+        self._penalties = [torch.tensor(weight) for _ in self._weights]
         # The last layer's weight and bias are the last two.
         assert self._weights[-1].shape == last.bias.shape
-        self._pulls[-2:] = [rows[:, None], rows]
+        self._penalties[-2:] = [rows[:, None], rows]
 
     def distance(self, head: nn.Sequential) -> Tensor:
-        """Return the squared distance of a head from the start, weighted by the pulls."""
+        """Return the squared distance of a head from the pretrained one, weighted."""
         apart = [
-            (pull * (weight - before).square()).sum()
-            for pull, weight, before in zip(self._pulls, head.parameters(), self._weights, strict=True)
+            (penalty * (weight - before).square()).sum()
+            for penalty, weight, before in zip(self._penalties, head.parameters(), self._weights, strict=True)
         ]
         return torch.stack(apart).sum()
 
 
 def _draw(
-    crops: Crops, labels: Sequence[str], count: int, rng: torch.Generator
+    crops: CropFeatures, labels: Sequence[str], count: int, rng: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return values (count, 4, features), classes (count,) and within (count, 4) of crops drawn at random."""
     recordings = len(crops.gestures)

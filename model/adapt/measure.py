@@ -87,13 +87,13 @@ def compare(
 
     labels: of the logits. known: those of the shipped model.
     """
-    asked = sorted({int(i) for length in answers.values() for i in length.recordings})
+    evaluated = sorted({int(i) for length in answers.values() for i in length.recordings})
     lengths = [
         _at_length(frames, own, recordings, labels, known, left_out)
         for frames in LENGTHS
         if (own := answers.get(frames)) is not None and len(own.recordings)
     ]
-    participants = len({recordings[i].participant for i in asked})
+    participants = len({recordings[i].participant for i in evaluated})
     return Comparison(left_out=left_out, participants=participants, lengths=lengths)
 
 
@@ -106,12 +106,12 @@ def _at_length(
     left_out: LeftOut,
 ) -> LengthFigures:
     truth = np.array([labels.index(recordings[i].gesture) for i in answers.recordings])
-    asked = np.unique(answers.recordings)
-    before = _shares(answers.before.argmax(axis=1) == truth, answers.recordings, asked)
-    after = _shares(answers.after.argmax(axis=1) == truth, answers.recordings, asked)
-    gesture = np.array([recordings[i].gesture for i in asked])
-    participant = np.array([recordings[i].participant for i in asked])
-    everything = np.ones(len(asked), dtype=bool)
+    evaluated = np.unique(answers.recordings)
+    before = _shares(answers.before.argmax(axis=1) == truth, answers.recordings, evaluated)
+    after = _shares(answers.after.argmax(axis=1) == truth, answers.recordings, evaluated)
+    gesture = np.array([recordings[i].gesture for i in evaluated])
+    participant = np.array([recordings[i].participant for i in evaluated])
+    everything = np.ones(len(evaluated), dtype=bool)
     in_both = np.isin(gesture, known)
 
     def strata(shares: Floats, chosen: NDArray[np.bool_]) -> list[Floats]:
@@ -169,9 +169,9 @@ def wilson_interval(right: float, trials: int) -> tuple[float, float]:
     return max(0.0, middle - reach), min(1.0, middle + reach)
 
 
-def _shares(right: NDArray[np.bool_], owners: NDArray[np.int64], asked: NDArray[np.int64]) -> Floats:
-    """Return each asked recording's share of right windows."""
-    return np.array([right[owners == recording].mean() for recording in asked], dtype=np.float64)
+def _shares(right: NDArray[np.bool_], owners: NDArray[np.int64], evaluated: NDArray[np.int64]) -> Floats:
+    """Return each evaluated recording's share of right windows."""
+    return np.array([right[owners == recording].mean() for recording in evaluated], dtype=np.float64)
 
 
 def _by(names: NDArray[np.str_], values: NDArray[np.generic]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Who is left out in turn, so that what is measured is said of recordings that nothing was learnt from.
+"""Cross-validation folds: who is left out in turn.
 
 With two participants or more, whole participants; with one, recordings. Never are windows of one recording on
 both sides. A recording counts only where the gesture was learnt from another one on the other side.
@@ -19,23 +19,23 @@ MOST_RECORDING_FOLDS = 4
 
 @dataclass(frozen=True)
 class Fold:
-    """Recordings, by their number: those learnt from, and those that are left out and then asked about."""
+    """Recordings by number: those trained on, and those left out and evaluated."""
 
-    learnt: tuple[int, ...]
-    asked: tuple[int, ...]
+    trained: tuple[int, ...]
+    evaluated: tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is left out in turn, and in which folds."""
+    """What is left out, and the folds."""
 
     left_out: LeftOut
     folds: tuple[Fold, ...]
 
     @property
-    def asked(self) -> list[int]:
-        """Return every recording that is asked about."""
-        return [i for fold in self.folds for i in fold.asked]
+    def evaluated(self) -> list[int]:
+        """Return every recording that is evaluated."""
+        return [i for fold in self.folds for i in fold.evaluated]
 
 
 def plan(recordings: Sequence[Recording]) -> Plan:
@@ -49,7 +49,7 @@ def plan(recordings: Sequence[Recording]) -> Plan:
             participants.index(recording.participant) % MOST_PARTICIPANT_FOLDS for recording in recordings
         ]
     folds = [_fold(recordings, fold_of, fold) for fold in sorted(set(fold_of))]
-    useful = tuple(fold for fold in folds if fold.asked)
+    useful = tuple(fold for fold in folds if fold.evaluated)
     return Plan(left_out if useful else "nothing", useful)
 
 
@@ -65,12 +65,12 @@ def _deal_recordings(recordings: Sequence[Recording]) -> list[int]:
 
 
 def _fold(recordings: Sequence[Recording], fold_of: Sequence[int], fold: int) -> Fold:
-    learnt = tuple(i for i, own in enumerate(fold_of) if own != fold)
-    gestures = {recordings[i].gesture for i in learnt}
+    trained = tuple(i for i, own in enumerate(fold_of) if own != fold)
+    gestures = {recordings[i].gesture for i in trained}
     # Told from nothing else, any gesture would be right.
-    asked = tuple(
+    evaluated = tuple(
         i
         for i, own in enumerate(fold_of)
         if own == fold and recordings[i].gesture in gestures and len(gestures) > 1
     )
-    return Fold(learnt, asked)
+    return Fold(trained, evaluated)

@@ -13,7 +13,7 @@ import torch
 
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
-from model.adapt.adapt import Adapted, Start, adapt, learnable, prepare
+from model.adapt.adapt import Adapted, Pretrained, adapt, learnable, prepare
 from model.adapt.folder import read_folder
 from model.adapt.head import AdaptSettings
 from model.classifier import SHIPPED_MODEL, ModelMetadata
@@ -39,15 +39,15 @@ def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings:
     OutputError before any work where `output` cannot be written.
     """
     check_output(output)
-    start = Start.shipped()
-    recordings = read_folder(extra, start.saved.labels)
+    pretrained = Pretrained.shipped()
+    recordings = read_folder(extra, pretrained.saved.labels)
     rehearsed = None
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
         if haart_folder is not None:
-            rehearsed = learnable(start, haart.realigned(haart.read_training(haart_folder)), settings)
-        adapted = adapt(start, prepare(start, recordings, settings), rehearsed, settings)
-    write(start, adapted, output, settings)
+            rehearsed = learnable(pretrained, haart.realigned(haart.read_training(haart_folder)), settings)
+        adapted = adapt(pretrained, prepare(pretrained, recordings, settings), rehearsed, settings)
+    write(pretrained, adapted, output, settings)
     return adapted
 
 
@@ -61,10 +61,10 @@ def check_output(output: Path) -> None:
         raise OutputError(f"{output.parent}: nothing can be written there; give another --output")
 
 
-def write(start: Start, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
+def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
     """Write the network, with what it is and how good it is, whole or not at all. Raises OutputError."""
-    network = TGC(start.saved.settings.network, len(adapted.labels))
-    network.load_state_dict({**start.front.state_dict(), **_named("dense", adapted.head)})
+    network = TGC(pretrained.saved.settings.network, len(adapted.labels))
+    network.load_state_dict({**pretrained.backbone.state_dict(), **_named("dense", adapted.head)})
     metadata = ModelMetadata(
         name=output.stem,
         labels=adapted.labels,
@@ -74,7 +74,7 @@ def write(start: Start, adapted: Adapted, output: Path, settings: AdaptSettings)
         max_length=MAX_LENGTH,
         temperatures={str(length): round(value, 4) for length, value in adapted.temperatures.items()},
         training={
-            **msgspec.to_builtins(start.saved.settings),
+            **msgspec.to_builtins(pretrained.saved.settings),
             "adapted": {
                 "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
                 "settings": msgspec.to_builtins(settings),

@@ -27,7 +27,7 @@ from daemon.events import decode  # noqa: E402
 from daemon.terminal.view import View  # noqa: E402
 from drivers.fakes.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
-from model.adapt.adapt import Material, Start, adapt, prepare  # noqa: E402
+from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
 from model.adapt.backbone import crops, windows  # noqa: E402
 from model.adapt.folder import ExtraError, read_folder  # noqa: E402
 from model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
@@ -78,13 +78,13 @@ def weights(head: torch.nn.Module) -> torch.Tensor:
 
 
 @pytest.fixture(scope="module")
-def start() -> Start:
-    return Start.shipped()
+def pretrained() -> Pretrained:
+    return Pretrained.shipped()
 
 
 @pytest.fixture(scope="module")
-def material(start: Start) -> Material:
-    return prepare(start, simulated(("Ann", "Bo"), 2), SETTINGS)
+def material(pretrained: Pretrained) -> Features:
+    return prepare(pretrained, simulated(("Ann", "Bo"), 2), SETTINGS)
 
 
 # --- the whole way, as a lab goes it ---
@@ -203,25 +203,27 @@ def test_nothing_that_is_there_is_written_over(
 # --- what is learnt ---
 
 
-def test_the_same_recordings_and_seed_give_the_same_model(start: Start, material: Material) -> None:
-    again = prepare(start, material.recordings, SETTINGS)
-    one, other = (adapt(start, each, None, SETTINGS) for each in (material, again))
+def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained, material: Features) -> None:
+    again = prepare(pretrained, material.recordings, SETTINGS)
+    one, other = (adapt(pretrained, each, None, SETTINGS) for each in (material, again))
     assert torch.equal(weights(one.head), weights(other.head))
     assert one.temperatures == other.temperatures
     assert one.comparison == other.comparison
 
 
-def test_known_gestures_keep_their_rows_and_a_new_one_begins_as_their_mean(start: Start) -> None:
-    known = start.saved.labels
-    head = rebuilt(start.head, known, ("hug", "pat", "notouch"))
-    assert torch.equal(head[-1].weight[1], start.head[-1].weight[known.index("pat")])
-    assert torch.equal(head[-1].bias[2], start.head[-1].bias[known.index("notouch")])
-    assert torch.allclose(head[-1].weight[0], start.head[-1].weight.mean(dim=0))
+def test_known_gestures_keep_their_rows_and_a_new_one_begins_as_their_mean(pretrained: Pretrained) -> None:
+    known = pretrained.saved.labels
+    head = rebuilt(pretrained.head, known, ("hug", "pat", "notouch"))
+    assert torch.equal(head[-1].weight[1], pretrained.head[-1].weight[known.index("pat")])
+    assert torch.equal(head[-1].bias[2], pretrained.head[-1].bias[known.index("notouch")])
+    assert torch.allclose(head[-1].weight[0], pretrained.head[-1].weight.mean(dim=0))
 
 
-def test_the_fewer_the_recordings_the_less_a_network_moves(start: Start, material: Material) -> None:
+def test_the_fewer_the_recordings_the_less_a_network_moves(
+    pretrained: Pretrained, material: Features
+) -> None:
     labels = tuple(sorted(DONE))
-    begin = rebuilt(start.head, start.saved.labels, labels)
+    begin = rebuilt(pretrained.head, pretrained.saved.labels, labels)
     moved = [
         float(
             (
@@ -233,40 +235,42 @@ def test_the_fewer_the_recordings_the_less_a_network_moves(start: Start, materia
     assert moved[0] < moved[1]
 
 
-def test_a_gesture_that_is_never_shown_is_not_unlearnt(start: Start, material: Material) -> None:
+def test_a_gesture_that_is_never_shown_is_not_unlearnt(pretrained: Pretrained, material: Features) -> None:
     """A lab that recorded no pad at rest keeps what the shipped model knows of it."""
     touching = [i for i, recording in enumerate(material.recordings) if recording.gesture != "notouch"]
     recordings = [material.recordings[i] for i in touching]
-    adapted = adapt(start, prepare(start, recordings, SETTINGS), None, SETTINGS)
+    adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
     assert "notouch" in adapted.labels
     resting = [recording for recording in material.recordings if recording.gesture == "notouch"]
     with torch.no_grad():
-        answers = adapted.head(windows(start.front, resting)[144].values).argmax(dim=1)
+        answers = adapted.head(windows(pretrained.backbone, resting)[144].values).argmax(dim=1)
     assert {adapted.labels[i] for i in answers.tolist()} == {"notouch"}
     assert any("No recording of notouch" in line for line in report_lines(adapted))
 
 
-def test_rehearsal_keeps_the_gestures_that_the_folder_lacks(start: Start, material: Material) -> None:
+def test_rehearsal_keeps_the_gestures_that_the_folder_lacks(
+    pretrained: Pretrained, material: Features
+) -> None:
     haart_like = crops(
-        start.front,
-        simulated(("P3",), 2, start.saved.labels),
-        start.saved.settings.augmentation,
+        pretrained.backbone,
+        simulated(("P3",), 2, pretrained.saved.labels),
+        pretrained.saved.settings.augmentation,
         SETTINGS.crops,
         seed=0,
     )
-    adapted = adapt(start, material, haart_like, SETTINGS)
-    assert adapted.labels == tuple(sorted({"hug", *start.saved.labels}))
+    adapted = adapt(pretrained, material, haart_like, SETTINGS)
+    assert adapted.labels == tuple(sorted({"hug", *pretrained.saved.labels}))
     assert not any("no longer knows" in line for line in report_lines(adapted))
 
 
-def test_touches_too_short_for_the_later_answers_are_learnt_from_all_the_same(start: Start) -> None:
+def test_touches_too_short_for_the_later_answers_are_learnt_from_all_the_same(pretrained: Pretrained) -> None:
     short = [
         replace(recording, counts=recording.counts[:70], sensor_ms=recording.sensor_ms[:70])
         for recording in simulated(("Ann",), 2, ("pat", "hug"))
     ]
-    adapted = adapt(start, prepare(start, short, SETTINGS), None, SETTINGS)
+    adapted = adapt(pretrained, prepare(pretrained, short, SETTINGS), None, SETTINGS)
     assert [row.frames for row in adapted.comparison.lengths] == [54]
-    assert adapted.temperatures[144] == start.temperatures[144]
+    assert adapted.temperatures[144] == pretrained.temperatures[144]
 
 
 # --- what is measured ---
@@ -284,19 +288,19 @@ def test_with_two_participants_whole_participants_are_left_out() -> None:
     recordings = labelled(("A", "pat"), ("B", "pat"), ("A", "hug"), ("B", "hug"))
     planned = plan(recordings)
     assert planned.left_out == "participants"
-    assert {(fold.learnt, fold.asked) for fold in planned.folds} == {((1, 3), (0, 2)), ((0, 2), (1, 3))}
+    assert {(fold.trained, fold.evaluated) for fold in planned.folds} == {((1, 3), (0, 2)), ((0, 2), (1, 3))}
 
 
 def test_with_one_participant_whole_recordings_are_left_out() -> None:
     planned = plan(labelled(*[("A", "pat"), ("A", "hug")] * 3))
     assert planned.left_out == "recordings"
-    assert sorted(planned.asked) == list(range(6))
-    assert all(not set(fold.learnt) & set(fold.asked) for fold in planned.folds)
+    assert sorted(planned.evaluated) == list(range(6))
+    assert all(not set(fold.trained) & set(fold.evaluated) for fold in planned.folds)
 
 
 def test_a_gesture_is_asked_about_only_where_it_was_learnt_from_another() -> None:
     planned = plan(labelled(("A", "pat"), ("B", "pat"), ("A", "rub"), ("B", "rub"), ("B", "hug")))
-    assert sorted(planned.asked) == [0, 1, 2, 3]
+    assert sorted(planned.evaluated) == [0, 1, 2, 3]
 
 
 def test_one_recording_a_gesture_leaves_nothing_out() -> None:
@@ -348,10 +352,10 @@ def test_three_right_of_three_may_still_be_a_coin() -> None:
     ],
 )
 def test_too_little_is_said_to_be_too_little(
-    start: Start, participants: Sequence[str], each: int, said: str
+    pretrained: Pretrained, participants: Sequence[str], each: int, said: str
 ) -> None:
     recordings = simulated(participants, each, ("pat", "hug"))
-    adapted = adapt(start, prepare(start, recordings, SETTINGS), None, SETTINGS)
+    adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
     assert said in " ".join(" ".join(report_lines(adapted)).split())
 
 

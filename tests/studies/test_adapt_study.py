@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +12,11 @@ from rigs.haart_folder import HAART, needs_haart
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = pytest.mark.timeout(120)
 
-from docs.studies.adapting.cells import DRAWS, FILE_NAME, KS, TEST_PARTICIPANTS, Study, read, write  # noqa: E402
-from docs.studies.adapting.figures import gains  # noqa: E402
-from docs.studies.adapting.page import page_lines  # noqa: E402
-from docs.studies.adapting.score import draw, score  # noqa: E402
-from model.adapt.adapt import Start, adapt, prepare  # noqa: E402
+from docs.studies.adapting.cells import DRAWS, FILE_NAME, SHOTS, TEST_PARTICIPANTS, Measured, read, write  # noqa: E402
+from docs.studies.adapting.page import gains, tables  # noqa: E402
+from docs.studies.adapting.study import draw, score  # noqa: E402
+from docs.studies.marked import fill  # noqa: E402
+from model.adapt.adapt import Pretrained, adapt, prepare  # noqa: E402
 from model.adapt.backbone import windows  # noqa: E402
 from model.adapt.head import AdaptSettings  # noqa: E402
 from model.settings import LENGTHS  # noqa: E402
@@ -30,35 +31,38 @@ TOLERANCE = 0.02
 
 
 @pytest.fixture(scope="module")
-def study() -> Study:
+def study() -> Measured:
     return read(DOCS / FILE_NAME)
 
 
-def test_the_figures_are_those_of_the_settings_that_ship(study: Study) -> None:
+def test_the_figures_are_those_of_the_settings_that_ship(study: Measured) -> None:
     assert study.settings == AdaptSettings()
 
 
-def test_everybody_was_measured_with_every_number_of_recordings_with_and_without_haart(study: Study) -> None:
+def test_everybody_was_measured_in_every_setting(study: Measured) -> None:
     people = {name for fold in read_recipe().folds for name in fold} | set(TEST_PARTICIPANTS)
     assert {(cell.participant, cell.draw, cell.each, cell.rehearsed) for cell in study.cells} == {
         (name, number, each, rehearsed)
         for name in people
         for number in range(DRAWS)
-        for each in KS
+        for each in SHOTS
         for rehearsed in (False, True)
     }
 
 
-def test_the_page_says_what_was_measured(study: Study) -> None:
-    assert (DOCS / "adapt.md").read_text(encoding="utf-8") == "\n".join(page_lines(study)) + "\n"
+def test_the_page_says_what_was_measured(study: Measured, tmp_path: Path) -> None:
+    again = tmp_path / "adapt.md"
+    shutil.copy(DOCS / "adapt.md", again)
+    fill(again, tables(study))
+    assert again.read_text(encoding="utf-8") == (DOCS / "adapt.md").read_text(encoding="utf-8")
 
 
-def test_the_figures_survive_their_file(study: Study, tmp_path: Path) -> None:
+def test_the_figures_survive_their_file(study: Measured, tmp_path: Path) -> None:
     write(study, tmp_path / FILE_NAME)
     assert read(tmp_path / FILE_NAME) == study
 
 
-def test_the_person_adapted_to_gains_and_rehearsal_spares_the_others(study: Study) -> None:
+def test_the_person_adapted_to_gains_and_rehearsal_spares_the_others(study: Measured) -> None:
     """What the page claims, and what the settings were chosen for."""
     training = [cell for cell in study.cells if cell.participant not in TEST_PARTICIPANTS]
     of = {(row.each, row.rehearsed, row.frames): row for row in gains(training)}
@@ -70,7 +74,7 @@ def test_the_person_adapted_to_gains_and_rehearsal_spares_the_others(study: Stud
 
 @pytest.mark.slow
 @needs_haart
-def test_a_sample_of_the_figures_holds_when_measured_again(study: Study) -> None:
+def test_a_sample_of_the_figures_holds_when_measured_again(study: Measured) -> None:
     name, number, each = SAMPLE
     (cell,) = [
         cell
@@ -78,14 +82,18 @@ def test_a_sample_of_the_figures_holds_when_measured_again(study: Study) -> None
         if (cell.participant, cell.draw, cell.each, cell.rehearsed) == (*SAMPLE, False)
     ]
     with one_torch_thread():
-        start = Start.shipped()
+        pretrained = Pretrained.shipped()
         own = haart.only(haart.realigned(haart.read_test(Path(str(HAART)))), (name,))
         first, rest = draw(own, name, number)
         chosen = [own[i] for gesture in first for i in gesture[:each]]
-        adapted = adapt(start, prepare(start, chosen, study.settings), None, study.settings)
-        asked = [own[i] for i in rest]
+        adapted = adapt(pretrained, prepare(pretrained, chosen, study.settings), None, study.settings)
+        evaluated = [own[i] for i in rest]
         again = score(
-            adapted.head, adapted.temperatures, asked, windows(start.front, asked), np.arange(len(asked))
+            adapted.head,
+            adapted.temperatures,
+            evaluated,
+            windows(pretrained.backbone, evaluated),
+            np.arange(len(evaluated)),
         )
     for frames, accuracy in cell.own_after.accuracy.items():
         assert again.accuracy[frames] == pytest.approx(accuracy, abs=TOLERANCE)

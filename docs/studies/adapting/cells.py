@@ -8,7 +8,7 @@ import msgspec
 
 from model.adapt.head import AdaptSettings
 
-KS = (1, 2, 4)
+SHOTS = (1, 2, 4)
 """Recordings a gesture that are adapted to; all others of that person's that are in no draw's first four."""
 DRAWS = 3
 PULLS = (0.0, 2.0, 7.0, 20.0)
@@ -16,14 +16,14 @@ TEST_PARTICIPANTS = ("T1", "T2", "T9")
 FILE_NAME = "adapt.json"
 
 
-class Score(msgspec.Struct, frozen=True, kw_only=True):
+class Accuracy(msgspec.Struct, frozen=True, kw_only=True):
     """Macro accuracy by frames, and the calibration error after 144."""
 
     accuracy: dict[str, float]
     calibration_error: float
 
 
-class Cell(msgspec.Struct, frozen=True, kw_only=True):
+class Trial(msgspec.Struct, frozen=True, kw_only=True):
     """One network adapted to `each` recordings a gesture of one participant that it never saw.
 
     own: that participant's other recordings; others: those of others that it never saw either. told: what
@@ -35,10 +35,10 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     draw: int
     each: int
     rehearsed: bool
-    own_before: Score
-    own_after: Score
-    others_before: Score
-    others_after: Score
+    own_before: Accuracy
+    own_after: Accuracy
+    others_before: Accuracy
+    others_after: Accuracy
     told: tuple[float, float, float] | None
 
 
@@ -75,12 +75,12 @@ class OtherPad(msgspec.Struct, frozen=True, kw_only=True):
     after: dict[str, float]
 
 
-class Study(msgspec.Struct, kw_only=True):
+class Measured(msgspec.Struct, kw_only=True):
     """Everything measured so far. done: participants of whom there is nothing left to measure."""
 
     settings: AdaptSettings
     done: list[str] = []
-    cells: list[Cell] = []
+    cells: list[Trial] = []
     new_gestures: list[NewGesture] = []
     pulls: list[Pull] = []
     pads: list[OtherPad] = []
@@ -91,12 +91,12 @@ class Study(msgspec.Struct, kw_only=True):
         return any((cell.participant, cell.draw, cell.rehearsed) == key for cell in self.cells)
 
 
-def read(path: Path) -> Study:
+def read(path: Path) -> Measured:
     """Read a file of figures."""
-    return msgspec.json.decode(path.read_bytes(), type=Study)
+    return msgspec.json.decode(path.read_bytes(), type=Measured)
 
 
-def write(study: Study, path: Path) -> None:
+def write(study: Measured, path: Path) -> None:
     """Write a file of figures, one cell a line."""
 
     def text(value: object) -> str:

@@ -1,243 +1,282 @@
-"""The page on adapting: how it is used, and the study's figures as tables and a picture for people."""
+"""The adapting study's figures as tables and a picture of docs/adapt.md, summed over participants."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
 import numpy as np
 
-from docs.studies.adapting.cells import DRAWS, KS, TEST_PARTICIPANTS, Study
-from docs.studies.adapting.figures import (
-    Gain,
-    Spread,
-    gains,
-    new_gesture_rows,
-    pad_rows,
-    pull_rows,
-    verdicts,
-)
-from docs.studies.adapting.picture import draw
+from docs.studies.adapting.cells import PULLS, SHOTS, TEST_PARTICIPANTS, Measured, Trial
+from docs.studies.marked import table
+from model.adapt.measure import Floats, mean_interval
 from model.settings import LENGTHS
 
-INTRODUCTION = """# Making the model yours
-
-`touchd train --extra FOLDER` adapts the shipped model to recordings of your own: another pad, other people,
-other gestures. It needs the extra `train`, no GPU and not HAART.
-
-```sh
-touchd record lab --gestures constant,notouch,hug,pat,stroke --rounds 4    # once for each participant
-touchd train --extra lab --output lab.onnx
-```
-
-Then put `model: lab.onnx` into `touchd.yaml`; for the service, which sees no home folders, copy the file to
-`/etc/touchd` first (`sudo install -m 644 lab.onnx /etc/touchd/`), then `sudo systemctl reload touchd`. The
-shipped model stays where it is, and no file is written over. Touches kept by the daemon and labelled with
-`touchd record --from-journal` may lie in the same folder.
-
-It took 16 s of processor time for 7 recordings, 20 s for 72 by three participants, and 16 s more with
-`--haart` (`time touchd train --extra FOLDER`, on a busy machine).
-
-**What it reports.** Right answers before and after, gesture by gesture, always on recordings that nothing
-was learnt from: with two participants or more, each of them is answered by a model adapted to the others;
-with one, each recording by a model adapted to other recordings. Windows of one recording are never on both
-sides.
-
-| it says | because |
-|---|---|
-| 95 % beside a gesture | Wilson interval of "after"; a recording counts once, not each of its windows |
-| 95 % interval of the difference | t interval over participants; with one participant, over recordings |
-| too little to tell | that interval holds 0, so chance alone makes such a difference |
-| one participant | nothing can be said of others, who may have become worse (see below) |
-| fewer than 3 participants | two who change alike would make the interval vanish |
-| fewer than 4 recordings | of three, all right, the interval still begins at 44 % |
-| cannot be told | one recording a gesture: none can be left out |
-| worse than the shipped model | the interval lies below 0; the file is written, and better not used |
-
-**What happens to the gestures.** The new model knows those in the folder, and `notouch`, which the daemon
-counts on. A known gesture keeps its row of the last layer; a new one begins as the mean of all rows. A
-gesture that the folder lacks is dropped, unless `--haart FOLDER` rehearses HAART's recordings beside yours:
-then all are kept, and other people are forgotten less. Gestures that occur nowhere are no evidence against
-themselves: without recordings of `notouch`, what the shipped model knows of it stays.
-
-**What is learnt.** The dense layers behind the summary of a touch, from varied crops, held to where they
-were by a pull that weighs less the more recordings there are. Confidence is calibrated on what was left
-out, and stays near the shipped one where that is little. A recording lasts at least 1 s; it is laid on the
-model's 54 Hz grid by the pad's clock. The same folder and `--seed` give the same model.
-"""
-
-METHOD = """## What it does on HAART
-
-Rebuild with `python -m docs.studies adapting FOLDER`, FOLDER being HAART's; it needs the networks of `touchd
-train` that leave participants out. Each training participant is answered by the network that never saw
-anybody of the fold, adapted to 1, 2 or 4 recordings a gesture of that one participant, of various
-substrates and covers, drawn at random {draws} times. All are scored on what lies beside the first 4 of the
-draw, about 8 recordings a gesture. "Others" are people whom the network never saw either. Windows and macro
-accuracy as in [accuracy](accuracy.md). ± is the standard deviation over participants; intervals are 95 %,
-t, over participants.
-
-![What adapting to a person does](figures/adapt.png)
-"""
-
-CHOICE = """### What was chosen, and what was tried besides
-
-The pull, on the same recordings (first draw), without HAART, after 144 frames: points won for that person,
-and for others.
-"""
-
-BESIDES = """Deeper layers win no more. Measured once on the same participants, first draw, pull 7, after 144
-frames, for 1 and 4 recordings a gesture: the dense layers +0.9 and +5.6 for that person, -1.8 and -2.3 for
-others; with the transformer block too +0.3 and +6.1, -1.8 and -0.5; the whole network, 4 recordings alone,
-+6.1 and -1.0, at thirty times the work. Levelling a person's pressure was not tried: half and twice the
-counts cost the shipped network under a point, see [accuracy](accuracy.md).
-"""
+LAST = str(LENGTHS[-1])
 
 
-def write_page(study: Study, folder: Path) -> None:
-    """Write adapt.md into an existing folder, and its picture into figures/ there."""
-    (folder / "figures").mkdir(exist_ok=True)
-    draw(study, folder / "figures" / "adapt.png")
-    (folder / "adapt.md").write_text("\n".join(page_lines(study)) + "\n", encoding="utf-8")
+@dataclass(frozen=True)
+class Spread:
+    """Values of participants, in percent or points: mean, 95 % interval, standard deviation."""
+
+    mean: float
+    low: float
+    high: float
+    sd: float
+
+    @classmethod
+    def of(cls, values: Floats) -> Spread:
+        """Return the spread of one value a participant."""
+        interval = mean_interval([values])
+        assert interval is not None
+        return cls(float(values.mean()), *interval, float(values.std(ddof=1)))
+
+    @property
+    def interval(self) -> str:
+        """The interval in words."""
+        return f"{self.low:+.1f} to {self.high:+.1f}"
 
 
-def page_lines(study: Study) -> Iterable[str]:
-    """Yield the page's lines."""
-    yield INTRODUCTION
-    yield from _in_short(study)
-    yield METHOD.format(draws=DRAWS)
-    training = [cell for cell in study.cells if cell.participant not in TEST_PARTICIPANTS]
+@dataclass(frozen=True)
+class Gain:
+    """What adapting to `each` recordings a gesture changed at one length.
+
+    own: of the participant's other recordings; others: of other people's. sd_draws: deviation of the gain
+    over the draws of one participant.
+    """
+
+    each: int
+    rehearsed: bool
+    frames: int
+    before: Spread
+    after: Spread
+    own: Spread
+    others: Spread
+    sd_draws: float
+    calibration: str
+
+
+def tables(study: Measured) -> dict[str, str]:
+    """Return the page's tables by their places."""
+    training = _training(study)
     test = [cell for cell in study.cells if cell.participant in TEST_PARTICIPANTS]
-    for heading, cells in (
-        ("Training participants, left out", training),
-        ("Test participants, the shipped network, once", test),
-    ):
-        yield f"### {heading}"
-        yield ""
-        yield from _gain_table(gains(cells))
-    yield "### Each participant, after 144 frames"
-    yield ""
-    yield from _people_table(study)
-    yield "### What the command itself would have said"
-    yield ""
-    yield "From the 2 or 4 recordings a gesture alone, without HAART, after 144 frames; and what was so on"
-    yield "all others of that person's. With 1 none can be left out, and it says that it cannot tell."
-    yield ""
-    yield "| a gesture | it said | how often | truly better | mean difference there |"
-    yield "|---|---|---|---|---|"
-    for verdict in verdicts(study.cells):
-        yield (
-            f"| {verdict.each} | {verdict.said} | {verdict.times} of {verdict.out_of} "
-            f"| {verdict.truly_better} of {verdict.times} | {verdict.mean_difference:+.1f} |"
-        )
-    yield ""
-    yield "### New people, on this pad and on another"
-    yield ""
-    yield "Adapted to 4 recordings a gesture of each of the others in the fold, asked about a training"
-    yield "participant left out; on HAART's pad, and with a row of its taxels dead."
-    yield ""
-    yield "| pad | frames | before | after | difference | 95 % interval |"
-    yield "|---|---|---|---|---|---|"
-    for on in pad_rows(study.pads):
-        yield (
-            f"| {'as it is' if on.pad == 'none' else on.pad} | {on.frames} | {on.before.mean:.1f} "
-            f"| {on.after.mean:.1f} | {on.difference.mean:+.1f} "
-            f"| {on.difference.low:+.1f} to {on.difference.high:+.1f} |"
-        )
-    yield ""
-    yield "### A new gesture"
-    yield ""
-    yield "Each touching gesture in turn was struck from the last layer and learnt anew from one participant,"
-    yield "beside the other gestures. The layers below had seen it, so a truly new one may be harder."
-    yield ""
-    yield "| a gesture | new gesture right, % | the others before, % | after, % |"
-    yield "|---|---|---|---|"
-    for new in new_gesture_rows(study.new_gestures):
-        yield f"| {new.each} | {new.right:.1f} | {new.others_before:.1f} | {new.others_after:.1f} |"
-    yield ""
-    yield CHOICE
-    yield "| pull | a gesture | that person | others |"
-    yield "|---|---|---|---|"
-    for row in pull_rows(study.pulls):
-        chosen = "**" if row.pull == study.settings.pull else ""
-        yield f"| {chosen}{row.pull:g}{chosen} | {row.each} | {row.own:+.1f} | {row.others:+.1f} |"
-    yield ""
-    yield BESIDES.rstrip()
+    return {
+        "summary": _summary(study),
+        "training": _gain_table(gains(training)),
+        "test": _gain_table(gains(test)),
+        "people": _people(study),
+        "verdicts": _verdicts(study.cells),
+        "pads": table(
+            ("pad", "frames", "before", "after", "difference", "95 % interval"),
+            [
+                (
+                    *("as it is" if pad == "none" else pad, frames),
+                    *(f"{before.mean:.1f}", f"{after.mean:.1f}", f"{gain.mean:+.1f}", gain.interval),
+                )
+                for pad, frames, before, after, gain in pad_rows(study)
+            ],
+        ),
+        "new-gestures": _new_gestures(study),
+        "pulls": _pulls(study),
+    }
 
 
-def _in_short(study: Study) -> Iterable[str]:
-    """Yield what to expect, after the last answer, in the study's own figures."""
-    training = [cell for cell in study.cells if cell.participant not in TEST_PARTICIPANTS]
-    last = [row for row in gains(training) if row.frames == LENGTHS[-1]]
-    alone, rehearsed = ([row for row in last if row.rehearsed == with_haart] for with_haart in (False, True))
-    pads = {row.pad: row for row in pad_rows(study.pads) if row.frames == LENGTHS[-1]}
-    yield "## What to expect"
-    yield ""
-    yield "Points of macro accuracy after 2.67 s, measured on HAART as told below, mean and 95 % interval:"
-    yield ""
-    yield f"| adapted to | asked about | {' | '.join(f'{each} a gesture' for each in KS)} |"
-    yield f"|---|---|{'---|' * len(KS)}"
-    for who, of_whom, rows in (
-        ("one person", "that person", [row.own for row in alone]),
-        ("one person", "others", [row.others for row in alone]),
-        ("one person, HAART rehearsed", "that person", [row.own for row in rehearsed]),
-        ("one person, HAART rehearsed", "others", [row.others for row in rehearsed]),
+def draw(study: Measured, path: Path) -> None:
+    """Draw how accuracy after the last answer moves, that person's and others', with what is adapted to."""
+    training = _training(study)
+    rows = [row for row in gains(training) if row.frames == LENGTHS[-1]]
+    figure, panels = plt.subplots(1, 2, figsize=(9.6, 3.9), layout="constrained", sharey=True)
+    places = np.arange(len(SHOTS) + 1)
+    for name in dict.fromkeys(cell.participant for cell in training):
+        alone = [cell for cell in training if cell.participant == name and not cell.rehearsed]
+        own = [np.mean([own_change(cell) for cell in alone if cell.each == each]) for each in SHOTS]
+        panels[0].plot(places, [0.0, *own], color="0.75", linewidth=1.0, zorder=1)
+        panels[0].annotate(
+            name, (places[-1], own[-1]), (4, -3), textcoords="offset points", color="0.5", size=7
+        )
+    for rehearsed, colour, beside, label in (
+        (False, "C0", -0.03, "the folder alone"),
+        (True, "C1", 0.03, "HAART rehearsed beside it"),
     ):
-        yield f"| {who} | {of_whom} | {' | '.join(_points(value) for value in rows)} |"
-    for pad, who in (
-        ("none", "one or two others"),
-        ("one dead row", "one or two others, a row of taxels dead"),
-    ):
-        yield f"| {who} | somebody new |{' |' * (len(KS) - 1)} {_points(pads[pad].difference)} |"
-    yield ""
-    yield "So it pays, on average, for those who are in the folder, though not for each of them. Others"
-    yield "lose a little, less so when HAART is rehearsed. For new people on a pad like HAART's there is"
-    yield "nothing to win: use the shipped model. A dead row is not made good by so few recordings of others."
-    yield "Another kind of pad than HAART's has not been measured."
-    yield ""
+        mine = [row for row in rows if row.rehearsed == rehearsed]
+        for axes, values in zip(panels, ([r.own for r in mine], [r.others for r in mine]), strict=True):
+            means = [0.0, *(value.mean for value in values)]
+            reaches = [0.0, *(value.mean - value.low for value in values)]
+            axes.errorbar(
+                places + beside, means, reaches, color=colour, lw=2, marker="o", ms=5, capsize=3, label=label
+            )
+    for axes, title in zip(panels, ("that person's other recordings", "other people's"), strict=True):
+        axes.axhline(0.0, color="grey", linewidth=0.6)
+        axes.set_xticks(places, [str(each) for each in (0, *SHOTS)])
+        axes.set(xlabel="recordings a gesture adapted to", title=title, xlim=(-0.2, len(SHOTS) + 0.3))
+    panels[0].set_ylabel("change after 2.67 s, points of macro accuracy")
+    panels[1].legend(loc="upper left", title="mean over 7 people, 95 % interval")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def gains(cells: Sequence[Trial]) -> list[Gain]:
+    """Return what adapting changed, by HAART rehearsed or not, number of recordings, and length."""
+    return [
+        _gain([cell for cell in cells if (cell.rehearsed, cell.each) == (rehearsed, each)], length)
+        for rehearsed in (False, True)
+        for each in SHOTS
+        for length in LENGTHS
+    ]
+
+
+def pad_rows(study: Measured) -> list[tuple[str, int, Spread, Spread, Spread]]:
+    """Return pad, frames, and before, after and difference of participants unseen on it."""
+    rows = []
+    for pad in dict.fromkeys(entry.pad for entry in study.pads):
+        own = [entry for entry in study.pads if entry.pad == pad]
+        for frames in LENGTHS:
+            before = np.array([100 * entry.before[str(frames)] for entry in own])
+            after = np.array([100 * entry.after[str(frames)] for entry in own])
+            rows.append((pad, frames, Spread.of(before), Spread.of(after), Spread.of(after - before)))
+    return rows
+
+
+def own_change(cell: Trial, key: str = LAST) -> float:
+    """Return the points that a cell's participant won or lost."""
+    return 100 * (cell.own_after.accuracy[key] - cell.own_before.accuracy[key])
+
+
+def _training(study: Measured) -> list[Trial]:
+    return [cell for cell in study.cells if cell.participant not in TEST_PARTICIPANTS]
+
+
+def _gain(cells: Sequence[Trial], frames: int) -> Gain:
+    key = str(frames)
+    names = list(dict.fromkeys(cell.participant for cell in cells))
+
+    def by_person(value: Callable[[Trial], float]) -> list[list[float]]:
+        return [[value(cell) for cell in cells if cell.participant == name] for name in names]
+
+    def spread(value: Callable[[Trial], float]) -> Spread:
+        return Spread.of(np.array([np.mean(own) for own in by_person(value)]))
+
+    before = np.mean([cell.own_before.calibration_error for cell in cells])
+    after = np.mean([cell.own_after.calibration_error for cell in cells])
+    return Gain(
+        each=cells[0].each,
+        rehearsed=cells[0].rehearsed,
+        frames=frames,
+        before=spread(lambda cell: 100 * cell.own_before.accuracy[key]),
+        after=spread(lambda cell: 100 * cell.own_after.accuracy[key]),
+        own=spread(lambda cell: own_change(cell, key)),
+        others=spread(lambda c: 100 * (c.others_after.accuracy[key] - c.others_before.accuracy[key])),
+        sd_draws=float(np.mean([np.std(own, ddof=1) for own in by_person(lambda c: own_change(c, key))])),
+        calibration=f"{before:.3f}, {after:.3f}" if key == LAST else "",
+    )
+
+
+def _summary(study: Measured) -> str:
+    last = [row for row in gains(_training(study)) if row.frames == LENGTHS[-1]]
+    rows = []
+    for who, rehearsed in (("one person", False), ("one person, HAART rehearsed", True)):
+        mine = [row for row in last if row.rehearsed == rehearsed]
+        rows.append((who, "that person", *(_points(row.own) for row in mine)))
+        rows.append((who, "others", *(_points(row.others) for row in mine)))
+    pads = {pad: difference for pad, frames, _, _, difference in pad_rows(study) if frames == LENGTHS[-1]}
+    empty = [""] * (len(SHOTS) - 1)
+    rows.append(("one or two others", "somebody new", *empty, _points(pads["none"])))
+    dead = "one or two others, a row of taxels dead"
+    rows.append((dead, "somebody new", *empty, _points(pads["one dead row"])))
+    return table(("adapted to", "evaluated on", *(f"{each} a gesture" for each in SHOTS)), rows)
 
 
 def _points(value: Spread) -> str:
-    return f"{value.mean:+.1f} ({value.low:+.1f} to {value.high:+.1f})"
+    return f"{value.mean:+.1f} ({value.interval})"
 
 
-def _gain_table(rows: Sequence[Gain]) -> Iterable[str]:
-    yield (
-        "| a gesture | HAART rehearsed | frames | before | after | difference | 95 % interval "
-        "| sd over draws | others, difference | 95 % interval | calibration error before, after |"
+def _gain_table(rows: Iterable[Gain]) -> str:
+    headings = (
+        *("a gesture", "HAART rehearsed", "frames", "before", "after", "difference", "95 % interval"),
+        *("sd over draws", "others, difference", "95 % interval", "calibration error before, after"),
     )
-    yield "|---" * 11 + "|"
-    for row in rows:
-        yield (
-            f"| {row.each} | {'yes' if row.rehearsed else 'no'} | {row.frames} "
-            f"| {row.before.mean:.1f} ± {row.before.sd:.1f} | {row.after.mean:.1f} ± {row.after.sd:.1f} "
-            f"| **{row.own.mean:+.1f}** | {row.own.low:+.1f} to {row.own.high:+.1f} | {row.sd_draws:.1f} "
-            f"| {row.others.mean:+.1f} | {row.others.low:+.1f} to {row.others.high:+.1f} "
-            f"| {row.calibration} |"
-        )
-    yield ""
+    return table(
+        headings,
+        [
+            (
+                *(row.each, _yes(row.rehearsed), row.frames),
+                *(
+                    f"{row.before.mean:.1f} ± {row.before.sd:.1f}",
+                    f"{row.after.mean:.1f} ± {row.after.sd:.1f}",
+                ),
+                *(f"**{row.own.mean:+.1f}**", row.own.interval, f"{row.sd_draws:.1f}"),
+                *(f"{row.others.mean:+.1f}", row.others.interval, row.calibration),
+            )
+            for row in rows
+        ],
+    )
 
 
-def _people_table(study: Study) -> Iterable[str]:
+def _people(study: Measured) -> str:
     names = list(dict.fromkeys(cell.participant for cell in study.cells))
-    last = str(LENGTHS[-1])
-    yield f"| HAART rehearsed | a gesture | {' | '.join(names)} |"
-    yield f"|---|---{'|---' * len(names)}|"
-    befores = [
-        np.mean([c.own_before.accuracy[last] for c in study.cells if c.participant == name]) for name in names
-    ]
-    yield f"| | 0 | {' | '.join(f'{100 * before:.1f}' for before in befores)} |"
+
+    def means(chosen: Callable[[Trial], bool], value: Callable[[Trial], float]) -> list[str]:
+        return [
+            f"{100 * np.mean([value(c) for c in study.cells if c.participant == name and chosen(c)]):.1f}"
+            for name in names
+        ]
+
+    rows = [("", 0, *means(lambda cell: True, lambda cell: cell.own_before.accuracy[LAST]))]
     for rehearsed in (False, True):
-        for each in KS:
-            afters = [
-                np.mean(
-                    [
-                        c.own_after.accuracy[last]
-                        for c in study.cells
-                        if (c.participant, c.rehearsed, c.each) == (name, rehearsed, each)
-                    ]
-                )
-                for name in names
-            ]
-            said = " | ".join(f"{100 * after:.1f}" for after in afters)
-            yield f"| {'yes' if rehearsed else 'no'} | {each} | {said} |"
-    yield ""
+        for each in SHOTS:
+            key = (rehearsed, each)
+            after = means(
+                lambda cell, key=key: (cell.rehearsed, cell.each) == key,  # type: ignore[misc]
+                lambda cell: cell.own_after.accuracy[LAST],
+            )
+            rows.append((_yes(rehearsed), each, *after))
+    return table(("HAART rehearsed", "a gesture", *names), rows)
+
+
+def _verdicts(cells: Sequence[Trial]) -> str:
+    """Return how often the command would have reported what, and how often that held on unseen recordings."""
+    rows = []
+    for each in SHOTS[1:]:
+        own = [cell for cell in cells if cell.each == each and not cell.rehearsed]
+        for verdict in ("better", "cannot tell", "worse"):
+            changes = [own_change(cell) for cell in own if _verdict(cell) == verdict]
+            if changes:
+                better = sum(change > 0 for change in changes)
+                counts = (f"{len(changes)} of {len(own)}", f"{better} of {len(changes)}")
+                rows.append((each, verdict, *counts, f"{np.mean(changes):+.1f}"))
+    return table(("a gesture", "it reported", "how often", "truly better", "mean difference there"), rows)
+
+
+def _verdict(cell: Trial) -> str:
+    if cell.told is None or cell.told[1] <= 0.0 <= cell.told[2]:
+        return "cannot tell"
+    return "better" if cell.told[1] > 0.0 else "worse"
+
+
+def _new_gestures(study: Measured) -> str:
+    rows = []
+    for each in SHOTS:
+        own = [entry for entry in study.new_gestures if entry.each == each]
+        names = ("right", "others_before", "others_after")
+        rows.append((each, *(f"{100 * np.mean([getattr(e, name) for e in own]):.1f}" for name in names)))
+    return table(("a gesture", "new gesture right, %", "the others before, %", "after, %"), rows)
+
+
+def _pulls(study: Measured) -> str:
+    rows = []
+    for pull in PULLS:
+        for each in SHOTS:
+            own = [entry for entry in study.pulls if (entry.pull, entry.each) == (pull, each)]
+            mark = "**" if pull == study.settings.l2_sp else ""
+            means = (f"{100 * np.mean([getattr(e, name) for e in own]):+.1f}" for name in ("own", "others"))
+            rows.append((f"{mark}{pull:g}{mark}", each, *means))
+    return table(("l2_sp", "a gesture", "that person", "others"), rows)
+
+
+def _yes(rehearsed: bool) -> str:
+    return "yes" if rehearsed else "no"
