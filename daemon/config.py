@@ -23,6 +23,7 @@ from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, DEFAULT_PAD, ROWS
 from drivers.pad.grid import RingSettings
 from drivers.robot.actions import ActionRule, Words
+from drivers.robot.settings import RobotSettings
 
 T = TypeVar("T", bound=msgspec.Struct)
 Keys = tuple[str, ...]
@@ -82,28 +83,6 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             )
 
 
-class RobotConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the robot is and how to log in. The token itself is never in the file.
-
-    url: tcp://host:9559, or tcps://host:9503 for NAOqi 2.9. prefix: of the ALMemory events raised.
-    user, and token_file or token_env (a file, or an environment variable, that holds the token): for tcps.
-    """
-
-    url: str
-    prefix: str = "TouchGesture"
-    user: str | None = None
-    token_file: str | None = None
-    token_env: str | None = None
-
-    def __post_init__(self) -> None:
-        if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
-            raise ValueError(
-                f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
-            )
-        if self.token_file is not None and self.token_env is not None:
-            raise ValueError("token_file and token_env are both set; keep one")
-
-
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A scene for the pipeline, and what the robot does in it: see `drivers.robot.actions`."""
 
@@ -160,7 +139,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
     scene: SceneSettings = SceneSettings()
-    robot: RobotConfig | None = None
+    robot: RobotSettings | None = None
     journal: JournalSettings | None = None
     live: LiveSettings | None = None
     mqtt: MqttSettings | None = None

@@ -1,21 +1,28 @@
-"""What the configuration says of pad, journal and robot, made into the things themselves."""
+"""What the configuration says of pad, journal, robot and live page, made into the things themselves."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+import typing
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
+from daemon.decide import ProbabilityModel
 from daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
 from daemon.kept.journal import Journal
 from daemon.kept.touch_store import TouchStore, folder_of
+from daemon.live.address import listen, require_library
+from daemon.live.scene import Scene
 from drivers.frame import Counts
 from drivers.pad.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
 from drivers.recording import RecordingError
 from drivers.robot.actions import Kind
-from drivers.robot.link import RobotLink, RobotMessage, RobotSettings, State
+from drivers.robot.link import RobotLink, RobotMessage, State
+
+if typing.TYPE_CHECKING:
+    from daemon.live.server import LiveServer
 
 BYTES_PER_MB = 1_000_000
 
@@ -58,22 +65,34 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
         now = timestamp(time.time())
         emit(RobotAction(touch=message.touch, action=kind, what=one_line(what), time=now, pad=message.pad))
 
-    robot = settings.robot
-    if robot is None:
+    if settings.robot is None:
         return None
-    return RobotLink(
-        RobotSettings(
-            url=robot.url,
-            prefix=robot.prefix,
-            user=robot.user,
-            token_file=robot.token_file,
-            token_env=robot.token_env,
-            pads={name: pad.scene.actions for name, pad in settings.pads.items()},
-            words=settings.vocabulary,
-        ),
-        report,
-        on_act=act,
-    )
+    actions = {name: pad.scene.actions for name, pad in settings.pads.items()}
+    return RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
+
+
+def scenes_of(settings: Settings, models: Mapping[str, ProbabilityModel]) -> dict[str, Scene]:
+    """Return what the live page is told of how answers are made on each pad."""
+    return {
+        name: Scene(pad.pipeline, models[name], settings.robot is not None)
+        for name, pad in settings.pads.items()
+    }
+
+
+def open_live_page(
+    settings: Settings, models: Mapping[str, ProbabilityModel], before: LiveServer | None = None
+) -> LiveServer | None:
+    """Return the server of the live page, not yet started, if one is configured; raises LiveError.
+
+    before: the server that it takes the place of.
+    """
+    if settings.live is None:
+        return None
+    require_library()
+    from daemon.live.server import LiveServer
+
+    listening = listen(settings.live, before.listening if before else None)
+    return LiveServer(listening, settings.live, scenes_of(settings, models))
 
 
 def description_of(sensor: SensorSettings) -> str:

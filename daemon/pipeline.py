@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -83,6 +82,8 @@ class Pipeline:
 
     What it says depends only on the frames, not on when or how they arrived; the times in events are the
     clock's. While nothing touches, the model is not run.
+    before: the pipeline whose place this one takes between two touches. What that knew of the pad, and the
+    numbers of touches, go on.
     """
 
     def __init__(
@@ -93,24 +94,24 @@ class Pipeline:
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,
         show: Callable[[LivePrediction], None] = lambda _: None,
+        before: Pipeline | None = None,
     ) -> None:
         self._emit = emit
         self._show = show
         self._pad = pad
         self._clock = clock or Clock()
-        self._tracker = TouchTracker(settings.touch)
-        self._ring = Ring(settings.ring, _history_frames(settings))
-        self._touches = 0
+        self._decision_settings = settings.decision
+        self._final_frames = settings.decision.answer_at_frames[-1]
+        self._model = model
+        self._tracker: TouchTracker = TouchTracker(settings.touch, before._tracker if before else None)
+        self._ring: Ring = Ring(settings.ring, _history_frames(settings), before._ring if before else None)
+        self._touches: int = before._touches if before else 0
         self._touch: Touch | None = None
-        self._changes: deque[tuple[PipelineSettings, ProbabilityModel]] = deque(maxlen=1)
-        self._take_over(settings, model)
 
-    def change(self, settings: PipelineSettings, model: ProbabilityModel) -> None:
-        """Go by other settings and another model from the next touch on; may come from any thread.
-
-        A touch that goes on ends by the old ones. What is known of the pad, and the numbers, go on.
-        """
-        self._changes.append((settings, model))
+    @property
+    def has_touch(self) -> bool:
+        """Whether a touch goes on."""
+        return self._touch is not None
 
     def on_frame(self, frame: Frame) -> None:
         """Take the sensor's next frame."""
@@ -129,16 +130,7 @@ class Pipeline:
         """End the touch that goes on, if any: no frame will come any more."""
         self._stop("stopped")
 
-    def _take_over(self, settings: PipelineSettings, model: ProbabilityModel) -> None:
-        self._decision_settings = settings.decision
-        self._final_frames = settings.decision.answer_at_frames[-1]
-        self._model = model
-        self._tracker.change(settings.touch)
-        self._ring.change(settings.ring, _history_frames(settings))
-
     def _advance(self, frame: GridFrame) -> None:
-        if self._changes and self._touch is None:
-            self._take_over(*self._changes.pop())
         match self._tracker.update(frame):
             case Onset(first_index):
                 self._begin(first_index, frame)

@@ -2,28 +2,66 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from daemon.config import Settings
+from daemon.parts import Parts
 from drivers.errors import TouchdError
 
 log = logging.getLogger(__name__)
 
 STOP_S = 0.2
+PATIENCE_S = 30.0
+
+
+class Reloader:
+    """Reads the settings again, each time in a thread of its own: one that hangs must not disable the next.
+
+    read: returns the settings. make: makes parts of them; both raise TouchdError when something is wrong.
+    use: replaces the running parts by these.
+    """
+
+    def __init__(
+        self, read: Callable[[], Settings], make: Callable[[Settings], Parts], use: Callable[[Parts], None]
+    ) -> None:
+        self._read = read
+        self._make = make
+        self._use = use
+        self._numbers = itertools.count(1)
+        self._latest = 0
+        self._one_at_a_time = threading.Lock()
+
+    def start(self) -> None:
+        """Begin to read the settings again; returns at once."""
+        self._latest = next(self._numbers)
+        threading.Thread(target=self._reload, args=(self._latest,), name="touchd-reload", daemon=True).start()
+
+    def _reload(self, number: int) -> None:
+        try:
+            settings = self._read()
+            if not self._one_at_a_time.acquire(timeout=PATIENCE_S):
+                log.warning("not reloaded: an earlier reload still waits for a touch to end, or for a file")
+                return
+            try:
+                if number == self._latest:
+                    parts = self._make(settings)
+                    self._use(parts)
+                    log.info("configuration read again; changed: %s", ", ".join(parts.changed) or "nothing")
+            finally:
+                self._one_at_a_time.release()
+        except TouchdError as error:
+            log.warning("the new configuration is refused and the old one stays: %s", error)
+        except Exception:
+            log.exception("the configuration could not be read again; the old one stays")
 
 
 @contextmanager
-def rereading(
-    asked: threading.Event, read: Callable[[], Settings], change: Callable[[Settings], Sequence[str]]
-) -> Iterator[None]:
-    """Whenever `asked` is set, read the settings again and change to them, in a thread of its own.
-
-    read: raises TouchdError when the settings are wrong. change: returns the names of what changed; raises
-    TouchdError, with nothing changed, when they cannot be used.
-    """
+def rereading(asked: threading.Event, reloader: Reloader) -> Iterator[None]:
+    """Reload whenever `asked` is set."""
     ending = threading.Event()
 
     def wait() -> None:
@@ -32,7 +70,7 @@ def rereading(
             asked.clear()
             if ending.is_set():
                 return
-            _reread(read, change)
+            reloader.start()
 
     thread = threading.Thread(target=wait, name="touchd-reread", daemon=True)
     thread.start()
@@ -42,14 +80,3 @@ def rereading(
         ending.set()
         asked.set()
         thread.join(STOP_S)
-
-
-def _reread(read: Callable[[], Settings], change: Callable[[Settings], Sequence[str]]) -> None:
-    try:
-        changed = change(read())
-    except TouchdError as error:
-        log.warning("the new configuration is refused and the old one stays: %s", error)
-    except Exception:
-        log.exception("the configuration could not be read again; the old one stays")
-    else:
-        log.info("configuration read again; changed: %s", ", ".join(changed) or "nothing")

@@ -3,286 +3,198 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import logging
 import threading
 import time
-from collections.abc import Callable
-
-import numpy as np
+import typing
+from collections.abc import Sequence
 
 from daemon.bridges.bridges import Bridges
-from daemon.config import ConfigError, SceneSettings, Settings
-from daemon.decide import NO_TOUCH
-from daemon.destinations import link_to_robot, open_journal, open_touch_stores, parser_for
-from daemon.events import UNCERTAIN, Event, LivePrediction, TouchBegan
+from daemon.config import Settings
+from daemon.destinations import scenes_of
+from daemon.events import LivePrediction
 from daemon.health import Health
-from daemon.kept.touch_sink import TouchSink
-from daemon.live.sink import LiveSink
-from daemon.pipeline import Pipeline
-from daemon.sinks import JournalSink, RobotSink, Sink
+from daemon.parts import Pad, Parts
+from daemon.sinks import EventFanout, Sink
 from drivers.errors import TouchdError
-from drivers.frame import COLUMNS, ROWS, Counts, Frame
-from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState, check_port
-from drivers.pad.watch import PadWatch
-from model.classifier import SHIPPED_MODEL, Classifier
+from drivers.frame import Frame
+from drivers.pad.sensor import SensorState
 
 # Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
 SENSORS_STOP_S = 0.6
 SINKS_STOP_S = 1.2
+REPLACED_STOP_S = 1.0
 
-
-class Outlet:
-    """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
-
-    Journal, robot, live page, kept touches and bridges are always among them, and do nothing where not
-    configured.
-    """
-
-    def __init__(self, settings: Settings) -> None:
-        self.journal = JournalSink(open_journal(settings.journal))
-        self.robot = RobotSink(None)
-        self.live = LiveSink()
-        self.kept = TouchSink(open_touch_stores(settings))
-        self.bridges = Bridges()
-        self.sinks: list[Sink] = [self.journal, self.robot, self.live, self.kept, self.bridges]
-        self.shows: list[Callable[[LivePrediction], None]] = [self.live.put_live]
-        self.touches = 0
-
-    def emit(self, event: Event) -> None:
-        """Hand an event over."""
-        self.touches += isinstance(event, TouchBegan)
-        for sink in self.sinks:
-            sink.put(event)
-
-    def show(self, frame: Frame, dropped: int, pad: str) -> None:
-        """Hand a pad's frame to the sinks that show it, and how many the daemon was too slow for so far."""
-        self.live.put_frame(frame, dropped, pad)
-        self.bridges.put_frame(frame, pad)
-
-    def show_live(self, prediction: LivePrediction) -> None:
-        """Show what the model makes of a touch to whoever looks."""
-        for show in self.shows:
-            show(prediction)
-
-    def stop(self) -> None:
-        """Stop every sink, all of them within SINKS_STOP_S."""
-        deadline_s = time.monotonic() + SINKS_STOP_S
-        for waiting, sink in zip(range(len(self.sinks), 0, -1), self.sinks, strict=True):
-            sink.stop(max(0.0, deadline_s - time.monotonic()) / waiting)
-
-
-def load_model(settings: Settings) -> Classifier:
-    """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
-    classifier = Classifier.load(settings.model_path or SHIPPED_MODEL)
-    check_fit(settings.scene, classifier)
-    # The first answer of each length takes several times longer than those after it.
-    for frames in settings.scene.answer_at_frames:
-        classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
-    return classifier
-
-
-def load_models(settings: Settings) -> dict[str, Classifier]:
-    """Load each pad's model; pads with the same file share it. Raises as `load_model` does."""
-    models: dict[str, Classifier] = {}
-    loaded: dict[str | None, Classifier] = {}
-    for name, pad in settings.pads.items():
-        if pad.model in loaded:
-            check_fit(pad.scene, loaded[pad.model])
-        else:
-            loaded[pad.model] = load_model(pad)
-        models[name] = loaded[pad.model]
-    return models
-
-
-def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
-    """Raise ConfigError when a scene asks for gestures or lengths that the model does not have."""
-    known = set(classifier.labels)
-    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}
-    for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
-        if unknown := sorted(gestures - known):
-            raise ConfigError(
-                f"{name}: {unknown[0]} is no gesture of the model {classifier.name}; "
-                f"it knows {', '.join(sorted(known - {NO_TOUCH}))}"
-            )
-    longest = classifier.metadata.max_length
-    if scene.answer_at_frames[-1] > longest:
-        raise ConfigError(
-            f"scene.answer_at_frames: {scene.answer_at_frames[-1]} is more than "
-            f"the {longest} frames that the model {classifier.name} takes"
-        )
-
-
-def check_pad(settings: Settings) -> None:
-    """Raise SensorError when the only port can never work as it is.
-
-    One that is not there, not permitted or busy is waited for: udev and other programs may be late at boot.
-    One of several pads that cannot work must not keep the others from it; its events say why.
-    """
-    if settings.sensors:
-        return
-    try:
-        check_port(settings.sensor.port, settings.sensor.baud)
-    except SensorError as error:
-        if error.kind == "unusable":
-            raise
-
-
-class Pad:
-    """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
-
-    settings: those of this pad. arrived: notified whenever something waits in the queue.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        settings: Settings,
-        model: Classifier,
-        outlet: Outlet,
-        arrived: threading.Condition,
-    ) -> None:
-        self.name = name
-        self.settings = settings
-        self.queue = FrameQueue(filled=arrived)
-        self.pipeline = Pipeline(settings.pipeline, model, outlet.emit, pad=name, show=outlet.show_live)
-        self.watch = PadWatch(name)
-        self._sensor = self._reader()
-
-    def start(self) -> None:
-        """Begin to read."""
-        self._sensor.start()
-
-    def change(self, settings: Settings, model: Classifier) -> None:
-        """Go by other settings; another port is read from now on, all else counts from the next touch on."""
-        before, self.settings = self.settings, settings
-        self.pipeline.change(settings.pipeline, model)
-        if settings.sensor == before.sensor:
-            return
-        self.stop(SENSORS_STOP_S)
-        self.queue.put(SensorState("down", f"now {settings.sensor.port} is read, as configured"))
-        self._sensor = self._reader()
-        self._sensor.start()
-
-    def stop(self, timeout_s: float) -> None:
-        """End reading."""
-        self._sensor.stop(timeout_s)
-
-    def _reader(self) -> Sensor:
-        sensor = self.settings.sensor
-        return Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
+if typing.TYPE_CHECKING:
+    from daemon.terminal.view import View
 
 
 class Service:
-    """The daemon's loop and all that it joins.
+    """The daemon's loop and all that it joins. Raises TouchdError when the settings cannot be used."""
 
-    models: for each pad. show_frame: gets the counts and the clock of each frame of the first pad.
-    """
-
-    def __init__(
-        self,
-        settings: Settings,
-        models: dict[str, Classifier],
-        outlet: Outlet,
-        health: Health,
-        show_frame: Callable[[Counts, int], None] | None = None,
-    ) -> None:
-        self._settings = settings
-        self._models = models
-        self._outlet = outlet
+    def __init__(self, settings: Settings, health: Health) -> None:
         self._health = health
-        self._show_frame = show_frame
+        self._bridges = Bridges()
+        self._more_sinks: tuple[Sink, ...] = (self._bridges,)
+        self._view: View | None = None
         self._arrived = threading.Condition()
-        self._pads = [
-            Pad(name, pad, models[name], outlet, self._arrived) for name, pad in settings.pads.items()
-        ]
+        self._numbers = itertools.count(1)
+        self._events = EventFanout()
+        self._parts = self._make(settings, None)
+        self._bridges.use(settings, self._parts.models)
+        self._pads = dict(self._parts.pads)
+        self._next: Parts | None = None
+        self._taken_over = threading.Event()
+        self._has_ended = False
+
+    def tell(self, sink: Sink) -> None:
+        """Hand a sink every event, whatever the configuration; before `run`."""
+        self._more_sinks = (*self._more_sinks, sink)
+
+    def show_on(self, view: View) -> None:
+        """Show everything on a view, with the frames of the first pad; before `run`."""
+        self.tell(view)
+        self._view = view
 
     def run(self, stop: threading.Event) -> None:
-        """Run until `stop` is set; then no pad is read any more and the touches that went on have ended."""
+        """Run until `stop` is set; then touches that went on have ended and every sink has been stopped."""
         # What was loaded stays: a collection that looks through it all would take as long as an answer may.
         gc.freeze()
-        for pad in self._pads:
-            pad.start()
+        self._events.sinks = (*self._parts.sinks, *self._more_sinks)
+        for sink in self._events.sinks:
+            sink.start()
+        for pad in self._pads.values():
+            pad.sensor.start()
         try:
             while not stop.is_set():
                 with self._arrived:
                     if not self._arrived.wait_for(self._waiting, IDLE_S):
                         self._health.idle()
                 # One item of each in turn, so that a pad that floods its queue holds up no other.
-                for pad in self._pads:
+                for pad in list(self._pads.values()):
                     self._take(pad)
-                self._health.report(self._outlet.touches, self._dropped())
+                self._health.report(self._events.touches, self._dropped())
+                if self._next is not None:
+                    self._move_on_to(self._next)
         finally:
-            until_s = time.monotonic() + SENSORS_STOP_S
-            for pad in self._pads:
-                pad.stop(max(0.0, until_s - time.monotonic()))
-            # Process frames already queued before flushing.
-            for pad in self._pads:
-                for _ in range(len(pad.queue)):
-                    self._take(pad)
-                pad.pipeline.flush()
-            self._health.end(self._outlet.touches, self._dropped())
+            self._end()
 
-    def change(self, settings: Settings) -> list[str]:
-        """Go by other settings, while `run` goes on in another thread; returns the names of what changed.
-
-        Touch, ring, scene and model count from the next touch on. Raises TouchdError when the settings cannot
-        be used; then nothing has changed.
-        """
-        before, pads = self._settings, settings.pads
-        fields = Settings.__struct_fields__
-        names = [name for name in fields if getattr(before, name) != getattr(settings, name)]
-        changed = set(names)
-        if list(pads) != [pad.name for pad in self._pads]:
-            raise ConfigError("sensors: other pads than before; restart touchd to have them read")
-        models = load_models(settings) if changed & {"model", "sensors"} else self._models
-        for name, pad in pads.items():
-            check_fit(pad.scene, models[name])
-        if settings.sensor.port != before.sensor.port:
-            check_pad(settings)
-        is_told_otherwise = bool(changed & {"robot", "sensors", "language", "words"})
-        tells_anew = is_told_otherwise or settings.scene.actions != before.scene.actions
-        link = link_to_robot(settings, self._outlet.emit) if tells_anew else None
-        keeps_anew = bool(changed & {"journal", "sensor", "sensors"})
-        stores = open_touch_stores(settings) if keeps_anew else {}
+    def make_parts(self, settings: Settings) -> Parts:
+        """Return parts for other settings; raises TouchdError, with nothing changed."""
+        parts = self._make(settings, self._parts)
         try:
-            self._outlet.live.use(settings, models)
-            self._outlet.bridges.use(settings, models)
-            # Last, since it is the one that leaves something behind; nothing after it fails.
-            journal = open_journal(settings.journal) if "journal" in names else None
+            self._bridges.use(settings, parts.models)
         except TouchdError:
-            self._outlet.live.use(before, self._models)
-            self._outlet.bridges.use(before, self._models)
+            _stop([sink for sink in parts.sinks if sink not in self._parts.sinks], 0.0)
             raise
-        self._settings, self._models = settings, models
-        logging.getLogger().setLevel(settings.log_level.upper())
-        if "journal" in names:
-            self._outlet.journal.use(journal)
-        if keeps_anew:
-            self._outlet.kept.use(stores)
-        if tells_anew:
-            self._outlet.robot.use(link)
-        for pad_line in self._pads:
-            pad_line.change(pads[pad_line.name], models[pad_line.name])
-        return names
+        return parts
+
+    def replace(self, parts: Parts) -> None:
+        """Go on with these parts, each pad from its next touch on, while `run` goes on in another thread.
+
+        Returns when all have taken over. No frame and no touch number is lost.
+        """
+        before = self._parts
+        readers = [pad.sensor for pad in parts.pads.values()]
+        readers_before = [pad.sensor for pad in before.pads.values()]
+        for pad in before.pads.values():
+            if pad.sensor not in readers:
+                pad.sensor.stop(SENSORS_STOP_S)
+                pad.queue.put(SensorState("down", "another port is read now, as configured"))
+        self._taken_over.clear()
+        self._next = parts
+        self._taken_over.wait()
+        if self._has_ended:
+            return
+        for reader in readers:
+            if reader not in readers_before:
+                reader.start()
+        # One after the other: the journal before may be the same file.
+        _stop([sink for sink in before.sinks if sink not in parts.sinks], REPLACED_STOP_S)
+        for sink in parts.sinks:
+            if sink not in before.sinks:
+                sink.start()
+
+    def _make(self, settings: Settings, before: Parts | None) -> Parts:
+        return Parts(settings, self._events.emit, self._show, self._arrived, self._numbers, before)
+
+    def _show(self, prediction: LivePrediction) -> None:
+        """Show what the model makes of a touch to whoever looks."""
+        for show in (self._parts.live, self._view):
+            if show is not None:
+                show.put_live(prediction)
+
+    def _move_on_to(self, parts: Parts) -> None:
+        """Have each pad that is between two touches go on by the new parts; then so do the sinks."""
+        for name, pad in list(self._pads.items()):
+            new = parts.pads.get(name)
+            if new is pad or pad.pipeline.has_touch or (len(pad.queue) and new is None):
+                continue
+            if new is None:
+                del self._pads[name]
+                self._health.forget(name)
+            else:
+                new.go_on_from(pad)
+                self._pads[name] = new
+        if any(parts.pads.get(name) is not pad for name, pad in self._pads.items()):
+            return
+        before, self._parts, self._next = self._parts, parts, None
+        self._pads = dict(parts.pads)
+        for sink in (parts.robot, parts.live):
+            if sink is not None and sink not in before.sinks:
+                for (_, pad_name), event in self._events.standing.items():
+                    if pad_name in ("", *parts.pads):
+                        sink.put(event)
+        self._events.sinks = (*parts.sinks, *self._more_sinks)
+        if parts.live is not None:
+            parts.live.put(scenes_of(parts.settings, parts.models))
+        logging.getLogger().setLevel(parts.settings.log_level.upper())
+        self._taken_over.set()
+
+    def _end(self) -> None:
+        self._has_ended = True
+        self._taken_over.set()
+        until_s = time.monotonic() + SENSORS_STOP_S
+        for pad in self._pads.values():
+            pad.sensor.stop(max(0.0, until_s - time.monotonic()))
+        # Process frames already queued before flushing.
+        for pad in self._pads.values():
+            for _ in range(len(pad.queue)):
+                self._take(pad)
+            pad.pipeline.flush()
+        self._health.end(self._events.touches, self._dropped())
+        _stop(self._events.sinks, SINKS_STOP_S)
 
     def _waiting(self) -> bool:
-        return any(len(pad.queue) for pad in self._pads)
+        return any(len(pad.queue) for pad in self._pads.values())
 
     def _dropped(self) -> int:
-        return sum(pad.queue.dropped for pad in self._pads)
+        return sum(pad.queue.dropped for pad in self._pads.values())
 
     def _take(self, pad: Pad) -> None:
+        parts = self._parts
         match pad.queue.get(timeout_s=0):
             case Frame() as frame:
                 # Before the events that it causes.
-                self._outlet.kept.take(frame, pad.name)
+                if parts.kept is not None:
+                    parts.kept.take(frame, pad.name)
                 pad.pipeline.on_frame(frame)
                 self._health.frame_processed(pad.name)
                 pad.watch.update(frame)
-                if self._show_frame is not None and pad is self._pads[0]:
-                    self._show_frame(frame.pressure, frame.sensor_ms)
-                self._outlet.show(frame, self._dropped(), pad.name)
+                if self._view is not None and pad.name == next(iter(self._pads)):
+                    self._view.show_frame(frame.pressure, frame.sensor_ms)
+                if parts.live is not None:
+                    parts.live.put_frame(frame, self._dropped(), pad.name)
+                self._bridges.put_frame(frame, pad.name)
             case SensorState() as state:
                 pad.pipeline.on_sensor_state(state)
                 self._health.pad_state(pad.name, state.state == "up")
+
+
+def _stop(sinks: Sequence[Sink], within_s: float) -> None:
+    """Stop sinks, all of them within that time."""
+    deadline_s = time.monotonic() + within_s
+    for waiting, sink in zip(range(len(sinks), 0, -1), sinks, strict=True):
+        sink.stop(max(0.0, deadline_s - time.monotonic()) / waiting)

@@ -109,10 +109,12 @@ class Rest:
 
 
 class TouchTracker:
-    """Follows the pad frame by frame and says when a touch begins and ends."""
+    """Follows the pad frame by frame and says when a touch begins and ends.
 
-    def __init__(self, settings: TouchSettings) -> None:
-        self.change(settings)
+    before: a tracker that this one goes on from between two touches, by other settings.
+    """
+
+    def __init__(self, settings: TouchSettings, before: TouchTracker | None = None) -> None:
         self._rest = Rest()
         self._recent: deque[Taxels] = deque(maxlen=LEARN_FRAMES)
         self._index = -1
@@ -122,9 +124,8 @@ class TouchTracker:
         self._last_index = 0
         self._still = self._rest.counts
         self._still_since = 0
-
-    def change(self, settings: TouchSettings) -> None:
-        """Go by other settings from the next frame on; what is known of the pad stays."""
+        if before is not None:
+            vars(self).update(vars(before))
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
         self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)

@@ -36,6 +36,7 @@ class Bridge(QueuedSink[Event | Frame]):
         self._log = logging.getLogger(f"daemon.bridges.{name}")
         self._was_away = False
         super().__init__(name, capacity)
+        self.start()
 
     def put_frame(self, frame: Frame) -> None:
         """Queue a frame if one is due and there is somebody to send it to; never blocks."""
@@ -48,7 +49,7 @@ class Bridge(QueuedSink[Event | Frame]):
         if len(self._items) < MOST_FRAMES:
             self.put(frame)
         else:
-            self.dropped += 1
+            self._items.dropped += 1
 
     @abstractmethod
     def open(self) -> None:

@@ -30,6 +30,9 @@ class Bridges:
         self._standing: dict[tuple[type[Event], str], Event] = {}
         self._dropped_before = 0
 
+    def start(self) -> None:
+        """Nothing is to be begun: each bridge is once it is used."""
+
     def use(self, settings: Settings, models: Mapping[str, ProbabilityModel]) -> None:
         """Have one bridge for each pad and each section that is set, from now on; from any thread.
 

@@ -16,8 +16,8 @@ from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import RosbridgeSettings
 from daemon.events import Event, Prediction, encode
 from daemon.sinks import CAPACITY
+from drivers.backoff import Backoff
 from drivers.frame import COLUMNS, ROWS, Frame
-from drivers.robot.worker import Backoff
 
 CONNECT_S = 1.0
 CLOSE_S = 0.2

@@ -23,9 +23,9 @@ from daemon.commands.numbers import within
 from daemon.config import LiveSettings, SensorSettings, Settings
 from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, epoch_s
+from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
-from daemon.service import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.frame import FRAME_RATE_HZ

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import statistics
 import sys
 import tempfile
@@ -16,7 +17,7 @@ from pathlib import Path
 
 import msgspec
 
-from daemon.config import LiveSettings, RobotConfig, SceneSettings, Settings
+from daemon.config import LiveSettings, SceneSettings, Settings
 from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
 from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
@@ -29,7 +30,7 @@ from daemon.words import Language, Vocabulary, name_of
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.fakes.services import Call
-from drivers.frame import FRAME_RATE_HZ, Counts
+from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
 from drivers.recording import Stream, read_recordings, splice
 from drivers.robot.actions import Action, ActionRule, Leds
 from drivers.robot.link import RobotLink, RobotSettings
@@ -207,18 +208,21 @@ def _play(
     forward: Callable[[Event], None] | None = None
     if qi_installed():
         robot = closing.enter_context(LoopbackRobot(say_s=SPEECH_S, on_call=show_call))
-        settings = msgspec.structs.replace(settings, robot=RobotConfig(url=robot.url))
+        settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
     else:
         # The stub lives in this process, so its link does too, fed with the daemon's events.
         stub = closing.enter_context(StubRobot(say_s=SPEECH_S, on_call=show_call))
         link = RobotLink(
-            RobotSettings(url=stub.url, actions=settings.scene.actions, words=words),
+            RobotSettings(url=stub.url),
             open_session=stub.open_session,
+            actions={DEFAULT_PAD: settings.scene.actions},
+            words=words,
             on_act=lambda message, kind, what: show.put(
                 RobotAction(touch=message.touch, action=kind, what=what, time=timestamp(time.time()))
             ),
         )
-        forward = RobotSink(link).put
+        forward = RobotSink(link, itertools.count(1)).put
+        link.start()
         closing.callback(link.stop)
     daemon = SpawnedDaemon(settings, folder, log)
     closing.callback(daemon.stop)

@@ -16,11 +16,10 @@ from pathlib import Path
 import msgspec
 
 from daemon.config import Settings, load, only_pad
-from daemon.destinations import link_to_robot
 from daemon.health import Health, Notifier
 from daemon.live.address import parse_address, urls_of
-from daemon.reread import rereading
-from daemon.service import Outlet, Service, check_pad, load_models
+from daemon.reread import Reloader, rereading
+from daemon.service import Service
 from daemon.sinks import LinesSink
 
 # How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.
@@ -82,12 +81,8 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
         )
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
-        check_pad(settings)
-        models = load_models(settings)
+        service = Service(settings, Health(notifier))
         favour_latency()
-        outlet = Outlet(settings)
-        closing.callback(outlet.stop)
-        show_frame = None
         if with_view:
             from daemon.terminal.view import View, ViewHandler
 
@@ -97,17 +92,12 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
             view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
             closing.enter_context(view)
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))
-            show_frame = view.show_frame
-            outlet.sinks.append(view)
-            outlet.shows.append(view.put_live)
+            service.show_on(view)
         else:
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
-            outlet.sinks.append(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
-        outlet.live.use(settings, models)
-        outlet.bridges.use(settings, models)
-        outlet.robot.use(link_to_robot(settings, outlet.emit))
-        service = Service(settings, models, outlet, Health(notifier), show_frame)
-        closing.enter_context(rereading(hung_up, read, service.change))
+            service.tell(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
+        reloader = Reloader(read, service.make_parts, service.replace)
+        closing.enter_context(rereading(hung_up, reloader))
         service.run(stop)
         notifier.send(STOPPING=1)
 

@@ -10,10 +10,11 @@ import numpy as np
 
 from daemon.config import ConfigError, Settings
 from daemon.doctor.check import Check
-from daemon.service import load_model
+from daemon.parts import load_model
 from drivers.frame import COLUMNS, ROWS
-from drivers.robot.link import RobotSettings, read_login
+from drivers.robot.limits import RobotLimits
 from drivers.robot.session import OpenSession, QiSession, RobotError, RobotLost, RobotRefused
+from drivers.robot.settings import RobotSettings, read_login
 from model.classifier import ModelError
 
 UNIT = "touchd"
@@ -52,10 +53,7 @@ def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Ch
     """Connect to the configured robot and ask for its version, within its limits of a few seconds."""
     if settings.robot is None:
         return Check("robot", "ok", "none is configured")
-    robot = settings.robot
-    wanted = RobotSettings(
-        url=robot.url, user=robot.user, token_file=robot.token_file, token_env=robot.token_env
-    )
+    wanted = settings.robot
     try:
         version, took_s = _ask_version(wanted, open_session)
     except RobotError as error:
@@ -73,12 +71,12 @@ def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Ch
 
 def _ask_version(wanted: RobotSettings, open_session: OpenSession) -> tuple[str, float]:
     """Return what the robot says it runs, and how long it took to hear it, in seconds."""
-    login = read_login(wanted)
-    session = open_session(wanted.url, login, wanted.limits, threading.Event())
+    login, limits = read_login(wanted), RobotLimits()
+    session = open_session(wanted.url, login, limits, threading.Event())
     begun_s = time.monotonic()
     try:
         session.connect()
-        version = session.call("ALSystem", "systemVersion", limit_s=wanted.limits.call_s)
+        version = session.call("ALSystem", "systemVersion", limit_s=limits.call_s)
         return str(version), time.monotonic() - begun_s
     finally:
         session.close()

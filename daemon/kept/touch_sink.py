@@ -6,7 +6,6 @@ work only after a touch, when the next answer is a second away or more.
 
 from __future__ import annotations
 
-import threading
 from collections import defaultdict, deque
 from collections.abc import Mapping
 
@@ -22,50 +21,38 @@ LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 CAPACITY = 8
 
 
-class TouchSink:
+class TouchSink(QueuedSink[FeltTouch]):
     """A sink that keeps the frames of touches, for the pads that have a store; for others it does nothing.
 
     Frames and the events that they cause come from one thread, a frame before its events.
     """
 
-    name = "touches"
-
     def __init__(self, stores: Mapping[str, TouchStore]) -> None:
-        self._writer = _Writer(stores)
+        super().__init__("touches", CAPACITY)
+        self._stores = stores
         self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
 
     def take(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
         """Take a pad's next frame."""
-        if pad in self._writer.stores:
+        if pad in self._stores:
             self._pads[pad].take(frame)
-        elif self._pads:
-            self._pads.pop(pad, None)
 
-    def put(self, event: Event) -> None:
+    def put(self, item: Event | FeltTouch) -> None:
         """Take note that a touch began, or have one that ended written; returns at once."""
-        match event:
-            case TouchBegan() if event.pad in self._pads:
-                self._pads[event.pad].begin(event)
-            case TouchEnded(sensor_ms=int(end_ms)) if event.pad in self._pads:
-                touch = self._pads[event.pad].end(event, end_ms)
+        match item:
+            case TouchBegan() if item.pad in self._pads:
+                self._pads[item.pad].begin(item)
+            case TouchEnded(sensor_ms=int(end_ms)) if item.pad in self._pads:
+                touch = self._pads[item.pad].end(item, end_ms)
                 if touch is not None:
-                    self._writer.put(touch)
+                    super().put(touch)
             case SensorEvent():
                 # What comes is another pad's, or of one whose clock has started anew.
-                self._pads.pop(event.pad, None)
+                self._pads.pop(item.pad, None)
 
-    def use(self, stores: Mapping[str, TouchStore]) -> None:
-        """Write to other stores from the next touch on; from any thread."""
-        self._writer.use(stores)
-
-    @property
-    def dropped(self) -> int:
-        """Touches that the disk was too slow for."""
-        return self._writer.dropped
-
-    def stop(self, timeout_s: float) -> None:
-        """Write what is queued, as far as the time allows."""
-        self._writer.stop(timeout_s)
+    def write(self, item: FeltTouch) -> None:
+        """Write one touch."""
+        self._stores[item.began.pad].add(item)
 
 
 class _PadFrames:
@@ -93,23 +80,3 @@ class _PadFrames:
         if began is None:
             return None
         return FeltTouch(began, event, frames, self._noticed, end_ms, quiet_from_ms)
-
-
-class _Writer(QueuedSink[FeltTouch]):
-    """The queue of touches, and the thread that writes them."""
-
-    def __init__(self, stores: Mapping[str, TouchStore]) -> None:
-        self.stores = stores
-        self._using = threading.Lock()
-        super().__init__("touches", CAPACITY)
-
-    def use(self, stores: Mapping[str, TouchStore]) -> None:
-        """Write to other stores from the next touch on."""
-        with self._using:
-            self.stores = stores
-
-    def write(self, item: FeltTouch) -> None:
-        """Write one touch."""
-        with self._using:
-            if store := self.stores.get(item.began.pad):
-                store.add(item)

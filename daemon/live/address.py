@@ -51,11 +51,18 @@ def require_library() -> None:
         ) from error
 
 
-def listen(settings: LiveSettings) -> socket.socket:
-    """Return a socket that listens where these settings say; raises LiveError."""
+def listen(settings: LiveSettings, beside: socket.socket | None = None) -> socket.socket:
+    """Return a socket that listens where these settings say; raises LiveError.
+
+    beside: one of ours that is to be closed, and may meanwhile listen at the same port.
+    """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     try:
-        listening = socket.create_server((settings.host, settings.port), family=family)
+        if beside is not None:
+            beside.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        listening = socket.create_server(
+            (settings.host, settings.port), family=family, reuse_port=beside is not None
+        )
     except OSError as error:
         where = f"the live page cannot listen on {settings.host} port {settings.port}"
         raise LiveError(f"{where}: {_why(error, settings.port)}") from error

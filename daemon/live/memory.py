@@ -3,27 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
 
 import msgspec
 
-from daemon.decide import ProbabilityModel
 from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from daemon.live.messages import Felt, State
-from daemon.pipeline import PipelineSettings
+from daemon.live.scene import Scene
 from drivers.frame import FRAME_RATE_HZ
 
 TOUCHES = 12
 PREDICTIONS = 24
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What answers are made with: the pipeline's settings, the model; and whether a robot is configured."""
-
-    settings: PipelineSettings
-    model: ProbabilityModel
-    robot_configured: bool
 
 
 class Memory:

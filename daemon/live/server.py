@@ -19,13 +19,15 @@ from websockets.frames import CloseCode
 
 from daemon.config import LiveSettings
 from daemon.events import Event, LivePrediction, RobotEvent
-from daemon.live.address import own_names
+from daemon.live.address import own_names, urls_of
 from daemon.live.door import Door
-from daemon.live.memory import Memory, Scene
+from daemon.live.memory import Memory
 from daemon.live.messages import Status, encode_frame, encode_message
 from daemon.live.page import Page
+from daemon.live.scene import Scene
 from daemon.live.viewers import Viewers
-from drivers.frame import Frame
+from drivers.frame import DEFAULT_PAD, Frame
+from drivers.queue import DroppingQueue
 
 log = logging.getLogger(__name__)
 
@@ -53,25 +55,33 @@ class _Shown:
 
 
 class LiveServer:
-    """Serves the page on a socket that listens already; takes events and frames from any thread, at once.
+    """A sink that serves the page on a socket that listens already; takes events and frames at once."""
 
-    dropped: events and frames that the page's thread was too slow for.
-    """
+    name = "live"
 
     def __init__(self, listening: socket.socket, settings: LiveSettings, scenes: Scenes) -> None:
-        self.dropped = 0
-        self._listening = listening
+        self.listening = listening
+        self._settings = settings
         self._pads = {name: _Shown(Memory(scene)) for name, scene in scenes.items()}
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
-        self._items: deque[Item] = deque()
-        self._lock = threading.Lock()
+        self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY)
         self._is_woken = False
         self._is_stopping = False
         self._frames_dropped = 0
         self._loop = asyncio.new_event_loop()
         self._stopping = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-live", daemon=True)
+
+    @property
+    def dropped(self) -> int:
+        """Events and frames that the page's own thread was too slow for; slow viewers do not count."""
+        return self._items.dropped
+
+    def start(self) -> None:
+        """Begin to serve."""
+        urls = urls_of(self._settings, self.listening.getsockname()[1])
+        log.info("live page: %s", " ".join(urls))
         self._thread.start()
 
     def put(self, item: Event | LivePrediction | Scenes) -> None:
@@ -80,18 +90,20 @@ class LiveServer:
         Without a frame it is shown with the next status. Waking the page's thread here would have it compete
         with passing an answer on.
         """
-        with self._lock:
-            self._queue(item)
+        self._items.put(item)
 
-    def put_frame(self, frame: Frame, dropped: int, pad: str) -> None:
+    def put_live(self, prediction: LivePrediction) -> None:
+        """Take what the model makes of a touch at this moment."""
+        self._items.put(prediction)
+
+    def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:
         """Take a frame, and how many the daemon was too slow for so far; all that was put is now shown."""
         self._pads[pad].frames += 1
         self._frames_dropped = dropped
         if not self._viewers:
             return
-        with self._lock:
-            self._queue((frame, pad))
-            was_woken, self._is_woken = self._is_woken, True
+        self._items.put((frame, pad))
+        was_woken, self._is_woken = self._is_woken, True
         if not was_woken:
             # Raised when the loop has ended.
             with suppress(RuntimeError):
@@ -102,7 +114,10 @@ class LiveServer:
         self._is_stopping = True
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._stopping.set)
-        self._thread.join(timeout_s)
+        if self._thread.ident is None:
+            self.listening.close()
+        else:
+            self._thread.join(timeout_s)
 
     def _run(self) -> None:
         try:
@@ -110,14 +125,14 @@ class LiveServer:
         except Exception:
             log.exception("the live page has failed; the daemon goes on without it")
         finally:
-            self._listening.close()
+            self.listening.close()
             self._loop.close()
 
     async def _serve(self) -> None:
         door = Door(MOST_CONNECTIONS)
         server = await serve(
             self._watch,
-            sock=self._listening,
+            sock=self.listening,
             process_request=lambda _, request: self._page.respond(request),
             create_connection=door.kind,
             compression=None,
@@ -168,17 +183,10 @@ class LiveServer:
     def _frames(self) -> dict[str, int]:
         return {name: pad.frames for name, pad in self._pads.items()}
 
-    def _queue(self, item: Item) -> None:
-        if len(self._items) == CAPACITY:
-            self._items.popleft()
-            self.dropped += 1
-        self._items.append(item)
-
     def _take(self) -> None:
         """Show all that was put since the last time."""
-        with self._lock:
-            items, self._items = self._items, deque()
-            self._is_woken = False
+        self._is_woken = False
+        items = self._items.take_all()
         for item in items:
             # A thread that still works when Python ends would take the process down with it.
             if self._is_stopping:

@@ -119,6 +119,9 @@ class View:
             redirect_stderr=False,
         )
 
+    def start(self) -> None:
+        """Nothing is to be begun: whoever enters this shows it."""
+
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Show a frame, (8, 8) counts and the sensor's clock, at the next refresh."""
         with self._lock:

@@ -24,8 +24,8 @@ from drivers.fakes.loopback_gate import Gate
 from drivers.fakes.loopback_robot import LoopbackRobot
 from drivers.fakes.services import SERVICE_NAMES, Call, fake_services
 from drivers.fakes.stub_robot import StubRobot
-from drivers.robot.link import RobotSettings, read_login
 from drivers.robot.session import Login, RobotError, load_qi
+from drivers.robot.settings import RobotSettings, read_login
 
 __all__ = ["LoopbackRobot", "StubRobot", "add_arguments", "main", "run", "serve"]
 

@@ -63,10 +63,12 @@ class GridFrame:
 
 
 class Ring:
-    """The last `capacity` grid frames; bounded, whatever comes in."""
+    """The last `capacity` grid frames; bounded, whatever comes in.
 
-    def __init__(self, settings: RingSettings, capacity: int) -> None:
-        self._max_gap_ms = settings.max_gap_s * 1000.0
+    before: a ring that this one goes on from, by other settings.
+    """
+
+    def __init__(self, settings: RingSettings, capacity: int, before: Ring | None = None) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
         self._next_index = 0
         self._sensor_ms: int | None = None
@@ -75,6 +77,9 @@ class Ring:
         self._grid_ms = 0.0
         self._phase_ms = 0.0
         self._in_step = IN_STEP_FRAMES
+        if before is not None:
+            vars(self).update(vars(before), _history=deque(before._history, maxlen=capacity))
+        self._max_gap_ms = settings.max_gap_s * 1000.0
 
     def push(self, frame: Frame) -> list[GridFrame]:
         """Take the sensor's next frame; return the grid frames that it completes, oldest first.
@@ -105,11 +110,6 @@ class Ring:
     def reset(self) -> None:
         """Take the next frame for the first of another sensor; the history and its indices stay."""
         self._sensor_ms = None
-
-    def change(self, settings: RingSettings, capacity: int) -> None:
-        """Go by other settings from the next frame on, and keep that many frames; the history stays."""
-        self._max_gap_ms = settings.max_gap_s * 1000.0
-        self._history = deque(self._history, maxlen=capacity)
 
     def frames(self, start_index: int, stop_index: int) -> list[GridFrame]:
         """Return the frames start_index <= index < stop_index; raises ValueError unless all are there.

@@ -8,12 +8,13 @@ import time
 
 import serial
 
+from drivers.backoff import Backoff
 from drivers.frame import Frame
 from drivers.pad.diagnosis import diagnose
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import Protocol
-from drivers.pad.queue import FrameQueue
 from drivers.pad.sensor_state import Announcer, SensorState
+from drivers.queue import DroppingQueue
 
 __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 
@@ -21,6 +22,17 @@ log = logging.getLogger(__name__)
 
 # Enough for a diagnosis: many frames of any geometry.
 RECENT_BYTES = 8192
+
+
+class FrameQueue(DroppingQueue[Frame | SensorState]):
+    """What the reader hands to the daemon's loop, in order; gives up the oldest frame, never a state.
+
+    Only when nothing but `capacity` states waits unread does a state go.
+    filled: notified when something is put; of several queues, one thread can wait on the same.
+    """
+
+    def __init__(self, capacity: int = 540, filled: threading.Condition | None = None) -> None:
+        super().__init__(capacity, lambda item: isinstance(item, Frame), filled)
 
 
 class Sensor:
@@ -47,8 +59,8 @@ class Sensor:
         self._baud = baud
         self._protocol = protocol
         self._queue = queue
-        self._first_retry_s = first_retry_s
         self._longest_retry_s = longest_retry_s
+        self._backoff = Backoff(first_retry_s, longest_retry_s)
         self._silence_s = silence_s
         self._reopen_after_s = reopen_after_s
         self._announcer = Announcer(queue.put)
@@ -69,7 +81,6 @@ class Sensor:
             self._thread.join(timeout_s)
 
     def _run(self) -> None:
-        retry_s = self._first_retry_s
         while not self._stop.is_set():
             begun_s = time.monotonic()
             try:
@@ -82,9 +93,8 @@ class Sensor:
                 log.debug("the reader of %s failed", self._port, exc_info=True)
                 self._announcer.down("internal", f"internal error while reading {self._port}: {error!r}")
             if time.monotonic() - begun_s > self._longest_retry_s:
-                retry_s = self._first_retry_s
-            self._stop.wait(retry_s)
-            retry_s = min(2 * retry_s, self._longest_retry_s)
+                self._backoff.reset()
+            self._stop.wait(self._backoff.pause_s())
 
     def _read(self, opened: serial.Serial) -> None:
         """Read until stopped, or until silence makes it worth opening the port anew."""

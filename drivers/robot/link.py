@@ -7,13 +7,9 @@ from __future__ import annotations
 
 import atexit
 import logging
-import os
-import re
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from threading import Event
 
 from drivers.frame import DEFAULT_PAD
@@ -23,37 +19,15 @@ from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reaction, ReactionDuty, Reactions
 from drivers.robot.session import Login, OpenSession, QiSession, RobotError, RobotSession, load_qi
+from drivers.robot.settings import RobotSettings, read_login
 from drivers.robot.worker import RobotCounts, RobotWorker, State
 
 __all__ = ["RobotCounts", "RobotError", "RobotLimits", "RobotLink", "RobotMessage", "RobotSettings", "State"]
 
 log = logging.getLogger(__name__)
 
-MAX_TOKEN_BYTES = 4096
-
-
-@dataclass(frozen=True, kw_only=True)
-class RobotSettings:
-    """Where the robot is, how to log in, and what it does.
-
-    url: tcp://host:9559 for NAOqi up to 2.8, tcps://host:9503 for 2.9. libqi encrypts the latter, but checks
-    no certificate. prefix: of the events' names.
-    user, and one of token_file and token_env (a file, or an environment variable, that holds the token): for
-    NAOqi 2.9, which asks.
-    actions: what the robot does on an answer; every rule is looked at for every message. words: of the
-    gestures, for what it says.
-    pads: the actions for each pad that has a name; empty where the only pad has none.
-    """
-
-    url: str
-    prefix: str = "TouchGesture"
-    user: str | None = None
-    token_file: str | None = None
-    token_env: str | None = None
-    actions: tuple[ActionRule, ...] = ()
-    pads: Mapping[str, tuple[ActionRule, ...]] = field(default_factory=dict)
-    words: Mapping[str, Words] = field(default_factory=dict)
-    limits: RobotLimits = field(default_factory=RobotLimits)
+NO_ACTIONS: Mapping[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
+NO_WORDS: Mapping[str, Words] = {}
 
 
 class RobotLink:
@@ -65,6 +39,8 @@ class RobotLink:
     on_state: called from a worker's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot, real qi when left out.
     on_act: called from a worker's thread when the robot begins to speak, move or shine, with what and how.
+    actions: what the robot does on an answer, for each pad; every rule is looked at for every message. words:
+    of the gestures, for what it says.
     """
 
     def __init__(
@@ -73,28 +49,31 @@ class RobotLink:
         on_state: Callable[[State, str], None] | None = None,
         open_session: OpenSession | None = None,
         on_act: Callable[[RobotMessage, Kind, str], None] | None = None,
+        *,
+        actions: Mapping[str, Sequence[ActionRule]] = NO_ACTIONS,
+        words: Mapping[str, Words] = NO_WORDS,
+        limits: RobotLimits | None = None,
     ) -> None:
         login = read_login(settings)
         if open_session is None:
             load_qi()
             open_session = QiSession
-        limits = settings.limits
+        limits = limits or RobotLimits()
         opener = partial(_open, open_session, settings.url, login, limits)
         self._url = settings.url
         self._on_state = on_state
         self._down_since_s: float | None = None
-        rules = settings.pads or {DEFAULT_PAD: settings.actions}
-        self._event_duty = EventDuty(settings.prefix, limits, rules)
+        self._event_duty = EventDuty(settings.prefix, limits, actions)
         self._events: RobotWorker[RobotMessage] = RobotWorker(
             "touchd-robot", opener, self._event_duty, limits, self._tell
         )
-        self._reactions = {pad: Reactions(own) for pad, own in rules.items()}
+        self._reactions = {pad: Reactions(own) for pad, own in actions.items()}
         self._actions: RobotWorker[Reaction] | None = None
-        if any(rules.values()):
+        if any(actions.values()):
             self._actions = RobotWorker(
                 "touchd-robot-actions",
                 opener,
-                ReactionDuty(limits, settings.words, on_act or _tell_nobody),
+                ReactionDuty(limits, words, on_act or _tell_nobody),
                 limits,
                 _say_nothing,
             )
@@ -159,48 +138,6 @@ class RobotLink:
             log.info("robot %s is up again after %.1f s", self._url, now_s - self._down_since_s)
         if self._on_state is not None:
             self._on_state(state, reason)
-
-
-def read_login(settings: RobotSettings) -> Login | None:
-    """Return whom to log in as, None where no user is set; raises RobotError with one line.
-
-    The token comes from a file or an environment variable, and is in no text made of the result.
-    """
-    if not re.fullmatch(r"tcps?://[^\s/@:]+:\d+", settings.url):
-        raise RobotError(f"robot url {settings.url!r} is not an address such as tcp://nao.local:9559")
-    if settings.user is None:
-        if settings.token_file or settings.token_env:
-            raise RobotError("robot has a token but no user; set user (nao on most robots)")
-        return None
-    if not settings.url.startswith("tcps://"):
-        raise RobotError(
-            f"robot {settings.url} would get the token unencrypted; use tcps://, or leave user out"
-        )
-    return Login(settings.user, _read_token(settings))
-
-
-def _read_token(settings: RobotSettings) -> str:
-    if settings.token_file is not None:
-        where = settings.token_file
-        try:
-            with Path(where).expanduser().open("rb") as file:
-                content = file.read(MAX_TOKEN_BYTES + 1)
-            token = content.decode().strip()
-        except (OSError, UnicodeDecodeError) as error:
-            why = error.strerror if isinstance(error, OSError) else "not text"
-            raise RobotError(f"robot token_file {where} cannot be read ({why})") from error
-        if len(content) > MAX_TOKEN_BYTES:
-            raise RobotError(
-                f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token"
-            )
-    elif settings.token_env is not None:
-        where = settings.token_env
-        token = os.environ.get(where, "").strip()
-    else:
-        raise RobotError("robot has a user but no token; set token_file or token_env")
-    if not token:
-        raise RobotError(f"the robot's token in {where} is empty or missing; put it there")
-    return token
 
 
 def _open(

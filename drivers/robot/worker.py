@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import logging
-import random
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from typing import Generic, Literal, Protocol, TypeVar
 
+from drivers.backoff import Backoff
+from drivers.queue import DroppingQueue
 from drivers.robot.limits import RobotLimits
 from drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
@@ -62,25 +62,6 @@ class RobotCounts:
     failed: int = 0
 
 
-class Backoff:
-    """Pauses that double from the first to the cap, each shortened at random by up to half."""
-
-    def __init__(self, first_s: float, cap_s: float) -> None:
-        self._first_s = first_s
-        self._cap_s = cap_s
-        self._next_s = first_s
-
-    def pause_s(self) -> float:
-        """Return how long to wait now, in seconds."""
-        pause_s = self._next_s
-        self._next_s = min(2 * pause_s, self._cap_s)
-        return pause_s * random.uniform(0.5, 1.0)
-
-    def reset(self) -> None:
-        """Begin again with the first pause."""
-        self._next_s = self._first_s
-
-
 class RobotWorker(Generic[Item]):
     """Owns one session and nothing else touches it; `put` never waits for the robot.
 
@@ -102,8 +83,9 @@ class RobotWorker(Generic[Item]):
         self._on_state = on_state
         self._state: State | None = None
         self._refused_before = False
-        self._queue: deque[tuple[float, Item]] = deque()
-        self._lock = threading.Lock()
+        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity)
+        self._queued = 0
+        # Counted by the worker's own thread alone.
         self._counts = RobotCounts()
         self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
         self._wake = threading.Event()
@@ -113,23 +95,16 @@ class RobotWorker(Generic[Item]):
     @property
     def counts(self) -> RobotCounts:
         """What became of the items so far."""
-        with self._lock:
-            return self._counts
+        return replace(self._counts, queued=self._queued, dropped=self._queue.dropped)
 
     def start(self) -> None:
         """Begin to connect; returns at once."""
         self._thread.start()
 
     def put(self, item: Item) -> None:
-        """Queue an item and return at once; when the queue is full the oldest is dropped and counted."""
-        with self._lock:
-            full = len(self._queue) >= self._limits.capacity
-            if full:
-                self._queue.popleft()
-            self._queue.append((time.monotonic(), item))
-            self._counts = replace(
-                self._counts, queued=self._counts.queued + 1, dropped=self._counts.dropped + full
-            )
+        """Queue an item and return at once; call it from one thread."""
+        self._queued += 1
+        self._queue.put((time.monotonic(), item))
         self._wake.set()
 
     def wake(self) -> None:
@@ -196,34 +171,27 @@ class RobotWorker(Generic[Item]):
 
     def _handle_next(self, session: RobotSession) -> bool:
         """Handle the oldest item that is not stale; returns whether the robot was asked anything."""
-        with self._lock:
-            oldest_s = time.monotonic() - self._limits.stale_s
-            while self._queue and self._queue[0][0] < oldest_s:
-                self._queue.popleft()
-                self._counts = replace(self._counts, stale=self._counts.stale + 1)
-            if not self._queue:
-                return False
-            _, item = self._queue.popleft()
+        oldest_s = time.monotonic() - self._limits.stale_s
+        while (entry := self._queue.get(0)) is not None and entry[0] < oldest_s:
+            self._counts = replace(self._counts, stale=self._counts.stale + 1)
+        if entry is None:
+            return False
+        _, item = entry
         try:
             self._duty.handle(session, item)
         except RobotRefused as refused:
-            self._count_failed()
+            self._counts = replace(self._counts, failed=self._counts.failed + 1)
             log.log(
                 logging.DEBUG if self._refused_before else logging.WARNING, "the robot refused %s", refused
             )
             self._refused_before = True
         except RobotLost:
-            self._count_failed()
+            self._counts = replace(self._counts, failed=self._counts.failed + 1)
             raise
         else:
-            with self._lock:
-                self._counts = replace(self._counts, sent=self._counts.sent + 1)
+            self._counts = replace(self._counts, sent=self._counts.sent + 1)
             self._refused_before = False
         return True
-
-    def _count_failed(self) -> None:
-        with self._lock:
-            self._counts = replace(self._counts, failed=self._counts.failed + 1)
 
     def _tell(self, state: State, reason: str) -> None:
         if self._stopping.is_set():

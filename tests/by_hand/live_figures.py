@@ -21,8 +21,8 @@ from websockets.sync.client import connect
 from daemon.commands.bench import measure
 from daemon.commands.run import SWITCH_S
 from daemon.config import LiveSettings, Settings
-from daemon.live.sink import LiveSink
-from daemon.service import load_model
+from daemon.destinations import open_live_page
+from daemon.parts import load_model
 from drivers.frame import FRAME_RATE_HZ, Frame
 
 TOUCH_S = 60.0
@@ -52,9 +52,11 @@ def watched(port: int, viewers: int) -> Iterator[None]:
 
 def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
     """Return the microseconds that handing over each frame takes the daemon's loop: p50, p99."""
-    sink = LiveSink()
     settings = Settings(live=live)
-    sink.use(settings, {"pad": load_model(settings)})
+    sink = open_live_page(settings, {"pad": load_model(settings)})
+    if sink is None:
+        return [0.0, 0.0]
+    sink.start()
     counts = np.random.default_rng(0).integers(0, 300, (8, 8)).astype(np.uint16)
     took: list[float] = []
     for number in range(round(seconds * FRAME_RATE_HZ)):

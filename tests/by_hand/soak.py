@@ -15,6 +15,7 @@ hours it was.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import socket
@@ -30,15 +31,14 @@ from rigs.soak_audit import Audit, Viewer
 from rigs.soak_line import pad
 
 from daemon.config import LiveSettings, Settings
-from daemon.destinations import description_of, parser_for
+from daemon.destinations import description_of, open_live_page, parser_for
 from daemon.events import Event, TouchEnded, encode
 from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_sink import TouchSink
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
-from daemon.live.sink import LiveSink
+from daemon.parts import load_model
 from daemon.pipeline import Pipeline
-from daemon.service import load_model
 from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.fakes.fake_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
@@ -99,17 +99,20 @@ class Soak:
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
         self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
-        self._robot_sink = RobotSink(self._link)
+        self._robot_sink = RobotSink(self._link, itertools.count(1))
         self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
         self._touch_sink = TouchSink({"pad": self._store})
-        self._live_sink = LiveSink()
-        self._live_sink.use(settings, model)
+        live_page = open_live_page(settings, {"pad": model})
+        assert live_page is not None
+        self._live_sink = live_page
         self._sinks: tuple[Sink, ...] = (
             self._journal_sink,
             self._robot_sink,
             self._touch_sink,
             self._live_sink,
         )
+        for sink in self._sinks:
+            sink.start()
         self.viewer = Viewer(settings.live.port)
         self._pipeline = Pipeline(settings.pipeline, model, self._emit)
         self._pad_watch = PadWatch()

@@ -19,8 +19,8 @@ from daemon import cli
 from daemon.commands import demo
 from daemon.config import ConfigError, SceneSettings
 from daemon.events import Prediction, RobotAction, TouchBegan, TouchEnded, decode
+from daemon.parts import check_fit
 from daemon.playback.rig import outline
-from daemon.service import check_fit
 from daemon.terminal.describe import describe
 from daemon.words import vocabulary
 from drivers.fakes.hand import record

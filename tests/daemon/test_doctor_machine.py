@@ -8,8 +8,9 @@ import pytest
 from rigs.doctor_rig import SETTINGS, systemd_says
 from rigs.robots import Robot, every_robot
 
-from daemon.config import RobotConfig, Settings
+from daemon.config import Settings
 from daemon.doctor.machine import check_model, check_robot, check_service
+from drivers.robot.settings import RobotSettings
 
 
 def test_a_model_that_is_missing_or_does_not_fit_is_told() -> None:
@@ -22,17 +23,17 @@ def test_a_model_that_is_missing_or_does_not_fit_is_told() -> None:
 @every_robot
 def test_the_robot_is_asked_for_its_version(make_robot: type[Robot]) -> None:
     with make_robot() as robot:
-        check = check_robot(Settings(robot=RobotConfig(url=robot.url)), robot.open_session)
+        check = check_robot(Settings(robot=RobotSettings(url=robot.url)), robot.open_session)
         assert check.verdict == "ok"
         assert "NAOqi 2.8.7.4" in check.found
         robot.kill()
-        gone = check_robot(Settings(robot=RobotConfig(url=robot.url)), robot.open_session)
+        gone = check_robot(Settings(robot=RobotSettings(url=robot.url)), robot.open_session)
     assert gone.verdict == "to do"
     assert "ping it" in gone.advice
 
 
 def test_a_robot_with_a_user_but_no_token_is_told_before_it_is_called() -> None:
-    check = check_robot(Settings(robot=RobotConfig(url="tcps://nao.local:9503", user="nao")))
+    check = check_robot(Settings(robot=RobotSettings(url="tcps://nao.local:9503", user="nao")))
     assert check.verdict == "to do"
     assert "token" in check.found
 

@@ -12,6 +12,7 @@ import pytest
 from rigs.robots import link_threads, message, needs_qi
 
 from daemon import cli
+from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink, RobotSettings
 
@@ -27,7 +28,7 @@ def test_it_prints_where_it_listens_and_every_call_and_ends_on_ctrl_c() -> None:
         assert process.stdout is not None
         url = json.loads(process.stdout.readline())["listening"]
         assert url.startswith("tcp://127.0.0.1:")
-        link = RobotLink(RobotSettings(url=url, actions=(SAY,)))
+        link = RobotLink(RobotSettings(url=url), actions={DEFAULT_PAD: (SAY,)})
         link.start()
         link.publish(message("pat"))
         calls = map(json.loads, process.stdout)

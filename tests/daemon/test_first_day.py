@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import shlex
 import shutil
@@ -24,12 +25,12 @@ from daemon.doctor.listening import Heard
 from daemon.events import Prediction, TouchEnded
 from daemon.live.address import qr_code, urls_of
 from daemon.own_name import own_name
-from daemon.service import check_pad, load_model
+from daemon.parts import check_pad, load_model
 from daemon.sinks import RobotSink
 from drivers.extras import how_to_install
 from drivers.fakes.fake_robot import StubRobot
 from drivers.fakes.services import Call
-from drivers.frame import Frame
+from drivers.frame import DEFAULT_PAD, Frame
 from drivers.pad.pace import pace_of
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
@@ -170,10 +171,13 @@ def test_every_settled_touch_sets_the_example_action_off_once() -> None:
     rule = ActionRule(do=(Action(say="{gesture}"),), stages=("final", "released"))
     with StubRobot(on_call=hear) as robot:
         link = RobotLink(
-            RobotSettings(url=robot.url, actions=(rule,), limits=RobotLimits(stale_s=30.0)),
+            RobotSettings(url=robot.url),
             open_session=robot.open_session,
+            actions={DEFAULT_PAD: (rule,)},
+            limits=RobotLimits(stale_s=30.0),
         )
-        sink = RobotSink(link)
+        sink = RobotSink(link, itertools.count(1))
+        sink.start()
         for event in events:
             sink.put(event)
         until_s = time.monotonic() + 10

@@ -17,20 +17,20 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
-from rigs.live_rig import SERVED, Served, frames_among, free_port, live_daemon, serving
+from rigs.live_rig import SERVED, Served, frames_among, live_daemon, serving
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
-from daemon.destinations import encoder_for
+from daemon.destinations import encoder_for, scenes_of
 from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
-from daemon.live.memory import Scene
+from daemon.live.scene import Scene
 from daemon.live.server import CAPACITY, LiveServer
+from daemon.parts import load_model
 from daemon.playback.rig import outline
-from daemon.service import load_model
 from drivers.fakes.fake_port import FakePort
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
@@ -61,6 +61,7 @@ def test_a_viewer_gets_every_event_as_it_is_and_every_frame(served: Served) -> N
 
 def test_who_comes_late_is_told_what_goes_on_and_what_was(served: Served) -> None:
     with served.look() as early:
+        await_message(early, "state")
         for event in (PAD_UP, BEGAN, ENDED, BEGAN_AGAIN):
             served.sink.put(event)
         frames_among(early, served.put_frame())
@@ -155,6 +156,7 @@ def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_count
     listening = socket.create_server(("127.0.0.1", 0))
     scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
     server = LiveServer(listening, LiveSettings(), {"pad": scene})
+    server.start()
     with hung(server):
         for _ in range(CAPACITY + 7):
             server.put(PAD_UP)
@@ -164,8 +166,7 @@ def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_count
 
 
 def test_the_end_does_not_wait_for_what_is_still_to_be_shown(served: Served) -> None:
-    server = served.sink._server
-    assert server is not None
+    server = served.sink
     with served.look() as viewer:
         await_message(viewer, "state")
         with hung(server):
@@ -179,38 +180,26 @@ def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served)
     with served.look() as viewer:
         await_message(viewer, "state")
         scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
-        served.sink.use(msgspec.structs.replace(served.settings, scene=scene), served.models)
+        settings = msgspec.structs.replace(served.settings, scene=scene)
+        served.sink.put(scenes_of(settings, served.models))
         assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
-
-
-def test_the_page_can_move_and_go_while_the_daemon_runs(served: Served) -> None:
-    served.sink.put(PAD_UP)
-    with served.look() as viewer:
-        moved = LiveSettings(port=free_port())
-        served.sink.use(Settings(live=moved), served.models)
-        with pytest.raises(ConnectionClosed, match="1001"):
-            await_message(viewer, "nothing")
-    served.port = moved.port
-    with served.look() as viewer:
-        # What the pad last said of itself is known at the new place too.
-        state = await_message(viewer, "state")
-        assert state["sensor"] or await_message(viewer, "sensor")
-    served.sink.use(Settings(), served.models)
-    with pytest.raises(ConnectionRefusedError):
-        served.ask("/")
 
 
 def test_settings_that_cannot_be_served_leave_the_page_where_it_is(served: Served) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         there = LiveSettings(port=taken.getsockname()[1])
         with pytest.raises(LiveError, match="cannot listen"):
-            served.sink.use(Settings(live=there), served.models)
+            served.serve(Settings(live=there), served.sink)
     assert served.ask("/").status == 200
 
 
 def test_from_loopback_to_every_address_is_a_change_at_one_port(served: Served) -> None:
     everywhere = LiveSettings(host="0.0.0.0", port=served.port)
-    served.sink.use(Settings(live=everywhere), served.models)
+    before, served.sink = served.sink, served.serve(Settings(live=everywhere), served.sink)
+    with served.look() as viewer:
+        before.stop(1.0)
+        with pytest.raises(ConnectionClosed, match="1001"):
+            await_message(viewer, "nothing")
     assert served.ask("/").status == 200
 
 
@@ -237,7 +226,7 @@ def test_viewers_of_every_kind_cost_the_daemon_no_frame_and_do_not_delay_its_end
         assert (frames, dropped) == (len(stream.counts), 0)
 
 
-def test_sighup_opens_the_page_and_costs_no_touch(tmp_path: Path) -> None:
+def test_sighup_opens_and_closes_the_page_and_costs_no_touch(tmp_path: Path) -> None:
     daemon = Daemon(tmp_path)
     try:
         daemon.await_event(SensorEvent)
@@ -246,8 +235,13 @@ def test_sighup_opens_the_page_and_costs_no_touch(tmp_path: Path) -> None:
         assert "changed: live" in daemon.log()[0]
         served = SERVED.search((tmp_path / "log").read_text())
         assert served is not None
-        with urllib.request.urlopen(f"{served[1]}/", timeout=5) as answer:
-            assert answer.status == 200
+        with connect(f"{served[1].replace('http', 'ws')}/stream") as viewer:
+            # What the pad last said of itself is known there too.
+            state = await_message(viewer, "state")
+            assert state["sensor"] or await_message(viewer, "sensor")
+            daemon.configure()
+            with pytest.raises(ConnectionClosed, match="1001"):
+                await_message(viewer, "nothing")
         assert outline(daemon.finish()) == expected(LENGTHS)
     finally:
         daemon.close()

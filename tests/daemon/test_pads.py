@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -114,8 +115,9 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
     say = ActionRule(do=(Action(say="{gesture}"),))
     with StubRobot() as robot:
         pads: dict[str, tuple[ActionRule, ...]] = {"head": (say,), "left_arm": ()}
-        link = RobotLink(RobotSettings(url=robot.url, pads=pads), open_session=robot.open_session)
-        sink = RobotSink(link)
+        link = RobotLink(RobotSettings(url=robot.url), open_session=robot.open_session, actions=pads)
+        sink = RobotSink(link, itertools.count(1))
+        sink.start()
         for pad in pads:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))
             sink.put(told(pad))

@@ -24,11 +24,11 @@ from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from daemon.kept.touches import read_since
+from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
-from daemon.service import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, read_provenance, read_recordings
 

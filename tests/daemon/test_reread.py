@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,20 +11,20 @@ import pytest
 from rigs.expectations import expected, stream_of
 from rigs.running_daemon import LENGTHS, SPEED, Daemon
 
-from daemon.config import JournalSettings, RobotConfig, SceneSettings, SensorSettings, Settings
+from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
 from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from daemon.parts import load_model
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.playback.rig import outline
-from daemon.reread import rereading
-from daemon.service import load_model
+from daemon.reread import Reloader, rereading
 from daemon.touch import TouchSettings
-from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import Frame
 from drivers.robot.session import qi_installed
+from drivers.robot.settings import RobotSettings
 
 
 @pytest.fixture
@@ -42,7 +43,7 @@ def test_a_wrong_configuration_is_refused_in_one_line_and_costs_nothing(daemon: 
     daemon.await_log(2)
     daemon.configure(journal=JournalSettings(path="/nowhere/events.jsonl"))
     daemon.await_log(3)
-    daemon.configure(robot=RobotConfig(url="nao"))
+    daemon.configure(robot=RobotSettings(url="nao"))
     daemon.await_log(4)
     assert outline(daemon.finish()) == expected(LENGTHS)
     for line, why in zip(
@@ -95,7 +96,7 @@ def test_a_robot_configured_later_is_told_from_then_on_and_one_left_out_is_told_
     daemon: Daemon,
 ) -> None:
     with LoopbackRobot() as robot:
-        daemon.configure(robot=RobotConfig(url=robot.url))
+        daemon.configure(robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "up")
         robot.calls.wait_for(lambda call: "TouchGesture/Gesture" in call.arguments)
         daemon.configure()
@@ -112,51 +113,70 @@ def test_settings_count_from_the_next_touch_on_and_rest_stays_known() -> None:
     later = PipelineSettings(
         touch=TouchSettings(quiet_s=0.7), decision=DecisionSettings(answer_at_frames=(20, 30, 200))
     )
+    asked = False
     for number, (ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         before = len(events)
         pipeline.on_frame(Frame(number, ms, 0.0, counts))
         began = [event for event in events[before:] if isinstance(event, TouchBegan)]
         if began and began[0].touch == 3:
-            pipeline.change(later, classifier)
+            asked = True
+        if asked and not pipeline.has_touch:
+            asked, pipeline = False, Pipeline(later, classifier, events.append, before=pipeline)
     pipeline.flush()
-    asked = {
+    lengths = {
         touch: {event.frames for event in events if isinstance(event, Prediction) and event.touch == touch}
         for touch in (3, 4)
     }
-    assert 54 in asked[3]
-    assert {20, 30} <= asked[4]
+    assert 54 in lengths[3]
+    assert {20, 30} <= lengths[4]
     assert [event.touch for event in events if isinstance(event, TouchEnded)] == list(range(1, 7))
 
 
-def test_a_failure_nobody_foresaw_ends_neither_the_thread_nor_the_daemon(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    asked, done = threading.Event(), threading.Semaphore(0)
-    results: Iterator[Callable[[], list[str]]] = iter([lambda: [1 / 0 and ""], lambda: ["scene"]])
+class Made:
+    """What stands for parts."""
 
-    def change(settings: Settings) -> list[str]:
-        done.release()
-        return next(results)()
-
-    with caplog.at_level("INFO"), rereading(asked, Settings, change):
-        for _ in range(2):
-            asked.set()
-            assert done.acquire(timeout=5)
-    assert "touchd-reread" not in [thread.name for thread in threading.enumerate()]
-    assert "ZeroDivisionError" in caplog.text
-    assert caplog.messages[-1] == "configuration read again; changed: scene"
+    changed = ("scene",)
 
 
-def test_what_cannot_be_read_is_not_tried() -> None:
-    def wrong() -> Settings:
-        raise TouchdError("no such file")
+def reloads(read: Callable[[], Settings], made: Callable[[], object]) -> Reloader:
+    return Reloader(read, lambda _: made(), lambda _: None)  # type: ignore[arg-type,return-value]
 
-    asked, read = threading.Event(), threading.Event()
 
-    def reading() -> Settings:
-        read.set()
-        return wrong()
+def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
+    until_s = time.monotonic() + 5
+    while text not in caplog.text:
+        assert time.monotonic() < until_s, caplog.text
+        time.sleep(0.01)
 
-    with rereading(asked, reading, lambda _: pytest.fail("was changed")):
+
+def test_a_failure_nobody_foresaw_does_not_disable_the_next_reload(caplog: pytest.LogCaptureFixture) -> None:
+    results: Iterator[Callable[[], object]] = iter([lambda: 1 / 0, Made])
+    asked = threading.Event()
+    with caplog.at_level("INFO"), rereading(asked, reloads(Settings, lambda: next(results)())):
         asked.set()
-        assert read.wait(5)
+        await_message(caplog, "ZeroDivisionError")
+        asked.set()
+        await_message(caplog, "configuration read again; changed: scene")
+    assert "touchd-reread" not in [thread.name for thread in threading.enumerate()]
+
+
+def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCaptureFixture) -> None:
+    goes_on = threading.Event()
+    reads: Iterator[Callable[[], object]] = iter([lambda: goes_on.wait(10), lambda: None])
+
+    def read() -> Settings:
+        next(reads)()
+        return Settings()
+
+    asked = threading.Event()
+    with caplog.at_level("INFO"), rereading(asked, reloads(read, Made)):
+        asked.set()
+        time.sleep(0.1)
+        asked.set()
+        await_message(caplog, "configuration read again")
+        goes_on.set()
+        for thread in threading.enumerate():
+            if thread.name == "touchd-reload":
+                thread.join(5)
+    # The older one, once it goes on, changes nothing.
+    assert caplog.text.count("configuration read again") == 1

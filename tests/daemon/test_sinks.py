@@ -41,6 +41,7 @@ def names() -> set[str]:
 def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
     sink = LinesSink(writer, on_gone=lambda: None)
+    sink.start()
     for number in range(50):
         sink.put(touch(number))
     sink.stop(2.0)
@@ -52,6 +53,7 @@ def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
 def test_a_stalled_reader_blocks_nobody_and_the_oldest_events_are_dropped(pipe: tuple[int, int]) -> None:
     _, writer = pipe
     sink = LinesSink(writer, on_gone=lambda: None, capacity=10)
+    sink.start()
     long = SensorEvent(state="down", time="", reason="x" * 60_000)
     for _ in range(50):
         sink.put(long)
@@ -65,6 +67,7 @@ def test_a_broken_pipe_is_told_once_and_ends_the_sink(pipe: tuple[int, int]) -> 
     os.close(reader)
     gone = threading.Semaphore(0)
     sink = LinesSink(writer, on_gone=gone.release)
+    sink.start()
     sink.put(touch(1))
     assert gone.acquire(timeout=5)
     sink.put(touch(2))
@@ -75,6 +78,7 @@ def test_a_broken_pipe_is_told_once_and_ends_the_sink(pipe: tuple[int, int]) -> 
 
 def test_stopping_writes_what_is_queued_and_may_be_repeated(tmp_path: Path) -> None:
     sink = JournalSink(Journal(tmp_path / "events.jsonl", max_bytes=10_000_000, keep=1))
+    sink.start()
     for number in range(200):
         sink.put(touch(number))
     sink.stop(5.0)

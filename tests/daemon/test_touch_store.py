@@ -35,8 +35,8 @@ PERIOD_MS = 1000 / 54
 class Bench:
     """A made pad at 54 Hz before a pipeline whose events and frames a touch sink gets, as in the daemon."""
 
-    def __init__(self, store: TouchStore | None, clock_ms: float = 0.0) -> None:
-        self.sink = TouchSink({"pad": store} if store else {})
+    def __init__(self, store: TouchStore, clock_ms: float = 0.0) -> None:
+        self.keep(store)
         self.pad = MadePad()
         self.sent: list[Frame] = []
         self.clock_ms = clock_ms
@@ -49,6 +49,10 @@ class Bench:
     def feel(self, *pressures: Scans) -> None:
         for counts in self.pad.counts(np.concatenate(pressures)):
             self._feel(counts)
+
+    def keep(self, store: TouchStore) -> None:
+        self.sink = TouchSink({"pad": store})
+        self.sink.start()
 
     def end(self) -> None:
         self.pipeline.flush()
@@ -189,30 +193,21 @@ def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore, tmp_p
     assert read_provenance(kept.path)["part"] == "the beginning of a longer touch"
 
 
-def test_without_a_store_no_frame_is_held_and_none_written(tmp_path: Path) -> None:
-    bench = Bench(None)
-    bench.feel(palm(1.2), nothing(1.0))
-    bench.end()
-    assert ended(bench.events)
-    assert not bench.sink._pads
-    assert list(tmp_path.iterdir()) == []
+def test_no_store_is_made_unless_asked_for(tmp_path: Path) -> None:
     assert open_touch_stores(Settings()) == {}
     assert open_touch_stores(Settings(journal=JournalSettings(path=str(tmp_path / "events.jsonl")))) == {}
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_touch_that_goes_on_while_keeping_is_turned_off_or_on_is_not_kept(
-    store: TouchStore, tmp_path: Path
-) -> None:
+def test_a_touch_that_goes_on_when_keeping_begins_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store)
     bench.feel(palm(0.5))
-    bench.sink.use({})
-    bench.feel(palm(0.5), nothing(1.0), palm(0.5))
-    bench.sink.use({"pad": store})
+    bench.sink.stop(5.0)
+    bench.keep(store)
     bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.0))
     bench.end()
-    assert len(ended(bench.events)) == 3
-    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [3]
+    assert len(ended(bench.events)) == 2
+    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
 
 
 def test_of_a_thousand_touches_only_the_last_stay() -> None:
@@ -280,7 +275,7 @@ def test_a_disk_that_hangs_costs_the_oldest_touches_and_never_the_loop(tmp_path:
 
 
 def test_keeping_costs_the_loop_little_a_frame(store: TouchStore) -> None:
-    sink = TouchSink({"pad": store} if store else {})
+    sink = TouchSink({"pad": store})
     frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
     sink.take(frames[0])
     sink.put(felt(1).began)

@@ -22,10 +22,10 @@ from rigs.robots import (
     needs_qi,
 )
 
+from drivers.backoff import Backoff
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
-from drivers.robot.worker import Backoff
 
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 

@@ -12,19 +12,20 @@ import msgspec
 import pytest
 from rigs.expectations import RECORDINGS, answers, expected, stream_of
 
-from daemon.config import RobotConfig, SensorSettings, Settings
+from daemon.config import SensorSettings, Settings
 from daemon.destinations import encoder_for, parser_for
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.playback.stream import with_quiet
-from daemon.service import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.fakes.hand import simulate
 from drivers.fakes.line_faults import Faults
 from drivers.recording import Recording, Selection, Stream, read_recordings, realign, splice
 from drivers.robot.session import qi_installed
+from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
 
 # As fast as leaves the daemon time on a busy machine: the sensor's clock counts, not the arrival.
@@ -63,7 +64,7 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
         *,
         protocol: str = "fabric-grid",
         faults: Faults | None = None,
-        robot: RobotConfig | None = None,
+        robot: RobotSettings | None = None,
         speed: float = SPEED,
     ) -> list[Event]:
         sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
@@ -146,7 +147,7 @@ def test_predictions_are_identical_however_the_bytes_were_cut(
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
     with LoopbackRobot() as robot:
-        said = run(beginning(stream_of(LENGTHS)), robot=RobotConfig(url=robot.url))
+        said = run(beginning(stream_of(LENGTHS)), robot=RobotSettings(url=robot.url))
         told = [event.gesture for event in said if isinstance(event, Prediction) and event.told]
         assert told
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
@@ -157,7 +158,7 @@ def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[E
 def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
     with LoopbackRobot() as robot:
         at_rest = splice(simulate([("notouch", 60.0)], seed=5))
-        said = run(at_rest, robot=RobotConfig(url=robot.url), speed=SPEED_AT_REST)
+        said = run(at_rest, robot=RobotSettings(url=robot.url), speed=SPEED_AT_REST)
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == []
     assert not [event for event in said if isinstance(event, TouchBegan | Prediction)]

@@ -17,12 +17,13 @@ import yaml
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 
-from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings, _StrictLoader
+from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoader
 from daemon.destinations import encoder_for
 from daemon.events import RobotEvent, SensorEvent
 from daemon.playback.rig import SpawnedDaemon
 from drivers.fakes.fake_port import FakePort
 from drivers.robot.session import qi_installed
+from drivers.robot.settings import RobotSettings
 from model.settings import SettingsError
 from model.training.recipe import MAX_BYTES, read_recipe
 
@@ -138,7 +139,7 @@ def test_the_models_runtime_keeps_no_record_of_what_it_runs_and_tells_nobody(tmp
     # It sends from a database in the home folder, and is silent by itself where it takes this for a test.
     silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
-    load = "from daemon.service import load_model, Settings; load_model(Settings())"
+    load = "from daemon.parts import load_model, Settings; load_model(Settings())"
     environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
     subprocess.run([sys.executable, "-c", load], env=environment, check=True, timeout=25)
     assert list(tmp_path.rglob("*")) == []
@@ -154,7 +155,7 @@ def test_the_daemon_listens_nowhere_and_the_stand_in_robot_on_this_computer_only
         assert robot.stdout is not None
         settings = Settings(
             sensor=SensorSettings(port=pad.path),
-            robot=RobotConfig(url=json.loads(robot.stdout.readline())["listening"]),
+            robot=RobotSettings(url=json.loads(robot.stdout.readline())["listening"]),
             journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
         )
         daemon = SpawnedDaemon(settings, tmp_path)

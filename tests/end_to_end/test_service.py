@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
 
-from daemon.config import JournalSettings, RobotConfig, SensorSettings, Settings
+from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.destinations import encoder_for
 from daemon.events import SensorEvent, decode
 from daemon.health import Health, Notifier
@@ -24,6 +24,7 @@ from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.recording import splice
 from drivers.robot.session import qi_installed
+from drivers.robot.settings import RobotSettings
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 UNITS = Path(__file__).parents[2] / "systemd"
@@ -231,7 +232,7 @@ def test_a_stalled_reader_and_a_dead_robot_neither_cost_the_journal_a_line_nor_d
     with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=16.0) as pad:
         settings = Settings(
             sensor=SensorSettings(port=pad.path),
-            robot=RobotConfig(url="tcp://127.0.0.1:9"),
+            robot=RobotSettings(url="tcp://127.0.0.1:9"),
             journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
         )
         daemon = spawn(settings, tmp_path, manager)

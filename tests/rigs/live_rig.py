@@ -16,11 +16,12 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.destinations import open_live_page
 from daemon.events import Event
 from daemon.live.messages import encode_frame
-from daemon.live.sink import LiveSink
+from daemon.live.server import LiveServer
+from daemon.parts import load_model
 from daemon.playback.rig import SpawnedDaemon
-from daemon.service import load_model
 from drivers.frame import Frame
 from model.classifier import Classifier
 
@@ -105,9 +106,15 @@ class Served:
         self.port = free_port()
         self.settings = Settings(live=LiveSettings(port=self.port))
         self.models = {"pad": classifier}
-        self.sink = LiveSink()
-        self.sink.use(self.settings, self.models)
+        self.sink = self.serve(self.settings)
         self._frames = 0
+
+    def serve(self, settings: Settings, before: LiveServer | None = None) -> LiveServer:
+        """A started page."""
+        server = open_live_page(settings, self.models, before)
+        assert server is not None
+        server.start()
+        return server
 
     @contextmanager
     def look(self, **options: Any) -> Iterator[ClientConnection]:

@@ -11,6 +11,7 @@ from typing import Any
 from rigs.robots import States, message
 
 from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink, RobotSettings
 from drivers.robot.session import Login
@@ -28,7 +29,7 @@ def main(state: str) -> int:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}" if state == "mute" else robot.url
         user: dict[str, Any] = {"user": "nao", "token_env": "ROBOT_TOKEN"} if encrypted else {}
         states = States()
-        link = RobotLink(RobotSettings(url=url, actions=(SAY,), **user), states)
+        link = RobotLink(RobotSettings(url=url, **user), states, actions={DEFAULT_PAD: (SAY,)})
         if state == "refused":
             robot.kill()
         link.start()

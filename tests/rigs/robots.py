@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
+from drivers.frame import DEFAULT_PAD
 from drivers.robot.link import RobotLimits, RobotLink, RobotMessage, RobotSettings
 from drivers.robot.session import Login, qi_installed
 
@@ -59,11 +60,13 @@ class States:
 def linked(robot: Robot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
     """A started link to a robot, and the states it tells; stopped at the end."""
     states = States()
-    limits = settings.pop("limits", RobotLimits())
+    limits, actions = settings.pop("limits", RobotLimits()), settings.pop("actions", ())
     link = RobotLink(
-        RobotSettings(url=url or robot.url, limits=limits, **settings),
+        RobotSettings(url=url or robot.url, **settings),
         on_state=states,
         open_session=robot.open_session,
+        actions={DEFAULT_PAD: actions},
+        limits=limits,
     )
     link.start()
     try:

@@ -1,0 +1,200 @@
+"""What the daemon is made of, made from one configuration: at start, and again when it is reloaded."""
+
+from __future__ import annotations
+
+import threading
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack
+
+import numpy as np
+
+from daemon.config import ConfigError, SceneSettings, Settings
+from daemon.decide import NO_TOUCH
+from daemon.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores, parser_for
+from daemon.events import UNCERTAIN, Event, LivePrediction
+from daemon.kept.touch_sink import TouchSink
+from daemon.pipeline import Pipeline
+from daemon.sinks import JournalSink, RobotSink, Sink
+from drivers.frame import COLUMNS, ROWS
+from drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
+from drivers.pad.watch import PadWatch
+from model.classifier import SHIPPED_MODEL, Classifier
+
+if typing.TYPE_CHECKING:
+    from daemon.live.server import LiveServer
+
+Emit = Callable[[Event], None]
+Show = Callable[[LivePrediction], None]
+
+
+class Pad:
+    """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
+
+    settings: those of this pad. arrived: notified whenever something waits in the queue.
+    before: the same pad by other settings; its queue goes on, and its reader where the port does.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        settings: Settings,
+        model: Classifier,
+        emit: Emit,
+        show: Show,
+        arrived: threading.Condition,
+        before: Pad | None = None,
+    ) -> None:
+        self.name = name
+        self.settings = settings
+        self.model = model
+        self._emit, self._show = emit, show
+        self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
+        self.watch: PadWatch = before.watch if before else PadWatch(name)
+        sensor = settings.sensor
+        self.sensor: Sensor
+        if before is not None and sensor == before.settings.sensor:
+            self.sensor = before.sensor
+        else:
+            self.sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
+        self.pipeline = Pipeline(settings.pipeline, model, emit, pad=name, show=show)
+
+    def go_on_from(self, before: Pad) -> None:
+        """Take the place of the same pad by other settings, between two touches."""
+        self.pipeline = Pipeline(
+            self.settings.pipeline,
+            self.model,
+            self._emit,
+            pad=self.name,
+            show=self._show,
+            before=before.pipeline,
+        )
+
+
+class Parts:
+    """Models, pads and sinks as the settings say; those without a sink for something have None there.
+
+    emit: gets what any part has to say. show: gets what is for the eye alone. arrived: see `Pad`.
+    numbers: of messages to a robot.
+    before: parts that run now; what the settings leave as it is is taken over from them.
+    Nothing runs before it is started. Raises TouchdError when the settings cannot be used; then nothing of it
+    is left.
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        emit: Emit,
+        show: Show,
+        arrived: threading.Condition,
+        numbers: Iterator[int],
+        before: Parts | None = None,
+    ) -> None:
+        self.settings = settings
+        fields = Settings.__struct_fields__
+        self.changed = [
+            name
+            for name in fields
+            if before is None or getattr(before.settings, name) != getattr(settings, name)
+        ]
+        changed = set(self.changed)
+        pads_before: Mapping[str, Pad] = before.pads if before else {}
+        if before is None or settings.sensor.port != before.settings.sensor.port:
+            check_pad(settings)
+        models = load_models(settings, pads_before)
+        self.pads: dict[str, Pad] = {
+            name: Pad(name, pad, models[name], emit, show, arrived, pads_before.get(name))
+            for name, pad in settings.pads.items()
+        }
+        acts_alike = before is not None and settings.scene.actions == before.settings.scene.actions
+        if before is None or changed & {"robot", "sensors", "language", "words"} or not acts_alike:
+            link = link_to_robot(settings, emit)
+            self.robot = RobotSink(link, numbers) if link else None
+        else:
+            self.robot = before.robot
+        if before is None or changed & {"journal", "sensor", "sensors"}:
+            stores = open_touch_stores(settings)
+            self.kept = TouchSink(stores) if stores else None
+        else:
+            self.kept = before.kept
+        with ExitStack() as undo:
+            if before is None or "journal" in changed:
+                journal = open_journal(settings.journal)
+                self.journal = JournalSink(journal) if journal else None
+                if journal:
+                    undo.callback(journal.close)
+            else:
+                self.journal = before.journal
+            self.live: LiveServer | None
+            live_before = before.live if before else None
+            if before is None or "live" in changed or list(pads_before) != list(self.pads):
+                self.live = open_live_page(settings, models, live_before)
+            else:
+                self.live = live_before
+            undo.pop_all()
+
+    @property
+    def models(self) -> dict[str, Classifier]:
+        """The model of each pad."""
+        return {name: pad.model for name, pad in self.pads.items()}
+
+    @property
+    def sinks(self) -> tuple[Sink, ...]:
+        """The sinks that there are."""
+        return tuple(sink for sink in (self.journal, self.robot, self.live, self.kept) if sink is not None)
+
+
+def load_model(settings: Settings) -> Classifier:
+    """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
+    classifier = Classifier.load(settings.model_path or SHIPPED_MODEL)
+    check_fit(settings.scene, classifier)
+    # The first answer of each length takes several times longer than those after it.
+    for frames in settings.scene.answer_at_frames:
+        classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
+    return classifier
+
+
+def load_models(settings: Settings, before: Mapping[str, Pad]) -> dict[str, Classifier]:
+    """Load each pad's model, shared by pads with the same file, and with those before; see `load_model`."""
+    loaded = {pad.settings.model: pad.model for pad in before.values()}
+    models: dict[str, Classifier] = {}
+    for name, pad in settings.pads.items():
+        if pad.model in loaded:
+            check_fit(pad.scene, loaded[pad.model])
+        else:
+            loaded[pad.model] = load_model(pad)
+        models[name] = loaded[pad.model]
+    return models
+
+
+def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
+    """Raise ConfigError when a scene asks for gestures or lengths that the model does not have."""
+    known = set(classifier.labels)
+    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}
+    for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
+        if unknown := sorted(gestures - known):
+            raise ConfigError(
+                f"{name}: {unknown[0]} is no gesture of the model {classifier.name}; "
+                f"it knows {', '.join(sorted(known - {NO_TOUCH}))}"
+            )
+    longest = classifier.metadata.max_length
+    if scene.answer_at_frames[-1] > longest:
+        raise ConfigError(
+            f"scene.answer_at_frames: {scene.answer_at_frames[-1]} is more than "
+            f"the {longest} frames that the model {classifier.name} takes"
+        )
+
+
+def check_pad(settings: Settings) -> None:
+    """Raise SensorError when the only port can never work as it is.
+
+    One that is not there, not permitted or busy is waited for: udev and other programs may be late at boot.
+    One of several pads that cannot work must not keep the others from it; its events say why.
+    """
+    if settings.sensors:
+        return
+    try:
+        check_port(settings.sensor.port, settings.sensor.baud)
+    except SensorError as error:
+        if error.kind == "unusable":
+            raise

@@ -1,0 +1,79 @@
+"""Where the robot is and how to log in, as the configuration says it."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import msgspec
+
+from drivers.robot.session import Login, RobotError
+
+MAX_TOKEN_BYTES = 4096
+
+
+class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the robot is and how to log in. The token itself is never among the settings.
+
+    url: tcp://host:9559 for NAOqi up to 2.8, tcps://host:9503 for 2.9. libqi encrypts the latter, but checks
+    no certificate. prefix: of the ALMemory events raised.
+    user, and token_file or token_env (a file, or an environment variable, that holds the token): for NAOqi
+    2.9, which asks.
+    """
+
+    url: str
+    prefix: str = "TouchGesture"
+    user: str | None = None
+    token_file: str | None = None
+    token_env: str | None = None
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
+            raise ValueError(
+                f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
+            )
+        if self.token_file is not None and self.token_env is not None:
+            raise ValueError("token_file and token_env are both set; keep one")
+
+
+def read_login(settings: RobotSettings) -> Login | None:
+    """Return whom to log in as, None where no user is set; raises RobotError with one line.
+
+    The token comes from a file or an environment variable, and is in no text made of the result.
+    """
+    if not re.fullmatch(r"tcps?://[^\s/@:]+:\d+", settings.url):
+        raise RobotError(f"robot url {settings.url!r} is not an address such as tcp://nao.local:9559")
+    if settings.user is None:
+        if settings.token_file or settings.token_env:
+            raise RobotError("robot has a token but no user; set user (nao on most robots)")
+        return None
+    if not settings.url.startswith("tcps://"):
+        raise RobotError(
+            f"robot {settings.url} would get the token unencrypted; use tcps://, or leave user out"
+        )
+    return Login(settings.user, _read_token(settings))
+
+
+def _read_token(settings: RobotSettings) -> str:
+    if settings.token_file is not None:
+        where = settings.token_file
+        try:
+            with Path(where).expanduser().open("rb") as file:
+                content = file.read(MAX_TOKEN_BYTES + 1)
+            token = content.decode().strip()
+        except (OSError, UnicodeDecodeError) as error:
+            why = error.strerror if isinstance(error, OSError) else "not text"
+            raise RobotError(f"robot token_file {where} cannot be read ({why})") from error
+        if len(content) > MAX_TOKEN_BYTES:
+            raise RobotError(
+                f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token"
+            )
+    elif settings.token_env is not None:
+        where = settings.token_env
+        token = os.environ.get(where, "").strip()
+    else:
+        raise RobotError("robot has a user but no token; set token_file or token_env")
+    if not token:
+        raise RobotError(f"the robot's token in {where} is empty or missing; put it there")
+    return token

@@ -1,0 +1,33 @@
+"""Writing a file so that it is there whole or not at all, whenever the power goes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+PARTIAL = ".partial-"
+
+
+@contextmanager
+def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
+    """Yield a path beside `path` to write to; what was written takes the place of `path` at the end.
+
+    replace: whether a file that is there is written over; otherwise FileExistsError is raised. On any error
+    nothing is left behind. Raises OSError.
+    """
+    partial = path.with_name(f"{PARTIAL}{path.name}")
+    try:
+        # Left by a program that was killed while it wrote.
+        partial.unlink(missing_ok=True)
+        yield partial
+        with partial.open("rb") as file:
+            os.fsync(file.fileno())
+        if replace:
+            os.replace(partial, path)
+        else:
+            # Unlike a renaming, a link fails where a file is there already.
+            os.link(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)
