@@ -3,12 +3,12 @@
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak install \
-	install-program install-files uninstall clean
+.PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak lock install \
+	install-program install-files deb uninstall clean
 
 # The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
-FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 12))
-CANDIDATES := python3 python3.12 python3.11 python3.10
+FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
+CANDIDATES := python3 python3.13 python3.12 python3.11 python3.10
 PYTHON ?= $(shell for python in $(CANDIDATES); do \
 	$$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && command -v $$python && break; done)
 
@@ -19,7 +19,7 @@ for python in $(or $(PYTHON),$(CANDIDATES)); do \
   $$python -c 'import ensurepip, venv' 2>/dev/null && exit 0; \
   echo "$$python cannot make a virtual environment; on Debian or Ubuntu: sudo apt install python3-venv"; exit 1; \
 done; \
-echo "touchd needs Python 3.10, 3.11 or 3.12 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
+echo "touchd needs Python 3.10 to 3.13 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
 endef
 
 VENV := .venv
@@ -38,6 +38,8 @@ help:
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some twenty minutes)"
 	@echo "make expectations  rebuild the expected events beside the shipped recordings"
 	@echo "make install       put the service in place, or upgrade it (sudo; PREFIX, DESTDIR); make uninstall removes it"
+	@echo "make deb           build a Debian package in dist/, with the same layout"
+	@echo "make lock          renew the versions that make and CI install"
 	@echo "make setup         set up what the daemon needs: $(BIN)/touchd"
 	@echo "make clean         remove $(VENV) and what tools left behind"
 
@@ -99,7 +101,8 @@ install-program:
 	@echo "Installing $(PROGRAM) (some 220 MB)"
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
-	@umask 022; $(NEW)/bin/python -m pip install --quiet --disable-pip-version-check '.[nao,live]' || { rm -rf $(NEW); exit 1; }
+	@umask 022; pip='$(NEW)/bin/python -m pip install --quiet --disable-pip-version-check'; \
+	  { $$pip --require-hashes -r requirements.lock && $$pip --no-deps .; } || { rm -rf $(NEW); exit 1; }
 	@rm -rf build
 	@grep -rlIF "$(NEW)" $(NEW)/bin $(NEW)/pyvenv.cfg | xargs -r sed -i 's#$(NEW)#$(PROGRAM)#g'
 	@rm -rf $(DESTDIR)$(PROGRAM)
@@ -125,6 +128,28 @@ ifeq ($(DESTDIR),)
 endif
 	@echo "Installed. The configuration is /etc/touchd/touchd.yaml; to start: sudo systemctl enable --now touchd"
 
+# What make install puts in place, with the configuration as a conffile. Runs with the Python it was built with.
+PACKAGE := $(CURDIR)/dist/deb
+deb:
+	@rm -rf $(PACKAGE)
+	@$(MAKE) --no-print-directory install DESTDIR=$(PACKAGE) BINDIR=/usr/bin SYSTEM=/usr/lib PYTHON=/usr/bin/python3 >/dev/null
+	@cp -r systemd/debian $(PACKAGE)/DEBIAN
+	@chmod 755 $(PACKAGE)/DEBIAN $(PACKAGE)/DEBIAN/p*
+	@version=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml); arch=$$(dpkg --print-architecture); \
+	minor=$$(/usr/bin/python3 -c 'import sys; print(sys.version_info.minor)'); \
+	sed -i "s/@VERSION@/$$version/; s/@ARCHITECTURE@/$$arch/; s/@PYTHON@/3.$$minor/; s/@NEXT@/3.$$((minor + 1))/" \
+	  $(PACKAGE)/DEBIAN/control; \
+	dpkg-deb --root-owner-group -Zgzip --build $(PACKAGE) dist/touchd_$${version}_$$arch.deb
+	@rm -rf $(PACKAGE)
+
+# The lock holds hashes for every platform and for Python 3.10 to 3.13; the constraints hold versions alone, so
+# that a new tool in pyproject.toml needs no renewal first.
+LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --custom-compile-command "make lock" pyproject.toml
+lock: $(DEVELOPMENT)
+	$(LOCK) --upgrade --generate-hashes --no-annotate $(addprefix --extra ,nao live mqtt lsl ros2 rosbridge mcap) \
+	  --output-file requirements.lock
+	$(LOCK) --upgrade --no-annotate --extra dev --constraint requirements.lock --output-file constraints.txt
+
 uninstall:
 ifeq ($(DESTDIR),)
 	@if test -d /run/systemd/system && test -e $(UNITS)/touchd.service; then \
@@ -149,12 +174,13 @@ $(BIN)/python:
 	@$(PYTHON) -m venv --clear $(VENV)
 
 # A stamp file each, newer than pyproject.toml, so that a second run starts at once.
-$(RUNTIME): pyproject.toml | $(BIN)/python
+$(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
 	@echo "Installing what touchd needs (once, some 220 MB; a minute or two)"
-	@$(PIP) --editable '.[nao,live]'
+	@$(PIP) --require-hashes -r requirements.lock
+	@$(PIP) --no-deps --editable .
 	@touch $@
 
-$(DEVELOPMENT): pyproject.toml | $(BIN)/python
+$(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing what development and training need (once; torch alone is some gigabytes)"
-	@$(PIP) --editable '.[dev]'
+	@$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $(RUNTIME) $@

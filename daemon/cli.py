@@ -41,6 +41,7 @@ COMMANDS = (
     Command("evaluate", "daemon.commands.evaluate", "scores the model, and writes the accuracy page"),
     Command("stability", "daemon.commands.stability", "checks the model's arithmetic on hard cases"),
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
+    Command("convert", "daemon.commands.convert", "writes a journal or a recording as CSV or MCAP"),
     Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
     Command("bench", "daemon.commands.bench", "measures latency, processor, memory, start-up and speed"),
     Command("completion", "daemon.commands.completion", "has a shell complete commands and options"),

@@ -19,7 +19,17 @@ CACHE = Path(os.environ.get("TOUCHD_DEBIAN", "/var/tmp/touchd-debian"))
 # Debian 12's own Python, for which the wheels are fetched.
 PYTHON = "3.11"
 PACKAGES = "systemd,systemd-sysv,udev,dbus,linux-image-amd64,python3,python3-venv,make,openssh-server,kmod"
-SOURCES = ("daemon", "drivers", "model", "systemd", "Makefile", "pyproject.toml", "README.md", "LICENSE")
+SOURCES = (
+    "daemon",
+    "drivers",
+    "model",
+    "systemd",
+    "Makefile",
+    "pyproject.toml",
+    "requirements.lock",
+    "README.md",
+    "LICENSE",
+)
 NETWORK = "[Match]\nName=en*\n[Network]\nDHCP=yes\n"
 
 
@@ -51,12 +61,10 @@ def hand_over(folder: Path) -> None:
     """Fill a folder with what the machine is given: the sources, their wheels, recordings and helpers."""
     wheels = CACHE / "wheels"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
-    wanted = [*project["build-system"]["requires"], "wheel", *project["project"]["dependencies"]]
-    extras = project["project"]["optional-dependencies"]
-    wanted += [*extras["nao"], *extras["live"]]
     chosen = ["--only-binary=:all:", f"--python-version={PYTHON}", "--platform=manylinux2014_x86_64"]
-    chosen += [f"--platform=manylinux_2_{minor}_x86_64" for minor in (17, 24, 26, 27, 28, 34)]
-    call(sys.executable, "-m", "pip", "download", "--quiet", "-d", str(wheels), *chosen, *wanted)
+    chosen += [f"--platform=manylinux_2_{minor}_x86_64" for minor in (17, 24, 26, 27, 28, 34, 35)]
+    for wanted in (["-r", str(ROOT / "requirements.lock")], [*project["build-system"]["requires"], "wheel"]):
+        call(sys.executable, "-m", "pip", "download", "--quiet", "-d", str(wheels), *chosen, *wanted)
     for source in SOURCES:
         _copy(ROOT / source, folder / "touchd" / source)
     _copy(ROOT / "tests/recordings", folder / "recordings")

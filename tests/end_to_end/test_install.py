@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import setuptools
+from packaging.requirements import Requirement
 
 from daemon.config import Settings, load
 
@@ -27,6 +29,7 @@ INSTALLED = {
     "etc/udev/rules.d/99-touchd.rules",
 }
 COMMAND = "usr/local/bin/touchd"
+INSTALLED_EXTRAS = ("nao", "live", "mqtt", "lsl", "ros2", "rosbridge", "mcap")
 
 Make = Callable[..., str]
 
@@ -156,6 +159,64 @@ def test_systemd_gives_the_configuration_to_the_service_and_nobody_else(make: Ma
     folder, file = (tmp_path / CONFIGURATION).parent.stat(), (tmp_path / CONFIGURATION).stat()
     assert (stat.S_IMODE(folder.st_mode), folder.st_gid) == (0o750, 976)
     assert (stat.S_IMODE(file.st_mode), file.st_uid, file.st_gid) == (0o640, 0, 976)
+
+
+def test_the_lock_satisfies_what_the_project_asks_for() -> None:
+    tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    locked: dict[str, list[str]] = {}
+    for line in (ROOT / "requirements.lock").read_text().splitlines():
+        if match := re.match(r"([\w.-]+)==([\w.]+)", line):
+            locked.setdefault(match[1], []).append(match[2])
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *(text for extra in INSTALLED_EXTRAS for text in extras[extra])]
+    for requirement in map(Requirement, wanted):
+        versions = locked.get(requirement.name, [])
+        assert versions, f"{requirement.name} is not locked; make lock"
+        assert all(requirement.specifier.contains(version) for version in versions), (
+            f"{requirement}; make lock"
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("machine", ["x86_64", "aarch64"])
+@pytest.mark.parametrize("version", ["3.10", "3.13"])
+def test_there_are_wheels_for_every_python_and_processor(version: str, machine: str) -> None:
+    pytest.importorskip("uv")
+    extras = [f"--extra={extra}" for extra in INSTALLED_EXTRAS]
+    command = [sys.executable, "-m", "uv", "pip", "compile", "--only-binary=:all:", "pyproject.toml", *extras]
+    platform = [f"--python-version={version}", f"--python-platform={machine}-unknown-linux-gnu"]
+    done = subprocess.run([*command, *platform], capture_output=True, text=True, check=False, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    # Where there is no qi, the robot is the stand-in.
+    assert ("\nqi==" in done.stdout) == (machine == "x86_64" and version != "3.13")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info"))
+    python = tmp_path / "venv/bin/python"
+    for command in (
+        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(tmp_path), str(source)],
+        [sys.executable, "-m", "venv", str(tmp_path / "venv")],
+        [str(python), "-m", "pip", "install", "--quiet", "--find-links", str(tmp_path), "touchd[nao,live]"],
+    ):
+        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
+        assert done.returncode == 0, done.stderr
+    recording = ROOT / "tests/recordings/demo.csv.gz"
+    done = subprocess.run(
+        [python.with_name("touchd"), "classify", recording],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd="/",
+    )
+    assert '"type":"prediction"' in done.stdout
+    loaded = subprocess.run([python, "-c", "import websockets, daemon.live.server"], check=False, cwd="/")
+    assert loaded.returncode == 0
 
 
 @pytest.mark.slow

@@ -1,0 +1,81 @@
+"""`touchd convert`: a journal or a recording as CSV or MCAP."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from daemon.convert import journal_csv
+from daemon.events import Event, EventError, decode
+from daemon.kept.journal import MAX_LINE_BYTES, JournalError
+from drivers.errors import TouchdError
+from drivers.recording import read_provenance, read_recordings, write_recordings
+
+RECORDING_SUFFIXES = (".csv", ".csv.gz")
+
+
+class ConvertError(TouchdError):
+    """The file cannot be converted; the message is one line that says why."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line may say."""
+    parser = argparse.ArgumentParser(
+        prog="touchd convert",
+        description="Writes a journal or a recording as CSV (for pandas) or as MCAP (for Foxglove).",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="a journal, or a recording (.csv, .csv.gz)")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, metavar="OUT", help="a new .csv or .mcap file"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the file and name it; returns 0."""
+    options = parser().parse_args(arguments)
+    file, out = options.file, options.out
+    if out.suffix not in (".csv", ".mcap"):
+        raise ConvertError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
+    is_recording = file.name.endswith(RECORDING_SUFFIXES)
+    if out.suffix == ".mcap":
+        # Before the work, as it may not be installed.
+        from daemon.convert import mcap
+    try:
+        if is_recording:
+            recordings = read_recordings(file)
+            if out.suffix == ".csv":
+                write_recordings(out, recordings, read_provenance(file))
+            else:
+                with out.open("xb") as target:
+                    mcap.write_recordings(recordings, target)
+        else:
+            # Whatever is wrong with the journal is said before there is a file.
+            for _ in read(file):
+                pass
+            if out.suffix == ".csv":
+                with out.open("x", encoding="utf-8", newline="") as table:
+                    journal_csv.write(lambda: read(file), table)
+            else:
+                with out.open("xb") as target:
+                    mcap.write_events(read(file), target)
+    except OSError as error:
+        raise ConvertError(f"{error.filename}: {error.strerror}; give another --out") from error
+    sys.stdout.write(f"{out}\n")
+    return 0
+
+
+def read(path: Path) -> Iterator[Event]:
+    """Yield a journal's events; a last line that a power cut has halved is left out. Raises JournalError."""
+    try:
+        with path.open("rb") as file:
+            for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):
+                if line.endswith(b"\n"):
+                    try:
+                        yield decode(line)
+                    except EventError as error:
+                        raise JournalError(f"{path}, line {number}: {error}") from error
+    except OSError as error:
+        raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error

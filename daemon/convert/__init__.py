@@ -1,0 +1,1 @@
+"""Journals and recordings in the formats that other programs open."""

@@ -1,0 +1,109 @@
+"""Journals and recordings as MCAP, which Foxglove shows; needs the extra `mcap`."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Iterable, Sequence
+from typing import IO, Any
+
+import msgspec
+from mcap.writer import Writer
+
+from daemon.events import Event, RobotEvent, encode, epoch_s
+from drivers.frame import COLUMNS, ROWS, Counts
+from drivers.recording import Recording, realign, set_up
+
+NS_PER_MS = 1_000_000
+# Between two recordings.
+PAUSE_MS = 1000
+BYTES_PER_TAXEL = 2
+# As Foxglove defines it, so that its image panel shows the pad.
+RAW_IMAGE = {
+    "title": "foxglove.RawImage",
+    "type": "object",
+    "properties": {
+        "timestamp": {
+            "type": "object",
+            "title": "time",
+            "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+        },
+        "frame_id": {"type": "string"},
+        "width": {"type": "integer"},
+        "height": {"type": "integer"},
+        "encoding": {"type": "string"},
+        "step": {"type": "integer"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+    },
+}
+LABEL = {
+    "type": "object",
+    "properties": {name: {"type": "string"} for name in ("participant", "substrate", "cover", "gesture")},
+}
+
+
+def write_events(events: Iterable[Event], file: IO[bytes]) -> None:
+    """Write each event to /touchd/PAD/TYPE at its own time."""
+    with _Mcap(file) as mcap:
+        for event in events:
+            kind = type(event)
+            tag = str(kind.__struct_config__.tag)
+            topic = f"/touchd/{tag}" if isinstance(event, RobotEvent) else f"/touchd/{event.pad}/{tag}"
+            # Without references, which not every reader follows.
+            schema = msgspec.json.schema(kind)["$defs"][kind.__name__]
+            mcap.add(
+                topic, f"touchd.{kind.__name__}", schema, round(epoch_s(event.time) * 1e9), encode(event)
+            )
+
+
+def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
+    """Write frames to /touchd/pressure and labels to /touchd/recording, one recording after another."""
+    with _Mcap(file) as mcap:
+        start_ms = 0
+        for recording in map(realign, recordings):
+            clock_ms = (recording.sensor_ms - recording.sensor_ms[0] + start_ms).tolist()
+            label = dict(zip(LABEL["properties"], (*set_up(recording), recording.gesture), strict=True))
+            mcap.add(
+                "/touchd/recording",
+                "touchd.Recording",
+                LABEL,
+                start_ms * NS_PER_MS,
+                msgspec.json.encode(label),
+            )
+            for ms, counts in zip(clock_ms, recording.counts, strict=True):
+                data = msgspec.json.encode(_image(counts, ms))
+                mcap.add("/touchd/pressure", "foxglove.RawImage", RAW_IMAGE, ms * NS_PER_MS, data)
+            start_ms = clock_ms[-1] + PAUSE_MS
+
+
+def _image(counts: Counts, ms: int) -> dict[str, Any]:
+    return {
+        "timestamp": {"sec": ms // 1000, "nsec": ms % 1000 * NS_PER_MS},
+        "frame_id": "pad",
+        "width": COLUMNS,
+        "height": ROWS,
+        "encoding": "mono16",
+        "step": COLUMNS * BYTES_PER_TAXEL,
+        "data": base64.b64encode(counts.astype("<u2").tobytes()).decode(),
+    }
+
+
+class _Mcap:
+    """An MCAP file with a channel for each topic."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._writer = Writer(file)
+        self._channels: dict[str, int] = {}
+
+    def __enter__(self) -> _Mcap:
+        self._writer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.finish()
+
+    def add(self, topic: str, name: str, schema: dict[str, Any], time_ns: int, data: bytes) -> None:
+        """Add a message of JSON."""
+        if topic not in self._channels:
+            number = self._writer.register_schema(name, "jsonschema", msgspec.json.encode(schema))
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)

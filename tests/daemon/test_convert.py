@@ -1,0 +1,124 @@
+"""`touchd convert`: what pandas and Foxglove read is what was felt and said."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rigs.expectations import RECORDINGS
+
+from daemon.cli import main
+from daemon.events import Prediction, TouchBegan, decode, encode, epoch_s
+from drivers.recording import read_recordings
+
+DEMO = next(path for path in RECORDINGS if path.name == "demo.csv.gz")
+EVENTS = [
+    TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),
+    Prediction(
+        touch=1,
+        stage="early",
+        frames=54,
+        elapsed_s=1.0,
+        gesture="stroke",
+        confidence=0.81,
+        probabilities={"pat": 0.19, "stroke": 0.81},
+        changed=True,
+        told=True,
+        degraded=False,
+        latency_ms=1.9,
+        model="m",
+        time="2026-11-20T10:00:01.000Z",
+        pad="head",
+    ),
+]
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Path:
+    path = tmp_path / "events.jsonl"
+    # As the journal writes them, and with what a power cut leaves.
+    path.write_bytes(b"  \n".join(map(encode, EVENTS)) + b'\n{"type":"touch_en')
+    return path
+
+
+def messages(path: Path) -> list[tuple[str, str, int, dict[str, Any]]]:
+    reader = pytest.importorskip("mcap.reader")
+    with path.open("rb") as file:
+        return [
+            (channel.topic, schema.name, message.log_time, json.loads(message.data))
+            for schema, channel, message in reader.make_reader(file).iter_messages()
+        ]
+
+
+def test_a_journal_as_csv_has_a_row_an_event(journal: Path, tmp_path: Path) -> None:
+    assert main(["convert", str(journal), "-o", str(tmp_path / "events.csv")]) == 0
+    with (tmp_path / "events.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["type"] for row in rows] == ["touch_began", "prediction"]
+    assert (rows[0]["sensor_ms"], rows[0]["probabilities_pat"]) == ("81234", "")
+    assert (rows[1]["probabilities_pat"], rows[1]["told"], rows[1]["pad"]) == ("0.19", "True", "head")
+
+
+def test_a_journal_as_mcap_keeps_every_event_and_its_time(journal: Path, tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    assert main(["convert", str(journal), "-o", str(tmp_path / "events.mcap")]) == 0
+    written = messages(tmp_path / "events.mcap")
+    assert [(topic, name) for topic, name, _, _ in written] == [
+        ("/touchd/head/touch_began", "touchd.TouchBegan"),
+        ("/touchd/head/prediction", "touchd.Prediction"),
+    ]
+    assert [decode(json.dumps(data)) for *_, data in written] == EVENTS
+    assert written[0][2] == round(epoch_s(EVENTS[0].time) * 1e9)
+
+
+def test_the_mcap_schema_describes_every_field(journal: Path, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    main(["convert", str(journal), "-o", str(tmp_path / "events.mcap")])
+    with (tmp_path / "events.mcap").open("rb") as file:
+        schemas = reader.make_reader(file).get_summary().schemas.values()
+    described = {schema.name: json.loads(schema.data)["properties"] for schema in schemas}
+    assert set(described["touchd.Prediction"]) == set(json.loads(encode(EVENTS[1])))
+
+
+def test_a_recording_as_mcap_is_pictures_for_foxglove(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    assert main(["convert", str(DEMO), "-o", str(tmp_path / "demo.mcap")]) == 0
+    written = messages(tmp_path / "demo.mcap")
+    recordings = read_recordings(DEMO)
+    pictures = [data for _, name, _, data in written if name == "foxglove.RawImage"]
+    labels = [data["gesture"] for topic, *_, data in written if topic == "/touchd/recording"]
+    assert labels == [recording.gesture for recording in recordings]
+    assert len(pictures) == sum(len(recording.counts) for recording in recordings)
+    pixels = np.frombuffer(base64.b64decode(pictures[3]["data"]), "<u2").reshape(8, 8)
+    np.testing.assert_array_equal(pixels, recordings[0].counts[3])
+    times = [time for _, _, time, _ in written]
+    assert times == sorted(times)
+
+
+def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
+    assert main(["convert", str(DEMO), "-o", str(tmp_path / "demo.csv")]) == 0
+    for ours, theirs in zip(read_recordings(tmp_path / "demo.csv"), read_recordings(DEMO), strict=True):
+        np.testing.assert_array_equal(ours.counts, theirs.counts)
+
+
+@pytest.mark.parametrize(
+    ("file", "out", "said"),
+    [
+        ("events.jsonl", "events.xlsx", "neither .csv nor .mcap"),
+        ("nowhere", "events.csv", "cannot be read (No such file or directory)"),
+        ("events.jsonl", "events.jsonl.csv/x.csv", "No such file or directory"),
+        ("text", "events.csv", "text, line 1: not an event"),
+    ],
+)
+def test_what_cannot_be_converted_is_said_in_one_line(
+    journal: Path, capsys: pytest.CaptureFixture[str], file: str, out: str, said: str
+) -> None:
+    (journal.parent / "text").write_text("hello\n")
+    assert main(["convert", str(journal.parent / file), "-o", str(journal.parent / out)]) == 2
+    assert said in capsys.readouterr().err
+    assert not (journal.parent / out).exists()
