@@ -10,7 +10,16 @@ import pylsl
 
 from daemon.bridges.bridge import Bridge, arrival_s
 from daemon.bridges.settings import LslSettings
-from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchEnded, epoch_s
+from daemon.events import (
+    Event,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    epoch_s,
+)
 from daemon.sinks import CAPACITY
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 
@@ -66,7 +75,9 @@ def marker_of(event: Event) -> str:
             return f"sensor/{event.state}"
         case RobotEvent():
             return f"robot/{event.state}"
-        case _:
+        case RobotAction():
+            return f"robot_action/{event.action}"
+        case TouchBegan():
             return "touch_began"
 
 

@@ -140,6 +140,12 @@ class FakeMemory(_Service):
         self._data[key] = kept
         self._note("raiseEvent", key, kept)
 
+    def getData(self, key: str) -> object:  # noqa: N802
+        """Return a value."""
+        if key not in self._data:
+            raise self._refuse("getData", (key,), f"no data named {key}")
+        return self._data[key]
+
     def removeData(self, key: str) -> None:  # noqa: N802
         """Forget a value."""
         if self._data.pop(key, None) is None:

@@ -12,7 +12,16 @@ import numpy as np
 import pytest
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of, wait_for
 
-from daemon.events import Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
+from daemon.events import (
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    decode,
+    timestamp,
+)
 
 PREDICTION = Prediction(
     touch=7,
@@ -74,12 +83,20 @@ def test_lsl_markers_bear_the_events_own_time(tmp_path: Path) -> None:
         TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=ago),
         SensorEvent(state="down", time=ago),
         RobotEvent(state="up", time=ago),
+        RobotAction(touch=1, action="say", what="Hello", time=ago),
     ):
         bridge.put(event)
-    pulled = [inlet.pull_sample(timeout=5) for _ in range(5)]
+    pulled = [inlet.pull_sample(timeout=5) for _ in range(6)]
     bridge.stop(2.0)
     markers = [sample[0] for sample, _ in pulled]
-    assert markers == ["touch_began", "early/stroke/told", "touch_ended/pat", "sensor/down", "robot/up"]
+    assert markers == [
+        "touch_began",
+        "early/stroke/told",
+        "touch_ended/pat",
+        "sensor/down",
+        "robot/up",
+        "robot_action/say",
+    ]
     assert pulled[0][1] == pytest.approx(ago_s, abs=0.02)
 
 

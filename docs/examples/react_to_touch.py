@@ -1,0 +1,47 @@
+"""Prints what touchd tells a NAO, and has it answer a stroke: python react_to_touch.py nao.local
+
+Polls ALMemory, since a callback would need a connection from the robot back to this computer, which NAT and
+Docker prevent. For NAOqi 2.9: python react_to_touch.py tcps://pepper.local:9503 PASSWORD
+"""
+
+import sys
+import time
+
+import qi
+
+
+class Login:
+    """Logs in as NAOqi 2.9 asks."""
+
+    def __init__(self, password):
+        self._password = password
+
+    def newAuthenticator(self):
+        return self
+
+    def initialAuthData(self):
+        return {"user": "nao", "token": self._password}
+
+
+url = sys.argv[1] if "://" in sys.argv[1] else f"tcp://{sys.argv[1]}:9559"
+qi.logging.setLevel(qi.logging.SILENT)
+session = qi.Session()
+if len(sys.argv) > 2:
+    session.setClientAuthenticatorFactory(Login(sys.argv[2]))
+session.connect(url)
+memory = session.service("ALMemory")
+speech = session.service("ALTextToSpeech")
+heard = None
+while True:
+    try:
+        detail = memory.getData("TouchGesture/Detail")
+    except RuntimeError:
+        detail = heard
+    # The last number rises with every message.
+    if detail is not None and (heard is None or detail[5] != heard[5]):
+        gesture, confidence, _, stage, touch, _ = detail
+        print(f"touch {touch}: {gesture} ({confidence:.0%}, {stage})", flush=True)
+        if gesture == "stroke":
+            speech.say("That is nice.")
+    heard = detail
+    time.sleep(0.05)

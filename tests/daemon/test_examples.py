@@ -1,0 +1,36 @@
+"""The examples that the pages show do what they say."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+from rigs.peers import wait_for
+from rigs.robots import linked, message, needs_qi
+
+from drivers.fakes.fake_robot import LoopbackRobot
+
+EXAMPLES = Path(__file__).parents[2] / "docs/examples"
+
+
+@needs_qi
+def test_the_python_example_hears_a_stroke_and_answers() -> None:
+    with LoopbackRobot() as robot, linked(robot) as (link, states):
+        states.wait_for("up")
+        with subprocess.Popen(
+            [sys.executable, EXAMPLES / "react_to_touch.py", robot.url], stdout=subprocess.PIPE, text=True
+        ) as example:
+            assert example.stdout is not None
+            link.publish(message("stroke", touch=3))
+            assert example.stdout.readline() == "touch 3: stroke (81%, early)\n"
+            wait_for(lambda: robot.calls.said() == ["That is nice."])
+            example.kill()
+
+
+def test_the_choregraphe_box_is_python_that_a_robot_runs() -> None:
+    # Robots have Python 2.7: neither annotations nor f-strings.
+    text = (EXAMPLES / "choregraphe_box.py").read_text()
+    compile(text, "box", "exec")
+    assert "->" not in text
+    assert 'f"' not in text
