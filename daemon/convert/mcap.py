@@ -99,7 +99,7 @@ class _Mcap:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]
 
     def add(self, topic: str, name: str, schema: dict[str, Any], time_ns: int, data: bytes) -> None:
         """Add a message of JSON."""
