@@ -35,6 +35,7 @@ COMMANDS = (
     Command("fake-robot", "daemon.commands.fake_robot", "stands in for a robot, prints what it is asked"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
     Command("record", "daemon.commands.record", "guides through making recordings of your own"),
+    Command("teach", "daemon.commands.teach", "records your gestures and adapts the model, in three minutes"),
     Command("data", "daemon.commands.data", "fetches the HAART recordings, or checks a folder of them"),
     Command("train", "daemon.commands.train", "trains the networks of a recipe"),
     Command("export", "daemon.commands.export", "calibrates trained networks and writes them as ONNX files"),

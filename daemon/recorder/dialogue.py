@@ -49,11 +49,13 @@ class Terms:
     """What holds for every recording.
 
     seconds: length that is kept. countdown_s: how long the pad rests before. licence: what others may do.
+    flowing: one gesture follows the other; only a recording that looks wrong is asked about.
     """
 
     seconds: float
     countdown_s: float
     licence: str
+    flowing: bool = False
 
 
 class Dialogue:
@@ -67,6 +69,7 @@ class Dialogue:
         self._settings = settings
         self._session = session
         self._terms = terms
+        self._waits = True
 
     def run(self) -> None:
         """Guide through what is left to record; raises `Stopped` when the person wants no more."""
@@ -86,12 +89,17 @@ class Dialogue:
         """Record until a take is kept or skipped."""
         choice: Choice = "redo"
         while choice == "redo":
-            if ask(self._console, "  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s":
+            if (
+                self._waits
+                and ask(self._console, "  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s"
+            ):
                 return
+            self._waits = not self._terms.flowing
             try:
                 capture = self._capture(take)
             except PadLost as lost:
                 self._say(f"  {lost}", "yellow")
+                self._waits = True
                 continue
             choice = self._choose(capture, take)
             if choice == "keep":
@@ -145,6 +153,8 @@ class Dialogue:
             f"touched {capture.touched_share:.0%} of the time"
         )
         found = complaints(capture, take.gesture, self._pad.troubles)
+        if not found and self._terms.flowing:
+            return "keep"
         if not found:
             question = "  Enter to keep it, r to do it again, s to skip, q to stop: "
             choices: Mapping[str, Choice] = {"": "keep", "r": "redo", "s": "skip"}

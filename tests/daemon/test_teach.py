@@ -1,0 +1,71 @@
+"""`touchd teach`: recordings, an adapted model, and a configuration that names it, from one command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs import terminal as terminal_rig
+from rigs.made_pad import MadePad, nothing, palm
+from rigs.terminal import Terminal
+
+from daemon import cli
+from daemon.commands.teach import with_model
+from daemon.config import SensorSettings, Settings, load
+from drivers.fakes.fake_port import FakePort
+from drivers.frame import Counts
+from drivers.pad.protocol import encode_fabric_grid
+from drivers.recording import Stream, ideal_clock_ms
+from model.classifier import Classifier
+
+
+@pytest.mark.parametrize("before", ["", "# mine\nmodel: old.onnx\n", "#model: null\nrobot: null\n"])
+def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(with_model(before, Path("/srv/a: b.onnx")))
+    assert load(path).model == "/srv/a: b.onnx"
+    kept = [line for line in before.splitlines() if "model" not in line]
+    assert [line for line in path.read_text().splitlines() if not line.startswith("model")] == kept
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_one_command_leads_from_a_pad_to_a_model_in_use(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.setattr(terminal_rig, "SHOWS_WITHIN_S", 200.0)
+    pad = MadePad()
+    resting, pressed = pad.counts(nothing(10.0)), pad.counts(palm(10.0, 60.0))
+
+    def hand(counts: Counts, sensor_ms: int) -> bytes:
+        """Come and go every second, so that each gesture is touched and rests."""
+        now = pressed if sensor_ms // 1000 % 2 else resting
+        return encode_fabric_grid(now[sensor_ms // 19 % len(now)], sensor_ms)
+
+    config = tmp_path / "touchd.yaml"
+    stream = Stream(np.zeros((5400, 8, 8), np.uint16), ideal_clock_ms(5400), ())
+    with FakePort(stream, hand, speed=6.0, loop=True) as port:
+        config.write_text(f"sensor: {{port: {port.path}}}\n")
+        options = ["-c", str(config), "--participant", "anna", "--rounds", "2", "--seconds", "1.5"]
+        with Terminal("teach", str(tmp_path / "lab"), *options) as terminal:
+            question = ""
+            while question != "use":
+                terminal.until("Enter to ")
+                question = terminal.until(" ")
+                terminal.answer("k" if question == "do" else "")
+            terminal.until("Set.")
+            assert terminal.process.wait(20) == 0
+    settings = load(config)
+    assert settings == Settings(sensor=SensorSettings(port=port.path), model=settings.model)
+    assert "pat" in Classifier.load(Path(str(settings.model))).labels
+    assert "after 1.00 s" in terminal.shown
+
+
+def test_a_name_that_is_none_is_refused_before_the_pad_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch")
+    assert cli.main(["teach", str(tmp_path / "lab"), "--participant", "a b"]) == 2
+    assert "a name has letters" in capsys.readouterr().err
