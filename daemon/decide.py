@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typing
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -17,6 +17,25 @@ NO_TOUCH = "notouch"
 
 Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
+# Frames after which a touch may be answered early, about a sixth of a second.
+EARLIEST_FRAMES = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Sureness:
+    """An answer is sure once one gesture has had this confidence for so many frames on end."""
+
+    confidence: float
+    frames: int
+
+
+Sure: TypeAlias = Literal["eager", "quick", "careful"]
+
+SURE: dict[Sure, Sureness] = {
+    "eager": Sureness(0.75, 1),
+    "quick": Sureness(0.85, 1),
+    "careful": Sureness(0.9, 5),
+}
 
 
 class ProbabilityModel(typing.Protocol):
@@ -47,12 +66,15 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     The defaults of the last two come from a measurement: docs/decision.md.
     gestures: those that can occur; empty means all the model knows. "notouch" always can, named or not.
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
+    early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
     revise_margin: an answer the robot has heard is replaced only by one more probable than it by this much.
     """
 
     gestures: tuple[str, ...] = ()
     answer_at_frames: tuple[FrameCount, FrameCount, FrameCount] = (54, 81, 144)
+    early: Literal["at_mark", "when_sure"] = "at_mark"
+    sure: Sure = "quick"
     speak_above: Probability = 0.65
     revise_margin: Probability = 0.1
 
@@ -89,6 +111,11 @@ class Decision:
         self._labels = labels
         occurs = {*(settings.gestures or labels), NO_TOUCH}
         self._occurs = np.array([label in occurs for label in labels])
+        sure = SURE[settings.sure]
+        # What may not be told is no answer to hurry with.
+        self._sure = Sureness(max(sure.confidence, settings.speak_above), sure.frames)
+        self.may_be_early = settings.early == "when_sure"
+        self._leads: tuple[str, int] = ("", 0)
         self._stands: str | None = None
         self.told: str | None = None
 
@@ -112,6 +139,17 @@ class Decision:
         self._stands = stands
         self.told = stands if tell else self.told
         return Answer(stage, stands, scene[stands], scene, changed, tell)
+
+    def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
+        """Whether to answer early now, `frames` into the touch; to be asked once a frame, in order."""
+        scene = self.weigh(probabilities)
+        best = max(scene, key=lambda label: scene[label])
+        if best == NO_TOUCH or scene[best] < self._sure.confidence:
+            self._leads = ("", frames)
+            return False
+        if best != self._leads[0]:
+            self._leads = (best, frames)
+        return frames >= EARLIEST_FRAMES and frames - self._leads[1] + 1 >= self._sure.frames
 
     def _may_tell(self, stage: Stage, confidence: float) -> bool:
         return stage == "final" or confidence >= self._settings.speak_above

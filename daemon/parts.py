@@ -151,6 +151,7 @@ def load_model(settings: Settings) -> Classifier:
     # The first answer of each length takes several times longer than those after it.
     for frames in settings.scene.answer_at_frames:
         classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
+        classifier.step(np.zeros((frames, ROWS, COLUMNS), np.float32))
     return classifier
 
 

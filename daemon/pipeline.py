@@ -76,6 +76,11 @@ class Touch:
     state: State | None = None
     given: int = 0
 
+    @property
+    def waits_until_sure(self) -> bool:
+        """Whether the early answer is still to come, and may come before its mark."""
+        return self.decision.may_be_early and bool(self.due) and self.due[0][1] == "early"
+
 
 class Pipeline:
     """Takes frames and the sensor's comings and goings in their order, and emits events as they fall due.
@@ -165,7 +170,8 @@ class Pipeline:
         """Give the model the touch's new frames, up to those of the final answer, and keep what it says."""
         length = frame.index + 1 - touch.first_index
         is_due = any(length == due_length for due_length, _ in touch.due)
-        if length > self._final_frames or not (is_due or length % STRIDE_FRAMES == 0):
+        is_asked = touch.waits_until_sure or is_due or length % STRIDE_FRAMES == 0
+        if length > self._final_frames or not is_asked:
             return
         window = self._ring.window(frame.index + 1, length - touch.given)
         probabilities, touch.state = self._model.step(window, touch.state)
@@ -178,6 +184,9 @@ class Pipeline:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:
             return
         length = frame.index + 1 - touch.first_index
+        heard = touch.heard.get(length)
+        if touch.waits_until_sure and heard is not None and touch.decision.is_sure(heard, length):
+            touch.due[0] = (length, "early")
         overdue = [stage for stage in touch.due if stage[0] <= length]
         if overdue:
             touch.due = touch.due[len(overdue) :]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from daemon.decide import DecisionSettings
+from daemon.decide import SURE, DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.touch import TouchSettings
@@ -172,6 +172,54 @@ def test_a_touch_is_shown_as_the_model_sees_it_while_it_goes_on() -> None:
         window = np.stack(counts[first : first + prediction.frames])
         expected = dict(zip(classifier.labels, classifier.probabilities(window).tolist(), strict=True))
         assert prediction.probabilities == pytest.approx(expected, abs=1e-4)
+
+
+def when_sure(gesture: Callable[[int], str], confidence: float = 0.94, sure: Sure = "quick") -> list[Event]:
+    """Answer three seconds of palm; gesture: which one leads after so many frames."""
+
+    class Growing(Scripted):
+        def answer(self) -> NDArray[np.float64]:
+            leader = gesture(len(self.stepped[-1]))
+            rest = (1 - confidence) / 6
+            return np.array([confidence if label == leader else rest for label in LABELS])
+
+    scene = DecisionSettings(early="when_sure", sure=sure)
+    return Bench(Growing(), PipelineSettings(decision=scene)).feel(palm(3.0))
+
+
+def test_a_sure_answer_comes_before_its_mark() -> None:
+    answers = predictions(when_sure(lambda frames: "stroke"))
+    assert [(answer.stage, answer.frames, answer.told) for answer in answers] == [
+        ("early", 9, True),
+        ("revised", 81, False),
+        ("final", 144, False),
+    ]
+    assert answers[0].elapsed_s == pytest.approx(9 / 54, abs=1e-3)
+
+
+def test_an_answer_may_become_sure_at_any_frame() -> None:
+    for at in (10, 23, 41, 53):
+        answers = predictions(when_sure(lambda frames, at=at: "stroke" if frames >= at else "notouch"))
+        assert (answers[0].stage, answers[0].frames) == ("early", at)
+
+
+def test_an_answer_that_is_never_sure_comes_at_its_mark() -> None:
+    answers = predictions(when_sure(lambda frames: "stroke", confidence=0.7))
+    assert [answer.frames for answer in answers] == [54, 81, 144]
+
+
+def test_an_answer_too_unsure_to_be_told_is_not_hurried() -> None:
+    scene = DecisionSettings(early="when_sure", sure="eager", speak_above=0.95)
+    answers = predictions(Bench(Scripted(), PipelineSettings(decision=scene)).feel(palm(3.0)))
+    assert [answer.frames for answer in answers] == [54, 81, 144]
+
+
+def test_a_careful_scene_waits_until_the_answer_stays() -> None:
+    def wavers(frames: int) -> str:
+        return "stroke" if frames >= 30 else ("pat", "rub")[frames % 2]
+
+    assert predictions(when_sure(wavers, 0.99, "careful"))[0].frames == 29 + SURE["careful"].frames
+    assert predictions(when_sure(wavers, 0.99, "eager"))[0].frames == 9
 
 
 def test_a_long_touch_speaks_again_only_when_its_gesture_changes() -> None:

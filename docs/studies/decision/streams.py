@@ -1,0 +1,78 @@
+"""What the network says of a touch at every frame, for people it never saw: what stopping rules are tried on.
+
+Each touching recording stands between notouch of the same participant and condition, as in
+`docs.studies.tracker.measure`. The daemon's own tracker finds the touch in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.pipeline import PipelineSettings
+from docs.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
+from drivers.recording import Recording
+from model.classifier import Classifier
+from model.training import haart
+
+FRAMES = 144
+# Rest is learned in half a second; more of the notouch would only take time.
+REST_FRAMES = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """N touches of at least FRAMES frames: what was said of each, and what it was.
+
+    probabilities: (N, FRAMES, labels), after each frame of the touch. truth: (N,) places among the labels.
+    noticed: (N,) frame of the touch at which it was noticed, from which on something can be told.
+    """
+
+    probabilities: NDArray[np.float32]
+    truth: NDArray[np.int64]
+    noticed: NDArray[np.int64]
+    participants: NDArray[np.str_]
+    labels: tuple[str, ...]
+
+
+def collect(recordings: Sequence[Recording], models: Sequence[Path]) -> Streams:
+    """Ask each model about the touches of the people it never saw.
+
+    models: their file names say whom, joined with "-"; one of another name is asked about all of the people.
+    """
+    rows: list[tuple[NDArray[np.float32], int, int, str]] = []
+    people = {recording.participant for recording in recordings}
+    labels: tuple[str, ...] = ()
+    for path in models:
+        unseen = people & set(path.stem.split("-")) or (people if len(models) == 1 else set())
+        model = Classifier.load(path)
+        labels = model.labels
+        held = haart.realigned(haart.only(recordings, tuple(unseen)))
+        for case in spliced(held, level_rest=True):
+            for noticed, said in _follow(case, model):
+                rows.append((said, labels.index(case.gesture), noticed, case.participant))
+    return Streams(
+        np.stack([said for said, *_ in rows]),
+        np.array([truth for _, truth, *_ in rows]),
+        np.array([noticed for *_, noticed, _ in rows]),
+        np.array([participant for *_, participant in rows]),
+        labels,
+    )
+
+
+def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Yield when the case's first touch was noticed, and the answers; nothing when it was missed or short."""
+    scans = case.scans[LEAD_FRAMES - REST_FRAMES : case.stop]
+    felt = next(islice(feel(scans, PipelineSettings().touch), 1), None)
+    if felt is None or felt.noticed < REST_FRAMES or felt.first + FRAMES > len(scans):
+        return
+    state, said = None, []
+    for scan in scans[felt.first : felt.first + FRAMES]:
+        answer, state = model.step(np.clip(np.rint(scan), 0, 1023)[None], state)
+        said.append(answer)
+    yield felt.noticed - felt.first, np.array(said, np.float32)
