@@ -101,7 +101,7 @@ install-program:
 	@echo "Installing $(PROGRAM) (some 220 MB)"
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
-	@umask 022; pip='$(NEW)/bin/python -m pip install --quiet --disable-pip-version-check'; \
+	@umask 022; pip='$(NEW)/bin/python -m pip install -qq --disable-pip-version-check'; \
 	  { $$pip --require-hashes -r requirements.lock && $$pip --no-deps .; } || { rm -rf $(NEW); exit 1; }
 	@rm -rf build
 	@grep -rlIF "$(NEW)" $(NEW)/bin $(NEW)/pyvenv.cfg | xargs -r sed -i 's#$(NEW)#$(PROGRAM)#g'

@@ -1,0 +1,64 @@
+"""The Debian package under a real dpkg and systemd: built, installed, upgraded, removed, purged.
+
+    python -m pytest -n 0 -s tests/by_hand/debian_package.py       needs root and systemd-container
+
+In the container of real_systemd.py. Its name keeps it out of the suite, where it would take too long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from by_hand.debian_machine import Container, Machine, booted, what_is_missing
+
+BUILD = "cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels make deb"
+CONFIGURATION = "sensor: {port: /dev/not-there}\n"
+FILES = "find / -xdev -path /root -prune -o -path /proc -prune -o -name '*touchd*' -print | sort"
+
+pytestmark = [
+    pytest.mark.timeout(1800),
+    pytest.mark.skipif(bool(why := what_is_missing(Container)), reason=why),
+]
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[Machine]:
+    with booted(Container) as machine:
+        machine.run("cp -r /mnt/touchd /root/touchd")
+        yield machine
+
+
+def test_a_package_is_built_installed_upgraded_removed_and_purged(lab: Machine) -> None:
+    before = lab.run(FILES)
+    lab.run(BUILD, 1500)
+    package = lab.run("ls /root/touchd/dist/*.deb")
+    lab.run(f"dpkg -i {package}", 300)
+    assert lab.run("touchd --version") == "touchd 0.1.0"
+    assert lab.run("stat -c '%U %G %a' /etc/touchd/touchd.yaml") == "root touchd 640"
+    assert not lab.succeeds("systemctl is-active -q touchd")
+
+    lab.write("/etc/touchd/touchd.yaml", CONFIGURATION)
+    lab.run("systemctl enable --now --quiet touchd", 300)
+    process = lab.run("systemctl show touchd -P MainPID")
+    lab.run("cd /root/touchd && sed -i 's/^version = .*/version = \"0.1.1\"/' pyproject.toml")
+    lab.run(BUILD, 1500)
+    lab.run("dpkg -i /root/touchd/dist/touchd_0.1.1_*.deb", 300)
+    assert lab.run("touchd --version") == "touchd 0.1.1"
+    assert lab.run("cat /etc/touchd/touchd.yaml") == CONFIGURATION.strip()
+    lab.wait_until("systemctl is-active -q touchd")
+    assert lab.run("systemctl show touchd -P MainPID") != process
+
+    lab.run("dpkg -r touchd", 300)
+    assert not lab.succeeds("systemctl is-active -q touchd")
+    assert lab.run("ls /etc/touchd") == "touchd.yaml"
+    assert not lab.succeeds("command -v touchd")
+    lab.run("dpkg -P touchd", 300)
+    left = set(lab.run(FILES).splitlines()) - set(before.splitlines())
+    assert {path for path in left if not path.startswith("/var/lib/systemd")} == set()
+
+
+def test_a_package_refuses_a_machine_with_make_install(lab: Machine) -> None:
+    lab.run("touch /etc/systemd/system/touchd.service")
+    assert not lab.succeeds("dpkg -i /root/touchd/dist/touchd_0.1.1_*.deb")
+    lab.run("rm /etc/systemd/system/touchd.service; dpkg -P touchd; true")
