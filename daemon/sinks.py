@@ -115,19 +115,26 @@ class QueuedSink(ABC, Generic[Item]):
 
 
 class LinesSink(QueuedSink[Event]):
-    """One JSON line an event to a file descriptor, usually standard output.
+    """One line an event to a file descriptor, usually standard output.
 
-    on_gone: called once, from the sink's thread, when nobody reads any more.
+    on_gone: called once, from the sink's thread, when nobody reads any more. form: makes the line.
     """
 
-    def __init__(self, fd: int, on_gone: Callable[[], None], capacity: int = CAPACITY) -> None:
+    def __init__(
+        self,
+        fd: int,
+        on_gone: Callable[[], None],
+        capacity: int = CAPACITY,
+        form: Callable[[Event], bytes] = encode,
+    ) -> None:
         super().__init__("stdout", capacity)
         self._fd = fd
+        self._form = form
         self._on_gone = on_gone
 
     def write(self, item: Event) -> None:
         """Write one line; waits for a slow reader, and for none once it is gone."""
-        data = encode(item) + b"\n"
+        data = self._form(item) + b"\n"
         try:
             while data and not self._abandoned.is_set():
                 # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).

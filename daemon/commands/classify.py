@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from daemon.config import Settings, load
@@ -13,6 +13,8 @@ from daemon.events import Event, encode
 from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import add_arguments, chosen_stream
+from daemon.playback.tally import Tally
+from daemon.terminal.describe import describe
 from drivers.frame import Frame
 from drivers.recording import Stream
 
@@ -25,25 +27,33 @@ def parser() -> argparse.ArgumentParser:
     )
     add_arguments(parser)
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    parser.add_argument("--json", action="store_true", help="events as JSON lines to a terminal too")
     return parser
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the events of the chosen recordings to standard output as JSON lines; returns 0."""
+    """Write the events of the chosen recordings, in words to a terminal, else as JSON lines; returns 0."""
     options = parser().parse_args(arguments)
     settings = load(options.config) if options.config else Settings()
-    pipeline = Pipeline(settings.pipeline, load_model(settings), _write)
-    play(chosen_stream(options), pipeline)
+    in_words = sys.stdout.isatty() and not options.json
+    stream = chosen_stream(options)
+    tally = Tally(stream, settings.vocabulary)
+
+    def emit(event: Event) -> None:
+        tally.put(event)
+        line = describe(event, settings.vocabulary) if in_words else encode(event).decode()
+        sys.stdout.write(f"{line}\n")
+
+    play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)
+    if in_words:
+        sys.stdout.write(tally.summary())
     sys.stdout.flush()
     return 0
 
 
-def play(stream: Stream, pipeline: Pipeline) -> None:
-    """Send a whole stream through a pipeline, as fast as that takes it."""
+def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:
+    """Send a whole stream through a pipeline, as fast as it goes. at: told each frame's number first."""
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
+        at(number)
         pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
     pipeline.flush()
-
-
-def _write(event: Event) -> None:
-    sys.stdout.buffer.write(encode(event) + b"\n")

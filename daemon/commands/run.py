@@ -16,8 +16,9 @@ from pathlib import Path
 import msgspec
 
 from daemon.config import Settings, load, only_pad
+from daemon.events import Event, RobotEvent, encode
 from daemon.health import Health, Notifier
-from daemon.live.address import parse_address, urls_of
+from daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from daemon.reread import Reloader, rereading
 from daemon.service import Service
 from daemon.sinks import LinesSink
@@ -30,13 +31,15 @@ def parser() -> argparse.ArgumentParser:
     """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd run",
-        description="Reads the pad, writes events to standard output as JSON lines, tells the robot.",
+        description="Reads the pad, tells the robot, and writes events to standard output: in words to a "
+        "terminal, as JSON lines to anything else.",
     )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument("--port", help="read this port instead of the configured one")
     parser.add_argument(
-        "--view", action="store_true", help="show the pad in the terminal instead of JSON lines"
+        "--view", action="store_true", help="show pad, answers and robot in the whole terminal instead"
     )
+    parser.add_argument("--json", action="store_true", help="JSON lines to a terminal too")
     parser.add_argument(
         "--live",
         nargs="?",
@@ -62,14 +65,17 @@ def main(arguments: Sequence[str]) -> int:
 
     # A terminal that goes away sends SIGHUP too, and then nobody is left to have meant it.
     can_reread = options.config is not None and not sys.stdout.isatty()
-    run(read, with_view=options.view, can_reread=can_reread)
+    run(
+        read, with_view=options.view, in_words=sys.stdout.isatty() and not options.json, can_reread=can_reread
+    )
     return 0
 
 
-def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None:
+def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_reread: bool) -> None:
     """Run the daemon in this process until a signal, or a reader of its output that is gone, stops it.
 
-    read: returns the settings, now and, where SIGHUP means that (`can_reread`), again.
+    in_words: events are written for a person. read: returns the settings, now and, where SIGHUP means that
+    (`can_reread`), again.
     """
     stop, hung_up = threading.Event(), threading.Event()
     settings = read()
@@ -95,11 +101,25 @@ def run(read: Callable[[], Settings], with_view: bool, can_reread: bool) -> None
             service.show_on(view)
         else:
             closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
-            service.tell(LinesSink(sys.stdout.fileno(), on_gone=stop.set))
+            form = _in_words(settings) if in_words else encode
+            service.tell(LinesSink(sys.stdout.fileno(), on_gone=stop.set, form=form))
+            if in_words and settings.live and settings.live.host in EVERY_ADDRESS and settings.live.port:
+                sys.stderr.write(qr_code(urls_of(settings.live, settings.live.port)[0]))
         reloader = Reloader(read, service.make_parts, service.replace)
         closing.enter_context(rereading(hung_up, reloader))
         service.run(stop)
         notifier.send(STOPPING=1)
+
+
+def _in_words(settings: Settings) -> Callable[[Event], bytes]:
+    """Return what writes an event as a line for a person, with the pad's name where there are several."""
+    from daemon.terminal.describe import describe
+
+    def line(event: Event) -> bytes:
+        pad = f"{event.pad}: " if len(settings.pads) > 1 and not isinstance(event, RobotEvent) else ""
+        return f"{pad}{describe(event, settings.vocabulary)}".encode()
+
+    return line
 
 
 @contextmanager

@@ -16,22 +16,26 @@ import msgspec
 import numpy as np
 import pytest
 from rigs.expectations import RECORDINGS, answers, stream_of
+from rigs.terminal import Terminal
 
 from daemon import cli
 from daemon.config import JournalSettings, LiveSettings, Settings, load
-from daemon.destinations import open_journal
+from daemon.destinations import encoder_for, open_journal
 from daemon.doctor.line import check_rate
 from daemon.doctor.listening import Heard
 from daemon.events import Prediction, TouchEnded
 from daemon.live.address import qr_code, urls_of
 from daemon.own_name import own_name
 from daemon.parts import check_pad, load_model
+from daemon.playback.stream import DEMO_RECORDING
 from daemon.sinks import RobotSink
 from drivers.extras import how_to_install
+from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import StubRobot
 from drivers.fakes.services import Call
 from drivers.frame import DEFAULT_PAD, Frame
 from drivers.pad.pace import pace_of
+from drivers.recording import read_recordings, splice
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
 
@@ -188,6 +192,25 @@ def test_every_settled_touch_sets_the_example_action_off_once() -> None:
     early = [event for event in events if isinstance(event, Prediction) and event.stage == "early"]
     assert any(event.told for event in early)
     assert said == settled
+
+
+def test_classify_speaks_to_a_person_in_a_terminal() -> None:
+    with Terminal("classify") as terminal:
+        terminal.until("touch 1 begins")
+        terminal.until("touch 6 ends: still hand")
+        terminal.until("recorded")
+        terminal.until("stroke      stroke 1")
+        right = terminal.until(" touches right (")
+    assert right.split()[-3:-1] == ["6", "of"]
+
+
+def test_run_speaks_to_a_person_in_a_terminal_and_json_on_request() -> None:
+    stream, encode = splice(read_recordings(DEMO_RECORDING)), encoder_for(Settings().sensor)
+    with FakePort(stream, encode, speed=8) as port, Terminal("run", "--port", port.path) as terminal:
+        terminal.until("pad up")
+        terminal.until("touch 1 ends: pat")
+    with Terminal("run", "--json", "--port", "/dev/nowhere") as terminal:
+        terminal.until('{"type":"sensor"')
 
 
 def test_the_network_is_told_of_by_numbers_and_a_code() -> None:

@@ -1,0 +1,52 @@
+"""What was recorded against what was answered, for a person who has classified recordings."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from daemon.events import Event, TouchBegan, TouchEnded
+from daemon.words import Vocabulary, name_of
+from drivers.recording import NO_TOUCH, Stream
+
+
+class Tally:
+    """Counts touches by the recording in which they began and by what they were settled on."""
+
+    def __init__(self, stream: Stream, words: Vocabulary) -> None:
+        self._spans = stream.spans
+        self._words = words
+        self._frame = 0
+        self._recorded = ""
+        self._felt: set[int] = set()
+        self._touches: Counter[tuple[str, str]] = Counter()
+
+    def at(self, frame: int) -> None:
+        """Take note of the number of the frame that comes next."""
+        self._frame = frame
+
+    def put(self, event: Event) -> None:
+        """Count a touch."""
+        if isinstance(event, TouchBegan):
+            place = next(i for i, span in enumerate(self._spans) if self._frame < span.stop)
+            self._felt.add(place)
+            self._recorded = self._spans[place].gesture
+        elif isinstance(event, TouchEnded):
+            self._touches[self._recorded, event.gesture] += 1
+
+    def summary(self) -> str:
+        """Return a line for each gesture recorded, and how many touches were right."""
+        name = {gesture: name_of(self._words, gesture) for pair in self._touches for gesture in pair}
+        width = max([len("recorded"), *map(len, name.values())])
+        lines = ["", f"{'recorded':<{width}}  answered"]
+        for recorded in sorted({pair[0] for pair in self._touches}):
+            answers = Counter({answer: n for (was, answer), n in self._touches.items() if was == recorded})
+            told = ", ".join(f"{name[answer]} {n}" for answer, n in answers.most_common())
+            lines.append(f"{name[recorded]:<{width}}  {told}")
+        touched = [place for place, span in enumerate(self._spans) if span.gesture != NO_TOUCH]
+        right = sum(n for (recorded, answer), n in self._touches.items() if recorded == answer)
+        touches = sum(self._touches.values())
+        share = f" ({right / touches:.0%})" if touches else ""
+        lines.append(f"{right} of {touches} touches right{share}")
+        if missed := len(set(touched) - self._felt):
+            lines.append(f"no touch was felt in {missed} of {len(touched)} recordings of touches")
+        return "\n".join([*lines, ""])
