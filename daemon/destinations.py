@@ -74,7 +74,9 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
 def scenes_of(settings: Settings, models: Mapping[str, ProbabilityModel]) -> dict[str, Scene]:
     """Return what the live page is told of how answers are made on each pad."""
     return {
-        name: Scene(pad.pipeline, models[name], settings.robot is not None)
+        name: Scene(
+            pad.pipeline, models[name], settings.robot is not None, settings.vocabulary, settings.language
+        )
         for name, pad in settings.pads.items()
     }
 

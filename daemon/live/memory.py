@@ -6,9 +6,19 @@ from collections import deque
 
 import msgspec
 
-from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import (
+    UNCERTAIN,
+    Event,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+)
 from daemon.live.messages import Felt, State
 from daemon.live.scene import Scene
+from daemon.words import name_of
 from drivers.frame import FRAME_RATE_HZ
 
 TOUCHES = 12
@@ -22,6 +32,7 @@ class Memory:
         self.scene = scene
         self._sensor: SensorEvent | None = None
         self._robot: RobotEvent | None = None
+        self._action: RobotAction | None = None
         self._touches: deque[Felt] = deque(maxlen=TOUCHES)
 
     def put(self, event: Event) -> None:
@@ -31,7 +42,10 @@ class Memory:
                 self._sensor = event
             case RobotEvent():
                 self._robot = event
+            case RobotAction():
+                self._action = event
             case TouchBegan():
+                self._action = None
                 self._touches.append(Felt(began=event, predictions=(), ended=None))
             case Prediction() | TouchEnded():
                 self._add(event)
@@ -47,7 +61,12 @@ class Memory:
             answer_at_frames=scene.settings.decision.answer_at_frames,
             frame_rate_hz=FRAME_RATE_HZ,
             model=scene.model.name,
+            speak_above=scene.settings.decision.speak_above,
+            revise_margin=scene.settings.decision.revise_margin,
+            language=scene.language,
+            names={label: name_of(scene.words, label) for label in (*scene.model.labels, UNCERTAIN)},
             robot_configured=scene.robot_configured,
+            action=self._action,
             sensor=self._sensor,
             robot=self._robot if scene.robot_configured else None,
             touches=tuple(self._touches),

@@ -10,7 +10,7 @@ import struct
 
 import msgspec
 
-from daemon.events import Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from drivers.frame import Frame
 
 CLOCK = struct.Struct("<I")
@@ -30,8 +30,9 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="st
 
     pad: which it is of, of all pads.
     page: stamp of the page's files; a page with another one loads itself anew. labels: in the order of the
-    probabilities. answer_at_frames: of the scene. model: its name. touches: the last ones, oldest first; one
-    that goes on is the last.
+    probabilities. answer_at_frames, speak_above, revise_margin: of the scene. model: its name. names: of the
+    gestures, in the page's language. action: what the robot did last about the last touch.
+    touches: the last ones, oldest first; one that goes on is the last.
     """
 
     page: str
@@ -41,7 +42,12 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="st
     answer_at_frames: tuple[int, ...]
     frame_rate_hz: float
     model: str
+    speak_above: float
+    revise_margin: float
+    language: str
+    names: dict[str, str]
     robot_configured: bool
+    action: RobotAction | None
     sensor: SensorEvent | None
     robot: RobotEvent | None
     touches: tuple[Felt, ...]

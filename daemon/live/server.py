@@ -34,7 +34,8 @@ log = logging.getLogger(__name__)
 # Ten seconds of frames, which wait only when the machine is far too busy.
 CAPACITY = 540
 STATUS_EVERY_S = 0.5
-RATE_SAMPLES = 5
+# Four seconds: a rate that one late frame does not move.
+RATE_SAMPLES = 9
 # Connections of any kind, those that ask for a file and those that ask for nothing among them.
 MOST_CONNECTIONS = 64
 MOST_HEARD_BYTES = 64

@@ -16,12 +16,13 @@ import pytest
 from numpy.typing import NDArray
 from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from rigs.expectations import DEMO, stream_of
-from rigs.live_rig import free_port, live_daemon
+from rigs.live_rig import free_port, live_daemon, serving
 from selenium.webdriver import ActionChains, Chrome, Keys
 
 from daemon.config import SensorSettings
 from daemon.destinations import encoder_for
-from daemon.events import Event, Prediction, TouchEnded
+from daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
+from daemon.words import name_of, vocabulary
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream
 
@@ -34,6 +35,7 @@ pytestmark = [
 T = TypeVar("T")
 
 WITHIN_S = 15.0
+NOW = "2026-11-20T10:00:00.000Z"
 SPEED = 6.0
 # Three touches: a pat, a stroke first taken for a pat, a rub first taken for scratching.
 FRAMES = 1040
@@ -189,7 +191,7 @@ def test_the_probabilities_are_those_of_the_answer(played: Played) -> None:
     rows = played.run("return [...document.querySelectorAll('#bars li')].map(row => row.innerText)")
     shown = {row.split("\n")[0]: row.replace("\u00a0", "").split("\n")[-1] for row in rows}
     said = {
-        label.replace("notouch", "no touch"): f"{value:.0%}" for label, value in answer.probabilities.items()
+        name_of(vocabulary("en", {}), label): f"{value:.0%}" for label, value in answer.probabilities.items()
     }
     assert shown == said
 
@@ -330,14 +332,95 @@ def test_a_phone_shows_it_all_without_scrolling_sideways(played: Played, width: 
         show_in(played.chrome, 1280, 800)
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 650), (1366, 768), (1920, 1080)])
-def test_a_laptop_shows_it_all_at_once(played: Played, width: int, height: int) -> None:
+@pytest.mark.parametrize(
+    ("width", "height"), [(800, 600), (1280, 650), (1280, 800), (1920, 1080), (768, 1024), (1024, 1366)]
+)
+def test_laptops_and_tablets_show_it_all_at_once(played: Played, width: int, height: int) -> None:
     show_in(played.chrome, width, height)
     try:
         await_(lambda: played.run("return innerWidth") == width)
         assert played.run("return document.documentElement.scrollHeight") <= height
+        assert played.run("return document.documentElement.scrollWidth") <= width
     finally:
         show_in(played.chrome, 1280, 800)
+
+
+def test_text_twice_as_large_is_all_there(played: Played) -> None:
+    played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 32}})
+    try:
+        size = "return parseFloat(getComputedStyle(document.body).fontSize)"
+        await_(lambda: played.run(size) >= 32)
+        sides = """return [...document.querySelectorAll('#gesture, #bars li *, #flags li, #vitals div, #remark')]
+                     .map(one => one.getBoundingClientRect()).flatMap(box => [box.left, box.right])"""
+        await_(lambda: max(played.run(sides)) <= 1280 and min(played.run(sides)) >= 0)
+    finally:
+        played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 16}})
+
+
+def test_forced_colours_leave_the_bars_to_be_seen(played: Played) -> None:
+    forced = [{"name": "forced-colors", "value": "active"}]
+    played.chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": forced})
+    try:
+        bar = "const bar = document.querySelector('.best + .bar'); "
+        inside = bar + "return getComputedStyle(bar.firstElementChild).backgroundColor"
+        paper = "return getComputedStyle(document.body).backgroundColor"
+        assert played.run(inside) != played.run(paper)
+        assert played.run(bar + "return getComputedStyle(bar).borderTopStyle") == "solid"
+    finally:
+        prefer(played.chrome)
+
+
+def test_visitors_see_pad_and_answer_and_no_vitals(played: Played) -> None:
+    def seen(selector: str) -> bool:
+        return bool(played.run("return document.querySelector(arguments[0]).checkVisibility()", selector))
+
+    ActionChains(played.chrome).send_keys("v").perform()
+    try:
+        await_(lambda: played.run("return document.body.hasAttribute('data-visitors')"))
+        assert all(seen(name) for name in ("#heat", "#gesture", "#certainty", "#flags", "#legend"))
+        assert not any(seen(name) for name in ("#vitals", "#bars", "#touches", "h1"))
+        assert played.text("#legend").startswith("Brighter is firmer.")
+        assert played.run("return document.documentElement.scrollHeight <= innerHeight")
+    finally:
+        ActionChains(played.chrome).send_keys("v").perform()
+    await_(lambda: not played.run("return document.body.hasAttribute('data-visitors')"))
+    assert seen("#vitals")
+
+
+def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> None:
+    with serving(language="de") as served:
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        await_(lambda: text_of(chrome, "#gesture") == "Berühre das Kissen")
+        served.sink.put(SensorEvent(state="down", time=NOW))
+        served.put_frame()
+        await_(lambda: text_of(chrome, "#gesture") == "Das Kissen ist nicht da")
+        served.sink.put(SensorEvent(state="up", time=NOW))
+        served.sink.put(TouchBegan(touch=1, time=NOW, sensor_ms=0))
+        shares = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
+        served.sink.put(
+            Prediction(
+                touch=1,
+                stage="final",
+                frames=144,
+                elapsed_s=2.667,
+                gesture="pat",
+                confidence=0.45,
+                probabilities=shares,
+                changed=False,
+                told=True,
+                degraded=False,
+                latency_ms=1.0,
+                model="touchd-1",
+                time=NOW,
+            )
+        )
+        served.sink.put(RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=NOW))
+        served.put_frame()
+        await_(lambda: text_of(chrome, "#says") == "“Das war <b>Tätscheln</b>.”")
+        assert text_of(chrome, "#gesture") == "Tätscheln"
+        why = "Tätscheln stands: Reiben leads by 5 points, 10 are needed"
+        assert text_of(chrome, "#chances-when") == why
+        assert text_of(chrome, "#bars .best") == "Tätscheln"
 
 
 def test_it_comes_back_when_the_daemon_does_and_a_still_pad_stays_still(

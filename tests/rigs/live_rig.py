@@ -102,9 +102,9 @@ def free_port() -> int:
 class Served:
     """A page that is served in this process, and frames to show on it."""
 
-    def __init__(self, classifier: Classifier) -> None:
+    def __init__(self, classifier: Classifier, **settings: Any) -> None:
         self.port = free_port()
-        self.settings = Settings(live=LiveSettings(port=self.port))
+        self.settings = Settings(live=LiveSettings(port=self.port), **settings)
         self.models = {"pad": classifier}
         self.sink = self.serve(self.settings)
         self._frames = 0
@@ -137,9 +137,9 @@ class Served:
 
 
 @contextmanager
-def serving() -> Iterator[Served]:
+def serving(**settings: Any) -> Iterator[Served]:
     """A page that is served; afterwards nothing of it is left."""
-    served = Served(load_model(Settings()))
+    served = Served(load_model(Settings()), **settings)
     yield served
     served.sink.stop(1.0)
     assert "touchd-live" not in [thread.name for thread in threading.enumerate()]

@@ -7,7 +7,8 @@ import { connect } from "./link.js";
 import * as show from "./show.js";
 import { PadSwitch } from "./pads.js";
 import { padOf, Store } from "./store.js";
-import { nameOf, percent } from "./words.js";
+import { Visitors } from "./visitors.js";
+import { nameOf, percent, useWords } from "./words.js";
 
 // Frames come every 18 ms; without one for this long, what is seen is old.
 const STALE_AFTER_S = 0.5;
@@ -34,6 +35,7 @@ let trouble = "";
 let isDue = false;
 let hasEvent = true;
 let hasLive = false;
+const visitors = new Visitors($("visitors"), $("legend"), drawSoon);
 
 function draw() {
   isDue = false;
@@ -99,6 +101,8 @@ function onMessage(message) {
     stamp = message.page;
     link = "live";
     usePads(message.pads);
+    useWords(message);
+    visitors.use(message);
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
   if (message.type === "prediction") announce(message);

@@ -1,6 +1,6 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and how it goes.
 
-import { endingOf, nameOf, percent, seconds, timeOfDay } from "./words.js";
+import { endingOf, nameOf, percent, seconds, timeOfDay, visitorWord } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 
@@ -26,16 +26,45 @@ export function showAnswer(store) {
   const answer = said.at(-1);
   say($("which"), touch ? `${isTouched ? "Touch" : "Last touch:"} ${touch.began.touch}` : "No touch yet");
   const gesture = $("gesture");
-  say(gesture, answer ? nameOf(answer.gesture) : isTouched ? "feeling…" : "Touch the pad");
+  const waiting = store.sensor?.state === "down" ? "away" : isTouched ? "feeling" : "touch";
+  say(gesture, answer ? nameOf(answer.gesture) : visitorWord(waiting));
+  gesture.style.setProperty("--letters", gesture.textContent.length);
   const previous = said.slice(0, -1).reverse().find((one) => one.gesture !== answer?.gesture);
   gesture.classList.toggle("waiting", answer === undefined);
   gesture.classList.toggle("changed", Boolean(answer?.changed && previous && isTouched));
   gesture.classList.toggle("over", !isTouched);
   const certainty = answer
-    ? [make("b", "", percent(answer.confidence)), ` sure, after ${seconds(answer.elapsed_s)}`]
+    ? [make("b", "", percent(answer.confidence)), `${visitorWord("sure")}${seconds(answer.elapsed_s)}`]
     : [];
   $("certainty").replaceChildren(...certainty);
   $("remark").replaceChildren(...remarks(store, said, previous));
+  showAction(store.action);
+}
+
+/** What the robot says, as a bubble, or what it does. */
+function showAction(action) {
+  const isSaid = action?.action === "say" || action?.action === "animated_say";
+  const isShown = isSaid || action?.action === "behavior";
+  $("says").hidden = !isShown;
+  $("says").classList.toggle("deed", isShown && !isSaid);
+  say($("says"), isSaid ? `“${action.what}”` : isShown ? `does ${action.what.split("/").at(-1)}` : "");
+}
+
+/** Why the answer that stands is not the likeliest gesture; "" where it is. */
+function whyItStands({ touch, isTouched, scene }, shown, best) {
+  const answer = touch?.predictions.at(-1);
+  if (!answer || !isTouched || best === answer.gesture || !(answer.gesture in shown.probabilities)) return "";
+  const stands = `${nameOf(answer.gesture)} stands`;
+  if (best === "notouch") return `${stands}: a pause replaces no answer`;
+  const lead = shown.probabilities[best] - shown.probabilities[answer.gesture];
+  const isHeard = touch.predictions.some((one) => one.told);
+  if (isHeard && lead < scene.revise_margin) {
+    return `${stands}: ${nameOf(best)} leads by ${Math.round(100 * lead)} points, ${Math.round(100 * scene.revise_margin)} are needed`;
+  }
+  if (isHeard && shown.probabilities[best] < scene.speak_above) {
+    return `${stands}: ${nameOf(best)} is likelier, but not yet ${percent(scene.speak_above)} sure`;
+  }
+  return `${stands} until the next answer`;
 }
 
 function remarks({ scene, robot }, said, previous) {
@@ -58,11 +87,12 @@ export function showChances(store) {
   const bars = $("bars");
   if (bars.childElementCount !== labels.length) bars.replaceChildren(...labels.map(makeBar));
   const best = labels.reduce((a, b) => ((shown?.probabilities[b] ?? 0) > (shown?.probabilities[a] ?? 0) ? b : a), "");
+  const standing = (store.isTouched ? answer?.gesture : null) ?? best;
   [...bars.children].forEach((row, i) => {
     const share = shown?.probabilities[labels[i]] ?? 0;
     const [name, bar, number] = row.children;
     say(name, nameOf(labels[i]));
-    name.classList.toggle("best", labels[i] === best);
+    name.classList.toggle("best", labels[i] === standing);
     bar.firstElementChild.style.setProperty("--share", share);
     say(number, shown ? percent(share) : "–");
   });
@@ -71,7 +101,9 @@ export function showChances(store) {
     : answer
       ? `answered after ${seconds(answer.elapsed_s)}`
       : "";
-  say($("chances-when"), when);
+  const why = shown ? whyItStands(store, shown, best) : "";
+  say($("chances-when"), why || when);
+  $("chances-when").classList.toggle("why", why !== "");
 }
 
 function makeBar() {
@@ -114,7 +146,7 @@ export function showVitals(store, link, age) {
   const { sensor, robot, scene, status } = store;
   vital("link", isLive ? "live" : "reconnecting", isLive ? "good" : "bad");
   vital("pad", ...padState(isLive ? sensor : null));
-  vital("rate", status && isLive && age !== null ? `${status.rate_hz.toFixed(1)} frames/s` : "–");
+  vital("rate", status && isLive && age !== null ? `${Math.round(status.rate_hz)} frames/s` : "–");
   vital("dropped", status ? `${status.dropped}` : "–", status?.dropped ? "bad" : undefined);
   vital("robot", ...robotState(isLive, scene, robot));
   const latency = store.touches.flatMap((touch) => touch.predictions).at(-1)?.latency_ms;

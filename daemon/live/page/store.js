@@ -14,10 +14,12 @@ const NOISE_COUNTS = 3;
 export const padOf = (buffer) => new DataView(buffer).getUint8(PAD_AT);
 
 export class Store {
-  scene = { labels: [], answer_at_frames: [], frame_rate_hz: 54, model: "", robot_configured: false };
+  scene = { labels: [], answer_at_frames: [], frame_rate_hz: 54, revise_margin: 0, model: "", robot_configured: false };
   sensor = null;
   robot = null;
   status = null;
+  /** What the robot did last about the last touch. */
+  action = null;
   touches = [];
   live = null;
   /** Pressure above rest of each taxel, in counts. */
@@ -51,7 +53,7 @@ export class Store {
     switch (message.type) {
       case "state": {
         const before = this.touch?.began;
-        ({ sensor: this.sensor, robot: this.robot, touches: this.touches } = message);
+        ({ sensor: this.sensor, robot: this.robot, touches: this.touches, action: this.action } = message);
         this.scene = message;
         this.live = null;
         const began = this.touch?.began;
@@ -64,6 +66,9 @@ export class Store {
       case "robot":
         this.robot = message;
         break;
+      case "robot_action":
+        this.action = message;
+        break;
       case "status":
         this.status = message;
         break;
@@ -73,6 +78,7 @@ export class Store {
       case "touch_began":
         this.touches = [...this.touches, { began: message, predictions: [], ended: null }].slice(-TOUCHES);
         this.live = null;
+        this.action = null;
         this.trace = this.#lateTrace();
         break;
       case "prediction":

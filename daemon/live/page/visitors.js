@@ -1,0 +1,54 @@
+// The view for visitors: the whole screen, nothing but pad, answer, time line and the robot's words.
+
+import { seconds, visitorWord } from "./words.js";
+
+const HASH = "#visitors";
+
+export class Visitors {
+  #button;
+  #legend;
+  #onChange;
+
+  constructor(button, legend, onChange) {
+    this.#button = button;
+    this.#legend = legend;
+    this.#onChange = onChange;
+    button.addEventListener("click", () => this.#toggle());
+    document.addEventListener("keydown", ({ key, ctrlKey, metaKey, altKey }) => {
+      if (key === "v" && !ctrlKey && !metaKey && !altKey) this.#toggle();
+    });
+    document.addEventListener("fullscreenchange", () => {
+      if (!document.fullscreenElement) this.#show(false);
+    });
+    addEventListener("hashchange", () => this.#show(location.hash === HASH));
+    this.#show(location.hash === HASH);
+  }
+
+  /** Take the words and marks of the scene. */
+  use(scene) {
+    const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
+    const list = new Intl.ListFormat(scene.language, { style: "long" }).format(marks);
+    this.#legend.textContent = visitorWord("legend").replace("{marks}", list);
+    this.#button.ariaLabel = this.#isShown ? visitorWord("leave") : null;
+  }
+
+  get #isShown() {
+    return document.body.hasAttribute("data-visitors");
+  }
+
+  #toggle() {
+    const isShown = !this.#isShown;
+    this.#show(isShown);
+    // Refused where a page may not; the view is good without.
+    if (isShown) document.documentElement.requestFullscreen?.().catch(() => {});
+    else if (document.fullscreenElement) document.exitFullscreen();
+  }
+
+  #show(isShown) {
+    document.body.toggleAttribute("data-visitors", isShown);
+    this.#button.ariaPressed = String(isShown);
+    this.#button.ariaLabel = isShown ? visitorWord("leave") : null;
+    history.replaceState(null, "", isShown ? HASH : location.pathname);
+    this.#onChange();
+  }
+}
