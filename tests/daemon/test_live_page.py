@@ -350,7 +350,7 @@ def test_text_twice_as_large_is_all_there(played: Played) -> None:
     try:
         size = "return parseFloat(getComputedStyle(document.body).fontSize)"
         await_(lambda: played.run(size) >= 32)
-        sides = """return [...document.querySelectorAll('#gesture, #bars li *, #flags li, #vitals div, #remark')]
+        sides = """return [...document.querySelectorAll('#gesture, #bars li *, #flags li, #vitals div')]
                      .map(one => one.getBoundingClientRect()).flatMap(box => [box.left, box.right])"""
         await_(lambda: max(played.run(sides)) <= 1280 and min(played.run(sides)) >= 0)
     finally:
