@@ -27,15 +27,16 @@ if typing.TYPE_CHECKING:
 BYTES_PER_MB = 1_000_000
 
 
-def open_journal(settings: JournalSettings | None) -> Journal | None:
-    """Return the configured journal, if any; raises JournalError."""
+def open_journal(settings: JournalSettings | None, before: Journal | None = None) -> Journal | None:
+    """Return the configured journal, if any, in place of the one before; raises JournalError."""
     if settings is None:
         return None
     if settings.path is None:
         # The user's folder of state may not be there yet; a path that was given is not made up.
         with suppress(OSError):
             settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return Journal(settings.file, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep)
+    max_bytes = round(settings.max_mb * BYTES_PER_MB)
+    return Journal(settings.file, max_bytes=max_bytes, keep=settings.keep, before=before)
 
 
 def open_touch_stores(settings: Settings) -> dict[str, TouchStore]:

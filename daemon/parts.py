@@ -118,8 +118,10 @@ class Parts:
         else:
             self.kept = before.kept
         with ExitStack() as undo:
+            self.journal: JournalSink | None
             if before is None or "journal" in changed:
-                journal = open_journal(settings.journal)
+                sink_before = before.journal if before else None
+                journal = open_journal(settings.journal, sink_before.journal if sink_before else None)
                 self.journal = JournalSink(journal) if journal else None
                 if journal:
                     undo.callback(journal.close)

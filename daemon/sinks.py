@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import select
@@ -22,6 +23,7 @@ Item = TypeVar("Item")
 
 CAPACITY = 1000
 WRITABLE_WAIT_S = 0.1
+DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class Sink(typing.Protocol):
@@ -114,11 +116,57 @@ class QueuedSink(ABC, Generic[Item]):
                 log.exception("%s: an event could not be passed on", self.name)
 
 
-class LinesSink(QueuedSink[Event]):
-    """One line an event to a file descriptor, usually standard output.
+class LineSink(QueuedSink[Item]):
+    """Lines to a file descriptor that somebody reads, or not, or that leads to a disk that is full.
 
-    on_gone: called once, from the sink's thread, when nobody reads any more. form: makes the line.
+    on_gone: called once, from the sink's thread, when nobody reads any more.
     """
+
+    def __init__(
+        self, name: str, fd: int, on_gone: Callable[[], None] = lambda: None, capacity: int = CAPACITY
+    ) -> None:
+        super().__init__(name, capacity)
+        self._fd = fd
+        self._on_gone = on_gone
+        self._is_full = False
+        self._is_cut_off = False
+        self.lost = 0
+
+    @abstractmethod
+    def line_of(self, item: Item) -> bytes:
+        """Return an item as a line, without its newline."""
+
+    def write(self, item: Item) -> None:
+        """Write one line; waits for a slow reader, not for one that is gone. A full disk costs the line."""
+        # What a full disk left of a line is ended first.
+        data = b"\n" * self._is_cut_off + self.line_of(item) + b"\n"
+        try:
+            while data and not self._abandoned.is_set():
+                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
+                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
+                    written = os.write(self._fd, data[: select.PIPE_BUF])
+                    data = data[written:]
+                    self._is_cut_off = bool(data)
+        except OSError as error:
+            if error.errno in DISK_FULL:
+                self._lose(error)
+            else:
+                self._abandoned.set()
+                self._on_gone()
+        else:
+            if self._is_full:
+                self._is_full = False
+                log.info("%s: works again; %d lines were lost", self.name, self.lost)
+
+    def _lose(self, error: OSError) -> None:
+        self.lost += 1
+        if not self._is_full:
+            self._is_full = True
+            log.warning("%s: %s; lines are lost until that is mended", self.name, error.strerror)
+
+
+class LinesSink(LineSink[Event]):
+    """One line an event to standard output. form: makes the line."""
 
     def __init__(
         self,
@@ -127,22 +175,38 @@ class LinesSink(QueuedSink[Event]):
         capacity: int = CAPACITY,
         form: Callable[[Event], bytes] = encode,
     ) -> None:
-        super().__init__("stdout", capacity)
-        self._fd = fd
+        super().__init__("stdout", fd, on_gone, capacity)
         self._form = form
-        self._on_gone = on_gone
 
-    def write(self, item: Event) -> None:
-        """Write one line; waits for a slow reader, and for none once it is gone."""
-        data = self._form(item) + b"\n"
-        try:
-            while data and not self._abandoned.is_set():
-                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
-                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
-                    data = data[os.write(self._fd, data[: select.PIPE_BUF]) :]
-        except OSError:
-            self._abandoned.set()
-            self._on_gone()
+    def line_of(self, item: Event) -> bytes:
+        """Return the event as its line."""
+        return self._form(item)
+
+
+class LogSink(LineSink[str]):
+    """The daemon's own log, for which no thread of the daemon waits; says how many lines nobody read."""
+
+    def __init__(self, fd: int, capacity: int = CAPACITY) -> None:
+        super().__init__("log", fd, capacity=capacity)
+        self._told = 0
+
+    def line_of(self, item: str) -> bytes:
+        """Return a line, after one about those that were dropped before it."""
+        dropped, self._told = self.dropped - self._told, self.dropped
+        gap = f"WARNING {__name__}: {dropped} lines of the log were dropped: nobody read them\n"
+        return ((gap if dropped else "") + item).encode(errors="replace")
+
+
+class LogHandler(logging.Handler):
+    """Hands lines of the log to a sink, at once."""
+
+    def __init__(self, sink: LogSink) -> None:
+        super().__init__()
+        self._sink = sink
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Hand over one line."""
+        self._sink.put(self.format(record))
 
 
 class JournalSink(QueuedSink[Event]):
@@ -150,18 +214,18 @@ class JournalSink(QueuedSink[Event]):
 
     def __init__(self, journal: Journal, capacity: int = CAPACITY) -> None:
         super().__init__("journal", capacity)
-        self._journal = journal
+        self.journal = journal
 
     def write(self, item: Event) -> None:
         """Append one line."""
-        self._journal.append(encode(item))
+        self.journal.append(encode(item))
 
     def stop(self, timeout_s: float) -> None:
         """Write what is queued and close the file."""
         super().stop(timeout_s)
         # A disk that hangs keeps the thread; the file is then left as it is.
         if not self._thread.is_alive():
-            self._journal.close()
+            self.journal.close()
 
 
 class RobotSink:

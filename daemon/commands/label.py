@@ -55,7 +55,10 @@ def label(console: Console, options: argparse.Namespace) -> None:
         _label_named(console, folder, kept, options)
         return
     looked_at = folder.labelled().keys() | folder.found_right()
-    said = {(touch.began.time, touch.began.touch): touch for touch in read_since(journal, kept[0].time)}
+    said = {
+        (touch.began.time, touch.began.touch): touch
+        for touch in read_since(journal, min(touch.time for touch in kept))
+    }
     offered = [
         Offered(touch, said.get((touch.time, touch.number)))
         for touch in kept

@@ -21,10 +21,11 @@ from daemon.health import Health, Notifier
 from daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from daemon.reread import Reloader, rereading
 from daemon.service import Service
-from daemon.sinks import LinesSink
+from daemon.sinks import LinesSink, LogHandler, LogSink
 
 # How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.
 SWITCH_S = 0.0005
+LOG_STOP_S = 0.4
 
 
 def parser() -> argparse.ArgumentParser:
@@ -100,7 +101,10 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))
             service.show_on(view)
         else:
-            closing.enter_context(_logging(logging.StreamHandler(sys.stderr), settings.log_level))
+            log_sink = LogSink(sys.stderr.fileno())
+            log_sink.start()
+            closing.callback(log_sink.stop, LOG_STOP_S)
+            closing.enter_context(_logging(LogHandler(log_sink), settings.log_level))
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink(sys.stdout.fileno(), on_gone=stop.set, form=form))
             if in_words and settings.live and settings.live.host in EVERY_ADDRESS and settings.live.port:

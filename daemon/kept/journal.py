@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import logging
 import os
 from pathlib import Path
@@ -16,6 +17,8 @@ MAX_LINE_BYTES = 64 * 1024
 # event may cross one; the line before is filled up with blanks, which JSON ignores.
 PAGE_BYTES = 4096
 MAX_EVENT_BYTES = 1024
+# With which every line begins.
+FIRST_BYTES = b'{"type":"'
 
 
 class JournalError(TouchdError):
@@ -26,17 +29,23 @@ class Journal:
     """Appends lines to a file; a full disk is warned of once and costs lines, never the daemon.
 
     path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file is
-    begun. Raises JournalError when the file cannot be opened.
+    begun. before: the journal that this one takes the place of, perhaps on the same file. Only one process
+    writes a journal. Raises JournalError when the file cannot be opened, or is no journal and left as it is.
     """
 
-    def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
+    def __init__(self, path: Path, *, max_bytes: int, keep: int, before: Journal | None = None) -> None:
         self._path = path
         self._max_bytes = max_bytes
         self._keep = keep
+        self._fd: int
         self._failing = False
         self.lost = 0
         try:
-            self._fd, self._size = _open(path)
+            if before is not None and before.is_on(path):
+                # The lock goes with it.
+                self._fd = os.dup(before._fd)
+            else:
+                self._fd = _open(path)
         except OSError as error:
             raise JournalError(
                 f"journal {path}: cannot be written ({error.strerror}); give another journal.path, or null"
@@ -45,20 +54,35 @@ class Journal:
     def append(self, line: bytes) -> None:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""
         try:
-            if self._size and self._size + len(line) + 1 > self._max_bytes:
+            if not self.is_on(self._path):
+                log.warning("journal %s: was taken away; begun anew", self._path)
+                self._begin_anew()
+            size = os.fstat(self._fd).st_size
+            if size and size + len(line) + 1 > self._max_bytes:
                 self._rotate()
-            self._write(line + b" " * self._blanks_after(line) + b"\n")
+                size = os.fstat(self._fd).st_size
+            self._write(line + b" " * self._blanks_after(line, size) + b"\n", size)
+        except JournalError as error:
+            self._lose(str(error))
         except OSError as error:
-            self.lost += 1
-            level = logging.DEBUG if self._failing else logging.WARNING
-            log.log(
-                level, "journal %s: %s; events are not kept until that is mended", self._path, error.strerror
-            )
-            self._failing = True
+            self._lose(f"journal {self._path}: {error.strerror}")
         else:
             if self._failing:
                 log.info("journal %s: works again; %d events were lost", self._path, self.lost)
             self._failing = False
+
+    def is_on(self, path: Path) -> bool:
+        """Whether this is what it writes to; raises OSError when that cannot be told."""
+        try:
+            return os.path.samestat(os.stat(path), os.fstat(self._fd))
+        except FileNotFoundError:
+            return False
+
+    def _lose(self, why: str) -> None:
+        self.lost += 1
+        level = logging.DEBUG if self._failing else logging.WARNING
+        log.log(level, "%s; events are not kept until that is mended", why)
+        self._failing = True
 
     def close(self) -> None:
         """Close the file; further lines are lost."""
@@ -66,18 +90,17 @@ class Journal:
             os.close(self._fd)
             self._fd = -1
 
-    def _blanks_after(self, line: bytes) -> int:
+    def _blanks_after(self, line: bytes, size: int) -> int:
         """Return how many blanks keep the next event from crossing into another page."""
-        room = -(self._size + len(line) + 1) % PAGE_BYTES
-        fits = self._size + len(line) + 1 + room <= self._max_bytes
+        room = -(size + len(line) + 1) % PAGE_BYTES
+        fits = size + len(line) + 1 + room <= self._max_bytes
         return room if room < MAX_EVENT_BYTES and fits else 0
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, data: bytes, size: int) -> None:
         written = os.write(self._fd, data)
         if written < len(data):
-            os.ftruncate(self._fd, self._size)
+            os.ftruncate(self._fd, size)
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        self._size += written
 
     def _rotate(self) -> None:
         # An attempt that moved the files but could not open the next must not move them once more.
@@ -88,25 +111,43 @@ class Journal:
                     os.replace(older, self._numbered(number))
             if self._keep == 0:
                 self._path.unlink()
-        fd, size = _open(self._path)
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        fd = _open(self._path)
         self.close()
-        self._fd, self._size = fd, size
+        self._fd = fd
 
     def _numbered(self, number: int) -> Path:
         return self._path.with_name(f"{self._path.name}.{number}") if number else self._path
 
 
-def _open(path: Path) -> tuple[int, int]:
-    """Return the file open for appending, and its size; half a line left by a power cut is taken off."""
+def _open(path: Path) -> int:
+    """Return the file open for appending by this process alone, without half a line left by a power cut."""
+    # Opening a device or a pipe may already do something.
+    if path.exists() and not path.is_file():
+        raise JournalError(f"journal {path}: is no file; give another journal.path")
     fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o640)
     try:
+        _lock(fd, path)
         size = os.fstat(fd).st_size
+        begin = os.pread(fd, len(FIRST_BYTES), 0)
+        if begin.strip(b"\0") and not FIRST_BYTES.startswith(begin):
+            raise JournalError(
+                f"journal {path}: is no journal of touchd, and left as it is; give another journal.path"
+            )
         start = max(0, size - MAX_LINE_BYTES)
         tail = os.pread(fd, size - start, start)
         if tail and not tail.endswith(b"\n"):
-            size = start + tail.rfind(b"\n") + 1
-            os.ftruncate(fd, size)
-    except OSError:
+            os.ftruncate(fd, start + tail.rfind(b"\n") + 1)
+    except (OSError, JournalError):
         os.close(fd)
         raise
-    return fd, size
+    return fd
+
+
+def _lock(fd: int, path: Path) -> None:
+    try:
+        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise JournalError(f"journal {path}: another touchd writes it; give each its own") from error

@@ -1,8 +1,9 @@
 """The frames of the last touches, beside the journal: a file each, whole or not at all, the oldest deleted.
 
-JOURNAL.touches/TIME-NUMBER.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
-`touch_began` in the journal (with - for : in file names). It holds up to a second of rest before the touch,
-the touch from its true first frame to its last contact, and the quiet in which its end was known.
+JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
+`touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. It holds up to a
+second of rest before the touch, the touch from its true first frame to its last contact, and the quiet in
+which its end was known.
 """
 
 from __future__ import annotations
@@ -15,21 +16,23 @@ from importlib import metadata
 from pathlib import Path
 
 from daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
-from daemon.recorder.session import PARTIAL, SUFFIX, keep, prepare
+from daemon.recorder.session import SUFFIX, keep, prepare
 from drivers.frame import DEFAULT_PAD
 from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
+from drivers.whole_file import PARTIAL
 
 log = logging.getLogger(__name__)
 
 FOLDER_MODE = 0o750
 
-NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)" + re.escape(SUFFIX))
+NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)(?:-(\d+))?" + re.escape(SUFFIX))
 
 
 @dataclass(frozen=True, order=True)
 class KeptTouch:
-    """A touch in a store. time, number: of its `touch_began`."""
+    """A touch in a store. count: rises with each, whatever the clock says. time, number: of `touch_began`."""
 
+    count: int
     time: str
     number: int
     path: Path
@@ -66,10 +69,12 @@ class TouchStore:
         prepare(folder)
         for partial in folder.glob(f"{PARTIAL}*"):
             partial.unlink(missing_ok=True)
+        self._count = max((kept.count for kept in kept_touches(folder)), default=0)
 
     def add(self, touch: FeltTouch) -> None:
         """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
-        path = self._folder / file_name(touch.began.time, touch.began.touch)
+        self._count += 1
+        path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
         try:
             # Who wants no touch kept any longer may have deleted them with their folder.
             self._make_folder()
@@ -108,9 +113,9 @@ def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
     return journal.with_name(f"{journal.name}{'' if pad == DEFAULT_PAD else f'.{pad}'}.touches")
 
 
-def file_name(time: str, number: int) -> str:
+def file_name(time: str, number: int, count: int) -> str:
     """Return the name of the file with the frames of a touch."""
-    return f"{time.replace(':', '-')}-{number}{SUFFIX}"
+    return f"{time.replace(':', '-')}-{number}-{count}{SUFFIX}"
 
 
 def kept_touches(folder: Path) -> list[KeptTouch]:
@@ -129,7 +134,8 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
     kept: list[KeptTouch] = []
     for name in names:
         if parts := NAME.fullmatch(name):
-            kept.append(KeptTouch(":".join(parts.group(1, 2, 3)), int(parts[4]), folder / name))
+            time = ":".join(parts.group(1, 2, 3))
+            kept.append(KeptTouch(int(parts[5] or 0), time, int(parts[4]), folder / name))
     return sorted(kept)
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 
 from daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
@@ -56,12 +56,18 @@ def read_journal(path: Path) -> list[Touch]:
         raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error
     # What stands before the first newline of a part, and after the last of any, is no whole line.
     whole = lines[1 if size > TAIL_BYTES else 0 : -1]
-    try:
-        return gather([decode(line) for line in whole])
-    except EventError as error:
+    events: list[Event] = []
+    wrong = ""
+    for line in whole:
+        try:
+            events.append(decode(line))
+        except EventError as error:
+            wrong = str(error)
+    if wrong and not events:
         raise JournalError(
-            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({error})"
-        ) from error
+            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({wrong})"
+        )
+    return gather(events)
 
 
 def read_since(path: Path, time: str) -> list[Touch]:
@@ -71,12 +77,12 @@ def read_since(path: Path, time: str) -> list[Touch]:
     is no event. Raises JournalError when a file is there and cannot be read.
     """
     parts: list[list[Event]] = []
-    file = path
-    for number in count(1):
+    for file in _newest_first(path):
         try:
             events, reaches_back = _events_since(file, time)
         except FileNotFoundError:
-            break
+            # Rotated away meanwhile, or not there yet.
+            continue
         except OSError as error:
             raise JournalError(
                 f"journal {file}: cannot be read ({error.strerror}); check the path"
@@ -84,8 +90,16 @@ def read_since(path: Path, time: str) -> list[Touch]:
         parts.insert(0, events)
         if reaches_back:
             break
-        file = path.with_name(f"{path.name}.{number}")
     return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
+
+
+def _newest_first(path: Path) -> list[Path]:
+    """Return a journal and its older files, whichever numbers are there."""
+    with suppress(OSError):
+        numbers = [name.removeprefix(f"{path.name}.") for name in os.listdir(path.parent)]
+        found = sorted(int(number) for number in numbers if number.isascii() and number.isdecimal())
+        return [path, *(path.with_name(f"{path.name}.{number}") for number in found)]
+    return [path]
 
 
 def _events_since(path: Path, time: str) -> tuple[list[Event], bool]:

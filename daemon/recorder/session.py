@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.recording import Recording, RecordingError, write_recordings
+from drivers.whole_file import whole_file
 
 SUFFIX = ".csv.gz"
-PARTIAL = ".partial-"
 # Names are parts of file names, divided by "_", and cells of a CSV file.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
 NAME_RULE = "a name has letters, digits and - only, 32 at most"
@@ -90,18 +90,10 @@ def prepare(folder: Path) -> None:
 
 def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
     """Write recordings to their file, whole or not at all; raises RecordingError, also when it is there."""
-    partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
-        # Left by a session that was cut off while it wrote.
-        partial.unlink(missing_ok=True)
-        write_recordings(partial, recordings, provenance)
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        # Unlike a renaming, a link fails where a file is there already.
-        os.link(partial, path)
+        with whole_file(path, replace=False) as partial:
+            write_recordings(partial, recordings, provenance)
     except FileExistsError as error:
         raise RecordingError(f"{path}: is there already, and is never written over") from error
     except OSError as error:
         raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
-    finally:
-        partial.unlink(missing_ok=True)

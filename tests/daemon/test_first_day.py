@@ -131,7 +131,7 @@ def test_the_example_configuration_runs_without_the_service(
     settings = load(EXAMPLE)
     journal = open_journal(settings.journal)
     assert journal is not None
-    journal.append(b"{}")
+    journal.append(b'{"type":""}')
     journal.close()
     assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes().strip() == b"{}"
 

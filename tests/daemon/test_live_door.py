@@ -164,4 +164,4 @@ def test_a_library_that_is_missing_is_named_in_one_line(
     assert cli.main([command, "--live", "0"]) == 2
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
-    assert "pip install 'touchd[live]'" in said[0]
+    assert "pip install 'websockets>=" in said[0]

@@ -92,7 +92,7 @@ def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     journal = Journal(path, max_bytes=1000, keep=2)
     for number in range(200):
-        journal.append(b'{"n": %d}' % number)
+        journal.append(b'{"type":"n","n": %d}' % number)
     journal.close()
     files = [tmp_path / "events.jsonl.2", tmp_path / "events.jsonl.1", path]
     assert sorted(tmp_path.iterdir()) == sorted(files)
@@ -104,7 +104,7 @@ def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path) -> None:
 def test_a_journal_that_keeps_nothing_older_begins_anew(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "events.jsonl", max_bytes=100, keep=0)
     for number in range(100):
-        journal.append(b'{"n": %d}' % number)
+        journal.append(b'{"type":"n","n": %d}' % number)
     journal.close()
     assert [file.name for file in tmp_path.iterdir()] == ["events.jsonl"]
     assert (tmp_path / "events.jsonl").stat().st_size <= 100
@@ -112,17 +112,17 @@ def test_a_journal_that_keeps_nothing_older_begins_anew(tmp_path: Path) -> None:
 
 def test_half_a_line_left_by_a_power_cut_is_taken_off(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
-    path.write_bytes(b'{"n": 1}\n{"n": ')
+    path.write_bytes(b'{"type":"n","n": 1}\n{"type":"n","n": ')
     journal = Journal(path, max_bytes=1000, keep=1)
-    journal.append(b'{"n": 2}')
+    journal.append(b'{"type":"n","n": 2}')
     journal.close()
-    assert path.read_bytes() == b'{"n": 1}\n{"n": 2}\n'
+    assert path.read_bytes() == b'{"type":"n","n": 1}\n{"type":"n","n": 2}\n'
 
 
 def test_no_event_crosses_a_page_so_that_a_kill_cannot_halve_it(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     journal = Journal(path, max_bytes=10_000_000, keep=1)
-    lines = [b'{"n": "' + b"x" * length + b'"}' for length in range(1000)]
+    lines = [b'{"type":"n","n": "' + b"x" * length + b'"}' for length in range(1000)]
     for line in lines:
         journal.append(line)
     journal.close()
@@ -149,10 +149,10 @@ signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 journal = Journal(Path(sys.argv[1]), max_bytes=10**9, keep=1)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, resource.RLIM_INFINITY))
 for number in range(200):
-    journal.append(b'{"n": %d}' % number)
+    journal.append(b'{"type":"n","n": %d}' % number)
 lost = journal.lost
 resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-journal.append(b'{"n": 200}')
+journal.append(b'{"type":"n","n": 200}')
 print(lost)
 """
 
@@ -183,7 +183,7 @@ from daemon.kept.journal import Journal
 journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
 print("writing", flush=True)
 while True:
-    journal.append(b'{"n": "' + b"x" * random.randrange(1, 1000) + b'"}')
+    journal.append(b'{"type":"n","n": "' + b"x" * random.randrange(1, 1000) + b'"}')
 """
 
 
@@ -214,11 +214,11 @@ ballast.write_bytes(bytes(16_384))
 journal = Journal(path, max_bytes=10**9, keep=1)
 number = 0
 while journal.lost < 500:
-    journal.append(b'{"n": %d}' % number)
+    journal.append(b'{"type":"n","n": %d}' % number)
     number += 1
 full = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
 ballast.unlink()
-journal.append(b'{"n": -1}')
+journal.append(b'{"type":"n","n": -1}')
 after = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
 assert full == list(range(number - 500)), full[-5:]
 assert after == [*full, -1], after[-5:]

@@ -386,7 +386,7 @@ def test_a_file_of_somebody_elses_in_the_folder_is_neither_offered_nor_deleted(t
     assert {path.name for path in tmp_path.iterdir()} == {
         "notes.txt",
         "anna_foam_fur_rub_1.csv.gz",
-        file_name(felt(2).began.time, 2),
+        file_name(felt(2).began.time, 2, 2),
     }
 
 

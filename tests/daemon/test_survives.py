@@ -1,0 +1,201 @@
+"""What the world can do to the daemon from outside: it goes on, says so, and destroys nothing."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from rigs.expectations import RECORDINGS, stream_of
+from rigs.felt_touch import felt
+from rigs.live_rig import Served, frames_among, serving
+
+from daemon.config import JournalSettings, SensorSettings, Settings
+from daemon.destinations import encoder_for, open_journal
+from daemon.events import TouchBegan, TouchEnded, decode, encode
+from daemon.kept.journal import Journal, JournalError
+from daemon.kept.touch_store import TouchStore, kept_touches
+from daemon.kept.touches import read_journal, read_since
+from daemon.playback.rig import SpawnedDaemon
+from daemon.sinks import JournalSink, LinesSink, LogSink
+from drivers.fakes.fake_port import FakePort
+
+LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
+HANDSHAKE = (
+    "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
+)
+PING = b"\x89\xbc" + bytes(4) + bytes(60)
+EMPTY_TEXT = b"\x01\x80" + bytes(4)
+EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)
+
+
+def touch(number: int, second: int = 0) -> TouchBegan:
+    return TouchBegan(touch=number, time=f"2026-11-20T10:00:{second:02}.000Z", sensor_ms=number)
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    with serving() as served:
+        yield served
+
+
+@pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
+def test_a_viewer_who_floods_is_let_go_and_costs_others_nothing(served: Served, said: bytes) -> None:
+    with served.look() as viewer, socket.create_connection(("127.0.0.1", served.port), timeout=5) as flood:
+        viewer.recv(timeout=5)
+        flood.sendall(HANDSHAKE.format(port=served.port).encode() + EMPTY_TEXT * (said != PING))
+        sent = 0
+        with suppress(ConnectionError):
+            while sent < 10_000_000:
+                sent += flood.send(said * 100)
+        # What the kernel holds on both sides, and no more.
+        assert sent < 8_000_000
+        frames_among(viewer, served.put_frame())
+
+
+def full_pipe() -> tuple[int, int]:
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(writer, b"x" * 65536)
+    os.set_blocking(writer, True)
+    return reader, writer
+
+
+def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
+    reader, writer = full_pipe()
+    with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as port, open(writer) as log:
+        settings = Settings(sensor=SensorSettings(port=port.path), log_level="debug")
+        daemon = SpawnedDaemon(settings, tmp_path, log)  # type: ignore[arg-type]
+        try:
+            assert any(isinstance(event, TouchEnded) for event in daemon.events())
+            daemon.process.send_signal(signal.SIGTERM)
+            asked_s = time.monotonic()
+            assert daemon.process.wait(10) == 0
+            assert time.monotonic() - asked_s < 5.0
+        finally:
+            daemon.stop()
+    os.close(reader)
+
+
+def test_lines_of_the_log_that_nobody_read_are_counted() -> None:
+    reader, writer = os.pipe()
+    sink = LogSink(writer, capacity=3)
+    for number in range(10):
+        sink.put(f"line {number}")
+    sink.start()
+    sink.stop(2.0)
+    os.close(writer)
+    with open(reader) as log:
+        lines = log.read().splitlines()
+    # The end of the log may have taken the place of one more.
+    dropped = 11 - len(lines)
+    assert lines[0].endswith(f"{dropped} lines of the log were dropped: nobody read them")
+    assert dropped in (7, 8)
+    assert lines[-1] == "line 9"
+
+
+def test_standard_output_on_a_full_disk_costs_lines_not_the_daemon(caplog: pytest.LogCaptureFixture) -> None:
+    gone: list[bool] = []
+    full = os.open("/dev/full", os.O_WRONLY)
+    sink = LinesSink(full, on_gone=lambda: gone.append(True))
+    sink.start()
+    for number in range(20):
+        sink.put(touch(number))
+    sink.stop(5.0)
+    os.close(full)
+    assert (sink.lost, gone) == (20, [])
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "No space left" in caplog.text
+
+
+@pytest.mark.parametrize("content", [b"%PDF-1.7\n" + os.urandom(50_000), b'{"name": "settings"}', b"\n"])
+def test_a_file_that_is_no_journal_is_refused_untouched(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "thesis.pdf"
+    path.write_bytes(content)
+    with pytest.raises(JournalError, match="is no journal of touchd, and left as it is"):
+        Journal(path, max_bytes=1000, keep=1)
+    assert path.read_bytes() == content
+
+
+def test_a_device_or_pipe_is_no_journal(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (Path("/dev/null"), tmp_path / "pipe", tmp_path):
+        with pytest.raises(JournalError, match="is no file"):
+            Journal(path, max_bytes=1000, keep=1)
+
+
+def test_two_daemons_do_not_write_one_journal(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    first = Journal(path, max_bytes=200, keep=1)
+    for number in range(10):
+        first.append(encode(touch(number)))
+        # Also while it rotates.
+        with pytest.raises(JournalError, match="another touchd writes it"):
+            Journal(path, max_bytes=200, keep=1)
+    first.close()
+    Journal(path, max_bytes=200, keep=1).close()
+
+
+def test_a_reload_goes_on_with_the_same_file(tmp_path: Path) -> None:
+    settings = JournalSettings(path=str(tmp_path / "events.jsonl"))
+    journal = open_journal(settings)
+    assert journal is not None
+    before = JournalSink(journal)
+    before.start()
+    before.put(touch(1))
+    journal = open_journal(JournalSettings(path=settings.path, max_mb=1.0), before.journal)
+    assert journal is not None
+    after = JournalSink(journal)
+    after.put(touch(2))
+    before.stop(5.0)
+    with pytest.raises(JournalError, match="another touchd"):
+        open_journal(settings)
+    after.start()
+    after.stop(5.0)
+    assert [kept.began.touch for kept in read_journal(settings.file)] == [1, 2]
+
+
+@pytest.mark.parametrize("take_away", [Path.unlink, lambda path: path.rename(path.with_name("moved"))])
+def test_a_journal_taken_away_is_begun_anew_and_said(
+    tmp_path: Path, take_away: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "events.jsonl"
+    journal = Journal(path, max_bytes=10_000, keep=1)
+    journal.append(encode(touch(1)))
+    take_away(path)  # type: ignore[operator]
+    journal.append(encode(touch(2)))
+    journal.append(encode(touch(3)))
+    journal.close()
+    assert [decode(line) for line in path.read_bytes().splitlines()] == [touch(2), touch(3)]
+    assert caplog.text.count("was taken away") == 1
+
+
+def test_one_bad_line_does_not_hide_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_bytes(encode(touch(1)) + b"\n\x00\xff no event\n" + encode(touch(2)) + b"\n")
+    assert [kept.began.touch for kept in read_journal(path)] == [1, 2]
+
+
+def test_a_hole_in_the_numbers_hides_no_older_file(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_bytes(encode(touch(3, 30)) + b"\n")
+    path.with_name("events.jsonl.2").write_bytes(encode(touch(2, 20)) + b"\n")
+    path.with_name("events.jsonl.10").write_bytes(encode(touch(1, 10)) + b"\n")
+    assert [kept.began.touch for kept in read_since(path, "")] == [1, 2, 3]
+
+
+def test_a_clock_that_was_ahead_does_not_cost_new_touches(tmp_path: Path) -> None:
+    store = TouchStore(tmp_path, 3, "")
+    for number in (1, 2, 3):
+        store.add(felt(number, after_s=1e8))
+    for number in (4, 5):
+        TouchStore(tmp_path, 3, "").add(felt(number))
+    assert [kept.number for kept in kept_touches(tmp_path)] == [3, 4, 5]
