@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rigs.made_events import PREDICTION
 from rigs.peers import broker, frame, free_port, needs_mosquitto, subscribed, touch, wait_for
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
@@ -19,28 +20,13 @@ from daemon.bridges.bridge import BridgeError
 from daemon.bridges.bridges import Bridges
 from daemon.bridges.settings import MqttSettings
 from daemon.config import Settings
-from daemon.events import Prediction, SensorEvent, TouchEnded, decode, encode
+from daemon.events import SensorEvent, TouchEnded, decode, encode
 
 pytest.importorskip("paho.mqtt")
 pytestmark = needs_mosquitto
 
 MODELS = {"pad": Scripted()}
 UP = SensorEvent(state="up", time="2026-11-20T10:00:00.000Z")
-TOLD = Prediction(
-    touch=7,
-    stage="early",
-    frames=54,
-    elapsed_s=1.0,
-    gesture="stroke",
-    confidence=0.81,
-    probabilities={"pat": 0.19, "stroke": 0.81},
-    changed=True,
-    told=True,
-    degraded=False,
-    latency_ms=1.9,
-    model="m",
-    time="2026-11-20T10:00:01.000Z",
-)
 
 
 @pytest.fixture
@@ -70,7 +56,7 @@ def payloads(messages: list[Any], topic: str) -> list[str]:
 def test_events_come_under_the_pads_topic_with_qos_1(port: int, bridges: Bridges) -> None:
     with subscribed(port, "touchd/#") as messages:
         use(bridges, port)
-        events = [UP, touch(1), TOLD]
+        events = [UP, touch(1), PREDICTION]
         for event in events:
             bridges.put(event)
         wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
@@ -201,7 +187,7 @@ def test_home_assistant_makes_told_answers_events_of_known_types(port: int, brid
     entity = json.loads(message.payload)
     assert entity["state_topic"] == "lab/nao1/pad/event"
     template = jinja2.Environment().from_string(entity["value_template"])
-    event = json.loads(template.render(value_json=json.loads(encode(TOLD))))
+    event = json.loads(template.render(value_json=json.loads(encode(PREDICTION))))
     assert event["event_type"] in entity["event_types"]
     assert event == {"event_type": "stroke", "confidence": 0.81, "stage": "early", "touch": 7}
     assert template.render(value_json=json.loads(encode(touch(1)))) == ""

@@ -14,11 +14,12 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import RECORDINGS, expected
+from rigs.made_events import PREDICTION
 
 from daemon import cli
 from daemon.commands import demo
 from daemon.config import ConfigError, SceneSettings
-from daemon.events import Prediction, RobotAction, TouchBegan, TouchEnded, decode
+from daemon.events import RobotAction, TouchBegan, TouchEnded, decode
 from daemon.parts import check_fit
 from daemon.playback.rig import outline
 from daemon.terminal.describe import describe
@@ -233,26 +234,8 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
 def test_events_are_told_in_words() -> None:
     words = vocabulary("en", {})
     assert describe(TouchBegan(touch=7, time="", sensor_ms=1), words) == "touch 7 begins"
-    assert describe(prediction(), words) == "  early     after  1.0 s: stroke      81%  in 1.9 ms  told"
+    assert describe(PREDICTION, words) == "  early     after  1.0 s: stroke      81%  in 1.9 ms  told"
     ended = TouchEnded(touch=7, gesture="constant", frames=216, reason="gap", time="")
     assert describe(ended, words) == "touch 7 ends: still hand, 4.0 s, too many frames were lost"
     says = RobotAction(touch=7, action="say", what="Hello.", time="")
     assert describe(says, words) == 'robot says "Hello."'
-
-
-def prediction() -> Prediction:
-    return Prediction(
-        touch=7,
-        stage="early",
-        frames=54,
-        elapsed_s=1.0,
-        gesture="stroke",
-        confidence=0.81,
-        probabilities={"pat": 0.19, "stroke": 0.81},
-        changed=True,
-        told=True,
-        degraded=False,
-        latency_ms=1.9,
-        model="touchd-1",
-        time="",
-    )

@@ -6,8 +6,10 @@ import itertools
 import re
 from pathlib import Path
 
+import msgspec
 import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
+from rigs.made_events import PREDICTION
 
 from daemon.config import (
     ConfigError,
@@ -33,25 +35,6 @@ from drivers.robot.link import RobotLink, RobotSettings
 TIME = "2026-11-20T10:00:00.000Z"
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 GESTURES = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
-
-
-def told(pad: str) -> Prediction:
-    return Prediction(
-        touch=1,
-        stage="early",
-        frames=54,
-        elapsed_s=1.0,
-        gesture="pat",
-        confidence=0.9,
-        probabilities={},
-        changed=True,
-        told=True,
-        degraded=False,
-        latency_ms=1.0,
-        model="",
-        time=TIME,
-        pad=pad,
-    )
 
 
 def on(pad: str, events: list[Event]) -> list[Event]:
@@ -120,7 +103,7 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
         sink.start()
         for pad in pads:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))
-            sink.put(told(pad))
+            sink.put(msgspec.structs.replace(PREDICTION, pad=pad))
         for pad, state in (("head", "up"), ("left_arm", "down")):
             robot.calls.wait_for_raise(f"TouchGesture/{pad}/Status", state)
             robot.calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "pat")

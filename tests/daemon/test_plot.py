@@ -6,10 +6,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
+
+from rigs.made_events import PREDICTION
 
 from daemon import cli
 from daemon.config import Settings
@@ -119,21 +122,7 @@ def test_a_recording_becomes_a_picture_beside_where_one_works(
 
 
 def prediction(touch: int, stage: Stage, gesture: str) -> Prediction:
-    return Prediction(
-        touch=touch,
-        stage=stage,
-        frames=54,
-        elapsed_s=1.0,
-        gesture=gesture,
-        confidence=0.81,
-        probabilities={"pat": 0.19, "stroke": 0.81},
-        changed=True,
-        told=True,
-        degraded=False,
-        latency_ms=1.9,
-        model="touchd-1",
-        time="2026-11-20T10:00:01.000Z",
-    )
+    return msgspec.structs.replace(PREDICTION, touch=touch, stage=stage, gesture=gesture)
 
 
 def journal(path: Path) -> Path:

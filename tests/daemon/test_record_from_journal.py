@@ -13,6 +13,7 @@ import pytest
 import yaml
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.felt_touch import felt
+from rigs.made_events import PREDICTION
 from rigs.terminal import Terminal
 
 from daemon import cli
@@ -55,20 +56,8 @@ class Lab:
     def journalled(self, touch: FeltTouch, gesture: str = "pat") -> None:
         """Journal a touch whose frames are not kept."""
         number, when = touch.began.touch, touch.began.time
-        answer = Prediction(
-            touch=number,
-            stage="early",
-            frames=54,
-            elapsed_s=1.0,
-            gesture=gesture,
-            confidence=0.61,
-            probabilities={gesture: 0.61},
-            changed=True,
-            told=True,
-            degraded=False,
-            latency_ms=2.0,
-            model="made",
-            time=when,
+        answer = msgspec.structs.replace(
+            PREDICTION, touch=number, gesture=gesture, probabilities={gesture: 0.81}, time=when
         )
         ended = TouchEnded(touch=number, gesture=gesture, frames=201, reason="released", time=when)
         for event in (touch.began, answer, ended):
@@ -199,12 +188,12 @@ def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
     with Terminal(*lab.arguments("--participant", "anna", "--cover", "fur")) as terminal:
         terminal.until("4 touches are kept; 0 of them have been looked at before")
         terminal.until("of 1 more in the journal no frames are kept")
-        assert terminal.until("What was under the pad?").index("pat 61%") > 0
+        assert terminal.until("What was under the pad?").index("pat 81%") > 0
         terminal.answer("foam")
         shown = terminal.until("u undo, q quit: ")
         assert "1 of 4: touch 4, taken for scratch" in shown
         assert "mean, 0 to" in shown
-        assert "early       1.0 s  scratch 61%" in shown
+        assert "early       1.0 s  scratch 81%" in shown
         assert "anna, foam under the pad, fur over it" in shown
         assert "7 tickle" in shown
         terminal.answer("7")

@@ -13,16 +13,11 @@ from daemon.playback.stream import DEMO_RECORDING as DEMO
 from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, record, simulate
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from drivers.recording import Recording, RecordingError, Selection, read_recordings, splice
-from model.classifier import SHIPPED_MODEL, Classifier
+from model.classifier import Classifier
 
 TOUCHES = sorted(set(GESTURES) - {"notouch"})
 FINAL_FRAMES = 144
 MAX_DEMO_BYTES = 400_000
-
-
-@pytest.fixture(scope="module")
-def classifier() -> Classifier:
-    return Classifier.load(SHIPPED_MODEL)
 
 
 @pytest.fixture(scope="module")

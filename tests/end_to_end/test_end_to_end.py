@@ -15,7 +15,6 @@ from rigs.expectations import RECORDINGS, answers, expected, stream_of
 from daemon.config import SensorSettings, Settings
 from daemon.destinations import encoder_for, parser_for
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.playback.stream import with_quiet
@@ -48,11 +47,6 @@ def touches(events: list[Event]) -> list[int]:
 
 
 requires_haart = pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART is not set")
-
-
-@pytest.fixture(scope="module")
-def classifier() -> Classifier:
-    return load_model(Settings())
 
 
 @pytest.fixture

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import msgspec
 import pytest
 from by_hand.soak import Soak
+from rigs.made_events import PREDICTION
 from rigs.soak_audit import Audit
 from rigs.soak_line import pad
 
@@ -18,21 +20,7 @@ ENDED = TouchEnded(touch=1, gesture="rub", frames=200, reason="released", time="
 
 
 def final(touch: int = 1) -> Prediction:
-    return Prediction(
-        touch=touch,
-        stage="final",
-        frames=144,
-        elapsed_s=2.7,
-        gesture="rub",
-        confidence=1.0,
-        probabilities={},
-        changed=True,
-        told=True,
-        degraded=False,
-        latency_ms=1.0,
-        model="",
-        time="",
-    )
+    return msgspec.structs.replace(PREDICTION, touch=touch, stage="final", frames=144, gesture="rub")
 
 
 def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ import hashlib
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import pytest
 from rich.console import Console
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.timeout(120), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
 
@@ -35,18 +35,11 @@ from model.adapt.measure import Answers, compare, mean_interval, wilson_interval
 from model.adapt.plan import plan  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
-from model.training.threads import one_torch_thread  # noqa: E402
 
 # What a simulated hand does when it "hugs": nothing the shipped model was ever shown under that name.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
 SETTINGS = AdaptSettings(crops=2, steps=40)
 SECONDS = 3.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    with one_torch_thread():
-        yield
 
 
 def simulated(

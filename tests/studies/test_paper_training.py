@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytestmark = pytest.mark.timeout(120)
+pytestmark = [pytest.mark.timeout(120), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
 
@@ -30,16 +29,9 @@ from model.settings import SettingsError  # noqa: E402
 from model.training import haart  # noqa: E402
 from model.training.checkpoint import CheckpointError  # noqa: E402
 from model.training.haart import GESTURES, Windows  # noqa: E402
-from model.training.threads import one_torch_thread  # noqa: E402
 
 GRID = Grid(learning_rate=1e-4, batch=8, whole=(), feasible=())
 CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    with one_torch_thread():
-        yield
 
 
 def windows(seed: int) -> Windows:

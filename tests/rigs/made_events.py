@@ -1,0 +1,23 @@
+"""Events made up for tests."""
+
+from __future__ import annotations
+
+from daemon.events import Prediction
+
+TIME = "2026-11-20T10:00:01.000Z"
+# Change a field with msgspec.structs.replace.
+PREDICTION = Prediction(
+    touch=7,
+    stage="early",
+    frames=54,
+    elapsed_s=1.0,
+    gesture="stroke",
+    confidence=0.81,
+    probabilities={"pat": 0.19, "stroke": 0.81},
+    changed=True,
+    told=True,
+    degraded=False,
+    latency_ms=1.9,
+    model="touchd-1",
+    time=TIME,
+)
