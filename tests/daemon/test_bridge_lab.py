@@ -156,7 +156,7 @@ def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
     assert ours.serialize() == bytes(store.serialize_cdr(theirs, "sensor_msgs/msg/Image"))
 
 
-def test_ros2_topics_and_types_have_the_names_that_nodes_look_for(tmp_path: Path) -> None:
+def test_ros2_topics_and_types_have_the_expected_names(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.domain import DomainParticipant

@@ -88,7 +88,7 @@ def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[s
     assert capsys.readouterr().out.startswith("touchd 0.")
 
 
-def test_our_own_mistake_is_one_line_exit_1_and_debug_shows_the_trace(
+def test_an_internal_error_is_one_line_and_exit_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(cli, "COMMANDS", (cli.Command("fail", "test_cli", "fails"),))
@@ -137,7 +137,7 @@ def test_answers_later_than_the_model_can_take_are_refused() -> None:
         check_fit(SceneSettings(), short)
 
 
-def test_a_recording_that_is_missing_or_not_chosen_is_one_line(refusal: Refusal) -> None:
+def test_a_missing_recording_is_one_line(refusal: Refusal) -> None:
     assert "nowhere.csv" in refusal("classify", "nowhere.csv")
     assert "no recording matches" in refusal("replay", str(GESTURES), "--participant", "nobody")
 
@@ -167,7 +167,7 @@ def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
     assert (rub.gesture, pat.gesture) == ("rub", "pat")
 
 
-def test_a_reader_that_has_seen_enough_of_classify_is_no_error() -> None:
+def test_a_reader_may_leave_classify_early() -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "daemon", "classify", str(GESTURES)],
         stdout=subprocess.PIPE,

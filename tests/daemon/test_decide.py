@@ -160,7 +160,7 @@ def test_in_every_sequence(steps: list[Step]) -> None:
     assert decision.told == told
 
 
-def test_a_scene_shares_the_probability_among_the_gestures_that_can_occur_and_no_touch() -> None:
+def test_a_scene_shares_probability_among_its_gestures() -> None:
     decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
     answer = decision.answer("early", probabilities(rub=0.5, stroke=0.3, pat=0.1, notouch=0.1))
     assert answer.gesture == "stroke"
@@ -169,7 +169,7 @@ def test_a_scene_shares_the_probability_among_the_gestures_that_can_occur_and_no
     )
 
 
-def test_a_scene_whose_gestures_the_model_rules_out_is_answered_evenly_and_not_told_early() -> None:
+def test_a_scene_that_the_model_rules_out_is_answered_evenly() -> None:
     decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
     answer = decision.answer("early", probabilities(rub=1.0))
     assert answer.confidence == pytest.approx(1 / 3)

@@ -18,7 +18,7 @@ from drivers.pad.protocol import encode_fabric_grid
 from drivers.recording import Stream, ideal_clock_ms
 
 
-def test_a_sound_pad_passes_every_check_and_the_exit_code_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sound_pad_passes_every_check(capsys: pytest.CaptureFixture[str]) -> None:
     counts = resting(4.0)
     with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0
@@ -33,7 +33,7 @@ def test_a_sound_pad_passes_every_check_and_the_exit_code_says_so(capsys: pytest
     assert rate["figures"]["lost"] == 0
 
 
-def test_a_port_that_is_not_there_is_something_to_do_in_lines_of_80_columns(
+def test_a_missing_port_says_what_to_do_within_80_columns(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert cli.main(["doctor", "--port", "/dev/ttyNowhere"]) == 1
@@ -44,7 +44,7 @@ def test_a_port_that_is_not_there_is_something_to_do_in_lines_of_80_columns(
     assert all(len(line) <= WIDTH for line in shown.splitlines())
 
 
-def test_a_configuration_or_a_time_that_cannot_be_is_a_mistake_in_the_call(
+def test_an_impossible_configuration_or_time_is_a_users_mistake(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     assert cli.main(["doctor", "-c", "nowhere.yaml"]) == 2
@@ -54,9 +54,7 @@ def test_a_configuration_or_a_time_that_cannot_be_is_a_mistake_in_the_call(
     assert ended.value.code == 2
 
 
-def test_a_port_that_the_service_reads_is_told_from_one_that_another_program_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_port_read_by_the_service_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = FakePort(Stream(resting(1.0), ideal_clock_ms(54), ()), encode_fabric_grid)
     settings = Settings(sensor=SensorSettings(port=port.path))
     with port, serial.Serial(port.path, exclusive=True):

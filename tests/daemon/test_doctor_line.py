@@ -100,7 +100,7 @@ def test_lost_frames_are_counted() -> None:
     assert check.figures["lost"] == pytest.approx(21, abs=1)
 
 
-def test_a_clock_that_runs_wrong_is_told_from_a_pad_that_is_slow() -> None:
+def test_a_wrong_clock_is_told_from_a_slow_pad() -> None:
     frames = [Frame(i, 18 * i, 0.009 * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
     late = [replace(frames[-1], host_s=frames[-1].host_s + 0.3)]
     clock = check_rate(Heard((*frames[:-1], *late), 0, b"", late[0].host_s, ""))

@@ -13,7 +13,7 @@ from daemon.doctor.machine import check_model, check_robot, check_service
 from drivers.robot.settings import RobotSettings
 
 
-def test_a_model_that_is_missing_or_does_not_fit_is_told() -> None:
+def test_a_missing_or_unfit_model_is_reported() -> None:
     assert check_model(SETTINGS).verdict == "ok"
     missing = check_model(Settings(model="/nowhere/model.onnx"))
     assert missing.verdict == "to do"
@@ -32,7 +32,7 @@ def test_the_robot_is_asked_for_its_version(make_robot: type[Robot]) -> None:
     assert "ping it" in gone.advice
 
 
-def test_a_robot_with_a_user_but_no_token_is_told_before_it_is_called() -> None:
+def test_a_robot_user_without_a_token_is_reported() -> None:
     check = check_robot(Settings(robot=RobotSettings(url="tcps://nao.local:9503", user="nao")))
     assert check.verdict == "to do"
     assert "token" in check.found

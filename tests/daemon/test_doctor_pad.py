@@ -31,7 +31,7 @@ def sound() -> Heard:
     return heard(resting())
 
 
-def test_a_sound_pad_at_rest_is_quiet_and_all_its_taxels_are_alive(sound: Heard) -> None:
+def test_a_sound_pad_at_rest_has_only_living_taxels(sound: Heard) -> None:
     checks = [check_quiet(sound, SETTINGS), check_rest(sound, SETTINGS), check_noise(sound)]
     assert [check.verdict for check in [*checks, *check_taxels(sound)]] == ["ok"] * 4
 
@@ -60,7 +60,7 @@ def test_broken_taxels_are_named(damage: Callable[[Counts], None], found: str) -
     assert {trouble.verdict for trouble in troubles} == {"to do"}
 
 
-def test_taxels_are_not_judged_after_too_short_a_time_or_on_a_pad_that_is_silent() -> None:
+def test_taxels_are_not_judged_on_too_little_data() -> None:
     assert check_taxels(heard(resting(3.0)))[0].verdict == "not checked"
     assert check_taxels(heard(np.zeros_like(resting())))[0].verdict == "warning"
 
@@ -75,7 +75,7 @@ def test_a_noisy_taxel_and_a_noisy_pad_are_told_apart() -> None:
     assert "the whole pad is noisy" in everywhere.found
 
 
-def test_a_pad_the_wrong_way_up_and_one_under_a_load_are_told_apart() -> None:
+def test_a_turned_and_a_loaded_pad_are_told_apart() -> None:
     upside_down = check_rest(heard(np.uint16(1023) - resting()), SETTINGS)
     assert upside_down.advice == "set sensor.invert: false"
     counts = resting()
@@ -83,7 +83,7 @@ def test_a_pad_the_wrong_way_up_and_one_under_a_load_are_told_apart() -> None:
     assert "something lies on row 2 column 3" in check_rest(heard(counts), SETTINGS).found
 
 
-def test_a_touch_while_the_pad_should_be_left_alone_is_told() -> None:
+def test_a_touch_during_the_rest_check_is_reported() -> None:
     script = (("notouch", 3.0), ("rub", 2.0), ("notouch", 2.0))
     counts = np.concatenate([recording.counts for recording in simulate(script, seed=3)])
     check = check_quiet(heard(counts), SETTINGS)
@@ -106,7 +106,7 @@ def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdic
     assert advice in check.advice
 
 
-def test_the_corner_is_asked_for_and_not_pressing_it_is_no_fault() -> None:
+def test_not_pressing_the_corner_is_no_fault() -> None:
     counts = resting(20.0)
     counts[100:, 0, 0] += 300
     asked: list[str] = []

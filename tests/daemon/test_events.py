@@ -86,9 +86,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
 
 
 @pytest.mark.parametrize(("event", "fields"), EVENTS, ids=[str(fields["type"]) for _, fields in EVENTS])
-def test_an_event_is_one_line_of_json_and_comes_back_the_same(
-    event: Event, fields: dict[str, object]
-) -> None:
+def test_an_event_survives_its_line_of_json(event: Event, fields: dict[str, object]) -> None:
     line = encode(event)
     assert json.loads(line) == fields
     assert b"\n" not in line
@@ -98,12 +96,12 @@ def test_an_event_is_one_line_of_json_and_comes_back_the_same(
 @pytest.mark.parametrize(
     "line", [b"", b"{", b'{"type":"unheard_of"}', b'{"type":"touch_began","touch":"seven"}', b"\xff"]
 )
-def test_a_line_that_is_no_event_is_refused_with_a_reason(line: bytes) -> None:
+def test_a_line_that_is_no_event_is_refused(line: bytes) -> None:
     with pytest.raises(EventError, match=r"not an event: .+"):
         decode(line)
 
 
-def test_a_line_of_a_later_version_with_more_fields_is_still_read() -> None:
+def test_unknown_fields_of_a_later_version_are_ignored() -> None:
     line = encode(RobotEvent(state="up", time=TIME)).replace(b"}", b',"battery":0.5}')
     assert decode(line) == RobotEvent(state="up", time=TIME)
 
@@ -124,7 +122,7 @@ def metadata(name: str, labels: list[str]) -> ModelMetadata:
 @pytest.mark.parametrize(
     "reason", ['"' * 5000, "\n\x00\x1b" * 5000, "\\" * 5000, "\U0001f44b" * 5000, "é" * 5000]
 )
-def test_a_reason_is_one_line_and_leaves_room_in_its_event(reason: str) -> None:
+def test_a_reason_is_one_short_line(reason: str) -> None:
     said = one_line(reason)
     assert said.isprintable()
     for kind in (SensorEvent, RobotEvent):
@@ -137,7 +135,7 @@ def test_a_short_reason_is_left_as_it_is() -> None:
     assert one_line("grün: no permission to open /dev/ttyACM0") == "grün: no permission to open /dev/ttyACM0"
 
 
-def test_the_longest_answer_there_can_be_is_shorter_than_what_is_kept_from_being_halved() -> None:
+def test_the_longest_answer_fits_the_journals_limit() -> None:
     longest = metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
     answer = Prediction(
         touch=2**63,

@@ -21,7 +21,7 @@ SAY = ActionRule(do=(Action(say="That was a {gesture}"),))
 pytestmark = needs_qi
 
 
-def test_it_prints_where_it_listens_and_every_call_and_ends_on_ctrl_c() -> None:
+def test_it_prints_its_address_and_every_call() -> None:
     with subprocess.Popen(
         [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"], stdout=subprocess.PIPE, text=True
     ) as process:

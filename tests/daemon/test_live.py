@@ -51,7 +51,7 @@ def served() -> Iterator[Served]:
         yield served
 
 
-def test_a_viewer_gets_every_event_as_it_is_and_every_frame(served: Served) -> None:
+def test_a_viewer_gets_every_event_and_frame(served: Served) -> None:
     with served.look() as viewer:
         assert json.loads(viewer.recv(timeout=5))["type"] == "state"
         served.sink.put(BEGAN)
@@ -59,7 +59,7 @@ def test_a_viewer_gets_every_event_as_it_is_and_every_frame(served: Served) -> N
         assert frames_among(viewer, wanted) == [encode(BEGAN).decode(), wanted]
 
 
-def test_who_comes_late_is_told_what_goes_on_and_what_was(served: Served) -> None:
+def test_a_late_viewer_gets_the_current_state(served: Served) -> None:
     with served.look() as early:
         await_message(early, "state")
         for event in (PAD_UP, BEGAN, ENDED, BEGAN_AGAIN):
@@ -98,7 +98,7 @@ def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
             return dict(told)
 
 
-def test_a_viewer_who_does_not_read_costs_the_others_nothing_and_gets_the_newest_once_it_does(
+def test_a_viewer_that_stalls_costs_the_others_nothing(
     served: Served,
 ) -> None:
     narrow = socket.socket()
@@ -152,7 +152,7 @@ def hung(server: LiveServer) -> Iterator[None]:
         goes_on.set()
 
 
-def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_counted() -> None:
+def test_a_hanging_thread_delays_nobody() -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
     server = LiveServer(listening, LiveSettings(), {"pad": scene})
@@ -165,7 +165,7 @@ def test_a_thread_that_hangs_is_waited_for_by_nobody_and_what_it_misses_is_count
     assert dropped == 7
 
 
-def test_the_end_does_not_wait_for_what_is_still_to_be_shown(served: Served) -> None:
+def test_the_end_does_not_wait_for_viewers(served: Served) -> None:
     server = served.sink
     with served.look() as viewer:
         await_message(viewer, "state")
@@ -176,7 +176,7 @@ def test_the_end_does_not_wait_for_what_is_still_to_be_shown(served: Served) -> 
         assert [message for message in viewer if isinstance(message, bytes)] == []
 
 
-def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served) -> None:
+def test_the_scene_can_change_while_it_is_shown(served: Served) -> None:
     with served.look() as viewer:
         await_message(viewer, "state")
         scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
@@ -185,7 +185,7 @@ def test_what_answers_are_made_with_can_change_while_it_is_shown(served: Served)
         assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
 
 
-def test_settings_that_cannot_be_served_leave_the_page_where_it_is(served: Served) -> None:
+def test_settings_that_cannot_be_served_change_nothing(served: Served) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         there = LiveSettings(port=taken.getsockname()[1])
         with pytest.raises(LiveError, match="cannot listen"):
@@ -193,7 +193,7 @@ def test_settings_that_cannot_be_served_leave_the_page_where_it_is(served: Serve
     assert served.ask("/").status == 200
 
 
-def test_from_loopback_to_every_address_is_a_change_at_one_port(served: Served) -> None:
+def test_the_address_can_change_at_one_port(served: Served) -> None:
     everywhere = LiveSettings(host="0.0.0.0", port=served.port)
     before, served.sink = served.sink, served.serve(Settings(live=everywhere), served.sink)
     with served.look() as viewer:
@@ -204,7 +204,7 @@ def test_from_loopback_to_every_address_is_a_change_at_one_port(served: Served) 
 
 
 @pytest.mark.slow
-def test_viewers_of_every_kind_cost_the_daemon_no_frame_and_do_not_delay_its_end(tmp_path: Path) -> None:
+def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
     stream = stream_of(LENGTHS)
     with (
         FakePort(stream, encoder_for(SensorSettings()), speed=16.0) as pad,

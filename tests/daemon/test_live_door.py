@@ -49,7 +49,7 @@ def test_who_says_anything_is_shown_the_door(served: Served, said: str, why: str
             viewer.recv(timeout=5)
 
 
-def test_connections_that_ask_for_nothing_do_not_use_up_the_daemons_files(served: Served) -> None:
+def test_idle_connections_do_not_exhaust_descriptors(served: Served) -> None:
     with served.look() as viewer, ExitStack() as closing:
         viewer.recv(timeout=5)
         idle = [
@@ -64,7 +64,7 @@ def test_connections_that_ask_for_nothing_do_not_use_up_the_daemons_files(served
 
 
 @pytest.mark.parametrize("path", ["/", *sorted(f"/{path.name}" for path in FOLDER.iterdir())])
-def test_the_page_comes_whole_from_here_and_may_fetch_from_nowhere_else(served: Served, path: str) -> None:
+def test_the_page_loads_nothing_from_elsewhere(served: Served, path: str) -> None:
     answer = served.ask(path)
     assert answer.status == 200
     policy = answer.headers["Content-Security-Policy"]
@@ -118,7 +118,7 @@ def test_another_page_in_the_same_browser_gets_no_stream(served: Served, origin:
         ("", False),
     ],
 )
-def test_a_host_is_known_by_its_own_names_and_by_numbers(host: str, is_own: bool) -> None:
+def test_a_host_is_known_by_name_and_number(host: str, is_own: bool) -> None:
     assert is_own_host(host, frozenset({"localhost", "robot.lab"})) is is_own
 
 
@@ -136,7 +136,7 @@ def test_what_an_address_leaves_out_is_as_configured(text: str, host: str, port:
     assert parse_address(text, LiveSettings(host="10.0.0.1", port=99)) == LiveSettings(host=host, port=port)
 
 
-def test_without_a_word_of_where_the_page_is_for_this_computer_alone() -> None:
+def test_by_default_only_this_computer_sees_the_page() -> None:
     assert parse_address("", None) == LiveSettings(host="127.0.0.1", port=8054)
 
 

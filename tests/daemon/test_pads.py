@@ -78,7 +78,7 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
     assert all(touch.ended and touch.predictions for touch in read_journal(journal))
 
 
-def test_a_pad_that_floods_or_is_missing_costs_the_others_nothing(tmp_path: Path) -> None:
+def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> None:
     with played(GESTURES, speed=40.0, loop=True) as flood, played(LENGTHS) as arm:
         settings = Settings(
             sensors={

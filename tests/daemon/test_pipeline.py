@@ -58,7 +58,7 @@ def told(events: Sequence[Event]) -> list[tuple[str, str]]:
     return [(event.stage, event.gesture) for event in predictions(events) if event.told]
 
 
-def test_a_touch_is_answered_early_revised_and_at_last_and_then_ends() -> None:
+def test_a_touch_is_answered_early_revised_and_final() -> None:
     bench = Bench()
     events = bench.feel(palm(3.5), nothing(2.0))
     assert [type(event) for event in events] == [TouchBegan, *[Prediction] * 3, TouchEnded]
@@ -98,7 +98,7 @@ def test_a_prediction_says_everything_a_listener_needs() -> None:
     )
 
 
-def test_the_model_is_asked_about_the_sensor_s_own_frames_from_the_touch_s_first() -> None:
+def test_the_model_gets_the_touchs_own_frames() -> None:
     bench = Bench()
     bench.feel(palm(3.0))
     windows = {len(window): window for window in bench.model.stepped}
@@ -107,7 +107,7 @@ def test_the_model_is_asked_about_the_sensor_s_own_frames_from_the_touch_s_first
         np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + length])
 
 
-def test_a_short_touch_is_answered_when_it_ends_from_its_contact_alone() -> None:
+def test_a_short_touch_is_answered_from_its_contact_alone() -> None:
     bench = Bench()
     events = bench.feel(palm(0.5), nothing(2.0))
     assert [(event.stage, event.frames) for event in predictions(events)] == [("released", 27)]
@@ -119,7 +119,7 @@ def test_a_short_touch_is_answered_when_it_ends_from_its_contact_alone() -> None
     assert (ended.frames, ended.gesture) == (27, "stroke")
 
 
-def test_an_answer_due_in_a_pause_waits_until_the_hand_is_back() -> None:
+def test_an_answer_due_in_a_pause_waits() -> None:
     bench = Bench()
     pause = nothing(0.5)
     assert predictions(bench.feel(palm(0.7), pause)) == []
@@ -139,25 +139,25 @@ def test_an_answer_that_the_next_has_overtaken_is_not_asked() -> None:
     assert [(event.stage, event.frames) for event in predictions(events)] == [("revised", 81), ("final", 144)]
 
 
-def test_a_touch_that_ends_while_an_answer_waits_is_answered_from_its_contact_alone() -> None:
+def test_an_answer_that_waits_uses_contact_alone() -> None:
     bench = Bench()
     events = bench.feel(palm(1.2), nothing(2.0))
     assert [(event.stage, event.frames) for event in predictions(events)] == [("early", 54), ("released", 65)]
 
 
-def test_the_lift_offs_of_a_pat_are_part_of_what_is_asked() -> None:
+def test_the_lift_offs_of_a_pat_are_part_of_it() -> None:
     bench = Bench()
     events = bench.feel(pat(3.0))
     assert [event.frames for event in predictions(events)] == [54, 81, 144]
 
 
-def test_while_nothing_touches_the_model_is_not_run_and_nothing_is_said() -> None:
+def test_without_a_touch_the_model_is_not_run() -> None:
     bench = Bench()
     assert bench.feel(nothing(60.0)) == []
     assert bench.model.asked == bench.model.stepped == []
 
 
-def test_a_touch_is_shown_as_the_model_sees_it_while_it_goes_on() -> None:
+def test_a_touch_is_shown_as_the_model_sees_it() -> None:
     shown: list[LivePrediction] = []
     classifier = Classifier.load()
     pad, said = MadePad(), list[Event]()
@@ -235,7 +235,7 @@ def test_a_long_touch_speaks_again_only_when_its_gesture_changes() -> None:
     assert ended.gesture == "rub"
 
 
-def test_a_touch_that_the_model_takes_for_none_ends_in_uncertain_and_the_robot_hears_nothing() -> None:
+def test_a_touch_taken_for_notouch_ends_uncertain_and_untold() -> None:
     bench = Bench(Scripted(lambda asked: "notouch"))
     for seconds, stages in ((4.0, ["early", "revised", "final", "uncertain"]), (1.2, ["early", "uncertain"])):
         events = bench.feel(palm(seconds), nothing(2.0))
@@ -246,13 +246,13 @@ def test_a_touch_that_the_model_takes_for_none_ends_in_uncertain_and_the_robot_h
         assert ended.gesture == "uncertain"
 
 
-def test_a_short_touch_without_a_sure_answer_ends_in_uncertain_and_the_robot_hears_that() -> None:
+def test_a_short_unsure_touch_tells_the_robot_uncertain() -> None:
     bench = Bench(settings=PipelineSettings(decision=DecisionSettings(speak_above=0.95)))
     events = bench.feel(palm(0.6), nothing(2.0))
     assert told(events) == [("uncertain", "uncertain")]
 
 
-def test_lost_frames_are_bridged_and_the_touch_says_that_it_is_degraded() -> None:
+def test_bridged_frames_mark_the_touch_degraded() -> None:
     bench = Bench()
     events = predictions(bench.feel(palm(3.0), nothing(2.0), skip=[60, 61]))
     assert [(event.stage, event.degraded) for event in events] == [
@@ -263,7 +263,7 @@ def test_lost_frames_are_bridged_and_the_touch_says_that_it_is_degraded() -> Non
     assert not any(event.degraded for event in predictions(bench.feel(palm(3.0))))
 
 
-def test_an_answer_that_falls_due_within_a_long_bridged_gap_has_its_whole_window() -> None:
+def test_an_answer_due_in_a_bridged_gap_is_whole() -> None:
     settings = PipelineSettings(ring=RingSettings(max_gap_s=1.0), touch=TouchSettings(quiet_s=0.1))
     bench = Bench(settings=settings)
     events = predictions(bench.feel(palm(4.0), skip=range(130, 182)))
@@ -274,7 +274,7 @@ def test_an_answer_that_falls_due_within_a_long_bridged_gap_has_its_whole_window
     ]
 
 
-def test_a_gap_too_long_to_bridge_ends_the_touch_and_the_next_is_a_new_one() -> None:
+def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:
     bench = Bench()
     events = bench.feel(palm(3.0), skip=range(100, 120))
     ended = next(event for event in events if isinstance(event, TouchEnded))
@@ -325,7 +325,7 @@ def test_a_scene_chooses_when_to_answer(stages: tuple[int, int, int]) -> None:
     assert [event.frames for event in predictions(events)] == list(stages)
 
 
-def test_the_same_bytes_give_the_same_events_however_they_are_cut() -> None:
+def test_chunking_of_bytes_changes_no_event() -> None:
     pad = MadePad()
     scans = np.concatenate([nothing(2.0), palm(3.0), nothing(1.5), pat(1.2), nothing(1.5), palm(0.4)])
     counts = pad.counts(scans)
@@ -369,7 +369,7 @@ class Fickle(Scripted):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_whatever_the_pad_and_the_model_do_every_touch_is_answered_and_ended_and_nothing_told_twice(
+def test_every_touch_is_answered_ended_and_told_once(
     seed: int,
 ) -> None:
     rng = np.random.default_rng(seed)

@@ -74,9 +74,7 @@ def test_time_runs_on_where_the_pads_clock_starts_anew() -> None:
 
 
 @pytest.mark.parametrize(("gesture", "is_red"), [("purr", True), (UNLABELLED, False)])
-def test_an_answer_is_called_wrong_only_where_somebody_has_said_what_was_done(
-    gesture: str, is_red: bool
-) -> None:
+def test_an_answer_is_wrong_only_where_labels_exist(gesture: str, is_red: bool) -> None:
     from matplotlib.text import Text
 
     parts = [part if part.gesture == "notouch" else replace(part, gesture=gesture) for part in recordings()]
@@ -135,14 +133,14 @@ def journal(path: Path) -> Path:
     return path
 
 
-def test_a_journal_is_put_together_to_touches_without_the_half_line_at_its_end(tmp_path: Path) -> None:
+def test_a_journal_becomes_touches_without_its_half_line(tmp_path: Path) -> None:
     first, second = read_journal(journal(tmp_path / "events.jsonl"))
     assert [answer.stage for answer in first.predictions] == ["early", "final"]
     assert first.ended is not None
     assert second.ended is None
 
 
-def test_answers_to_a_touch_whose_beginning_is_not_known_are_left_out() -> None:
+def test_answers_without_a_beginning_are_left_out() -> None:
     assert gather([prediction(7, "early", "pat")]) == []
 
 

@@ -27,7 +27,7 @@ def session(folder: Path, **changes: object) -> Session:
     return replace(usual, **changes)  # type: ignore[arg-type]
 
 
-def test_each_round_asks_every_gesture_in_an_order_that_only_seed_and_person_change(tmp_path: Path) -> None:
+def test_seed_and_person_alone_decide_the_order(tmp_path: Path) -> None:
     order = [take.gesture for take in session(tmp_path).takes()]
     assert [sorted(order[i : i + 4]) for i in (0, 4, 8)] == [["notouch", "pat", "rub", "stroke"]] * 3
     assert order[:4] != order[4:8] or order[4:8] != order[8:]
@@ -38,7 +38,7 @@ def test_each_round_asks_every_gesture_in_an_order_that_only_seed_and_person_cha
     assert len({take.path for take in again}) == 12
 
 
-def test_what_is_kept_reads_back_as_it_was_with_where_it_comes_from(tmp_path: Path) -> None:
+def test_a_kept_recording_reads_back_with_its_provenance(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
     keep(path, [recording()], {"sensor": "a pad"})
     (read,) = read_recordings(path)
@@ -57,14 +57,14 @@ def test_nothing_is_ever_written_over(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
 
 
-def test_half_a_file_left_by_a_crash_is_in_nobodys_way(tmp_path: Path) -> None:
+def test_half_a_file_left_by_a_crash_is_ignored(tmp_path: Path) -> None:
     (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
     keep(tmp_path / "x.csv.gz", [recording()], {})
     assert len(read_recordings(tmp_path / "x.csv.gz")) == 1
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_a_folder_that_cannot_take_recordings_is_told_before_any_is_made(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot be kept there"):
         prepare(tmp_path / "file")

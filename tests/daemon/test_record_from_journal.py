@@ -102,7 +102,7 @@ def test_a_touch_is_labelled_as_a_recording_that_training_reads(
     assert {"labelled", "licence"} <= told.keys()
 
 
-def test_a_touch_that_was_none_is_saved_with_the_rest_around_it(lab: Lab) -> None:
+def test_a_false_touch_is_saved_as_notouch(lab: Lab) -> None:
     lab.touched(17)
     assert lab.label("17=notouch") == 0
     (read,) = read_recordings(lab.folder / lab.files()[0])
@@ -110,9 +110,7 @@ def test_a_touch_that_was_none_is_saved_with_the_rest_around_it(lab: Lab) -> Non
     assert set(np.diff(read.sensor_ms).tolist()) == {19}
 
 
-def test_a_label_given_twice_writes_once_and_another_writes_nothing_over(
-    lab: Lab, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_label_given_twice_writes_once(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     lab.touched(17)
     assert lab.label("17=tickle") == 0
     assert lab.label("17=tickle") == 0
@@ -122,9 +120,7 @@ def test_a_label_given_twice_writes_once_and_another_writes_nothing_over(
     assert len(lab.files()) == 1
 
 
-def test_a_number_that_began_anew_is_asked_for_by_its_time(
-    lab: Lab, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_repeated_number_is_resolved_by_time(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     lab.touched(17)
     later = lab.touched(17, after_s=100.0)
     assert lab.label("17=tickle") == 2
@@ -142,7 +138,7 @@ def test_a_number_that_began_anew_is_asked_for_by_its_time(
         ("17=purr", "--label 17: purr is none of --gestures, constant, notouch, pat"),
     ],
 )
-def test_what_cannot_be_labelled_is_one_line_and_nothing_is_written(
+def test_what_cannot_be_labelled_is_one_line(
     lab: Lab, capsys: pytest.CaptureFixture[str], label: str, message: str
 ) -> None:
     lab.touched(17)
@@ -152,9 +148,7 @@ def test_what_cannot_be_labelled_is_one_line_and_nothing_is_written(
     assert lab.files() == []
 
 
-def test_labels_without_a_person_to_name_or_without_a_journal_are_refused(
-    lab: Lab, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_labels_need_a_person_and_a_journal(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     lab.touched(17)
     assert cli.main(lab.arguments("--label", "17=tickle")) == 2
     assert "say with --participant who touched" in capsys.readouterr().err
@@ -164,7 +158,7 @@ def test_labels_without_a_person_to_name_or_without_a_journal_are_refused(
         assert ended.value.code == 2
 
 
-def test_a_journal_without_kept_touches_says_how_to_have_them_kept(
+def test_a_journal_without_kept_touches_says_how_to_keep(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "events.jsonl").touch()
@@ -234,7 +228,7 @@ def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
     assert [name.rpartition("_")[0] for name in lab.files()] == ["anna_foam_fur_tickle", "ben_foam_fur_rub"]
 
 
-def test_a_slip_is_undone_and_what_was_decided_is_not_asked_again_after_a_crash(lab: Lab) -> None:
+def test_a_slip_is_undone_and_a_crash_resumed(lab: Lab) -> None:
     for number in (1, 2, 3):
         lab.touched(number)
     with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
@@ -304,7 +298,7 @@ def listed(lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixt
     return capsys.readouterr().out.splitlines()
 
 
-def test_a_touch_whose_lines_were_rotated_away_is_offered_all_the_same(
+def test_a_touch_without_journal_lines_is_still_offered(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab.store.add(felt(1))
@@ -316,7 +310,7 @@ def test_a_touch_whose_lines_were_rotated_away_is_offered_all_the_same(
     assert any("touch 2, taken for ?" in line for line in listed(lab, monkeypatch, capsys))
 
 
-def test_a_journal_in_several_files_with_damaged_lines_is_read_as_far_as_it_goes(lab: Lab) -> None:
+def test_a_rotated_damaged_journal_is_read_as_far_as_possible(lab: Lab) -> None:
     touches = [felt(number) for number in range(1, 6)]
     lab.journalled(touches[4])
     newest = lab.journal.read_bytes()
@@ -335,7 +329,7 @@ def test_a_journal_in_several_files_with_damaged_lines_is_read_as_far_as_it_goes
     assert read_since(lab.journal.with_name("none.jsonl"), "") == []
 
 
-def test_a_touch_deleted_by_the_daemon_meanwhile_and_a_damaged_one_are_passed_over(
+def test_deleted_and_damaged_touches_are_passed_over(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for number in (1, 2):
@@ -386,7 +380,7 @@ def outline(events: list[Event]) -> list[tuple[str, str, float]]:
     ]
 
 
-def test_a_touch_that_the_daemon_felt_is_kept_labelled_and_understood_again(tmp_path: Path) -> None:
+def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path) -> None:
     stream = stream_of(LENGTHS)
     events = played(stream, tmp_path)
     journal = tmp_path / "events.jsonl"

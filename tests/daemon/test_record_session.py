@@ -117,9 +117,7 @@ def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
         question = terminal.until(", s to skip")
 
 
-def test_only_what_is_not_there_is_asked_for_and_a_crash_leaves_nothing_half(
-    tmp_path: Path, port: FakePort
-) -> None:
+def test_a_session_resumes_after_a_crash(tmp_path: Path, port: FakePort) -> None:
     kept = tmp_path / "anna_foam_fur_notouch_1.csv.gz"
     (recording,) = simulate((("notouch", 0.5),), seed=1)
     keep(kept, [recording], {})

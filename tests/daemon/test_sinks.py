@@ -50,7 +50,7 @@ def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
         assert [decode(line) for line in file] == [touch(number) for number in range(50)]
 
 
-def test_a_stalled_reader_blocks_nobody_and_the_oldest_events_are_dropped(pipe: tuple[int, int]) -> None:
+def test_a_stalled_reader_blocks_nobody(pipe: tuple[int, int]) -> None:
     _, writer = pipe
     sink = LinesSink(writer, on_gone=lambda: None, capacity=10)
     sink.start()
@@ -110,7 +110,7 @@ def test_a_journal_that_keeps_nothing_older_begins_anew(tmp_path: Path) -> None:
     assert (tmp_path / "events.jsonl").stat().st_size <= 100
 
 
-def test_half_a_line_left_by_a_power_cut_is_taken_off(tmp_path: Path) -> None:
+def test_half_a_line_left_by_a_power_cut_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     path.write_bytes(b'{"type":"n","n": 1}\n{"type":"n","n": ')
     journal = Journal(path, max_bytes=1000, keep=1)
@@ -119,7 +119,7 @@ def test_half_a_line_left_by_a_power_cut_is_taken_off(tmp_path: Path) -> None:
     assert path.read_bytes() == b'{"type":"n","n": 1}\n{"type":"n","n": 2}\n'
 
 
-def test_no_event_crosses_a_page_so_that_a_kill_cannot_halve_it(tmp_path: Path) -> None:
+def test_no_event_crosses_a_page(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     journal = Journal(path, max_bytes=10_000_000, keep=1)
     lines = [b'{"type":"n","n": "' + b"x" * length + b'"}' for length in range(1000)]
@@ -157,7 +157,7 @@ print(lost)
 """
 
 
-def test_a_full_disk_is_warned_of_once_and_leaves_only_whole_lines(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_only_whole_lines(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     done = subprocess.run(
         [sys.executable, "-c", FILL_THE_DISK, str(path)],
@@ -232,7 +232,7 @@ assert after == [*full, -1], after[-5:]
     != 0,
     reason="a small disk cannot be mounted here",
 )
-def test_on_a_disk_that_is_really_full_the_journal_stays_valid_and_goes_on_when_there_is_room(
+def test_a_journal_survives_a_really_full_disk(
     tmp_path: Path,
 ) -> None:
     mounted = 'mount -t tmpfs -o size=64k none "$0" && exec "$1" -c "$2" "$0/events.jsonl"'
@@ -253,7 +253,7 @@ def test_on_a_disk_that_is_really_full_the_journal_stays_valid_and_goes_on_when_
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
-def test_a_journal_killed_fifty_times_holds_whole_lines_and_is_gone_on_with(tmp_path: Path) -> None:
+def test_a_journal_killed_fifty_times_has_whole_lines(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     chance = random.Random(1)
     for _ in range(50):

@@ -162,7 +162,7 @@ def test_gestures_are_called_in_the_configured_language() -> None:
     assert "Kitzeln" in shown
 
 
-def test_resizing_leaves_nothing_behind_and_the_end_leaves_the_terminal_as_it_was() -> None:
+def test_resizing_and_ending_leave_the_terminal_clean() -> None:
     master, slave = pty.openpty()
     screen = pyte.Screen(80, 24)
     stream = pyte.ByteStream(screen)

@@ -88,9 +88,7 @@ def store(tmp_path: Path) -> TouchStore:
     return TouchStore(tmp_path / "touches", 20, "a made pad")
 
 
-def test_a_kept_touch_is_what_the_pad_sent_from_its_first_frame_to_its_last_contact(
-    store: TouchStore, tmp_path: Path
-) -> None:
+def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store)
     bench.feel(pat(2.0), nothing(2.0))
     bench.end()
@@ -113,9 +111,7 @@ def test_a_kept_touch_is_what_the_pad_sent_from_its_first_frame_to_its_last_cont
     assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
 
 
-def test_a_file_says_where_it_comes_from_and_nothing_of_who_touched(
-    store: TouchStore, tmp_path: Path
-) -> None:
+def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store)
     bench.feel(palm(1.2), nothing(2.0))
     bench.end()
@@ -143,9 +139,7 @@ def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore
     assert before.sensor_ms[0] > read_frames(first).touch.sensor_ms[-1]
 
 
-def test_what_follows_a_touch_that_was_not_let_go_is_not_taken_for_quiet(
-    store: TouchStore, tmp_path: Path
-) -> None:
+def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store)
     bench.feel(palm(1.2))
     bench.clock_ms += 400
@@ -159,7 +153,7 @@ def test_what_follows_a_touch_that_was_not_let_go_is_not_taken_for_quiet(
     assert second.before is None or second.before.counts.max() < 12
 
 
-def test_a_pad_whose_clock_wraps_in_the_touch_is_kept_on_one_clock(store: TouchStore, tmp_path: Path) -> None:
+def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store, clock_ms=2**32 - 2000)
     bench.feel(palm(1.5), nothing(1.0))
     bench.end()
@@ -169,7 +163,7 @@ def test_a_pad_whose_clock_wraps_in_the_touch_is_kept_on_one_clock(store: TouchS
     assert len(read_frames(kept).touch.counts) == ended(bench.events)[0].frames
 
 
-def test_a_pad_that_restarted_lends_no_frame_of_its_other_clock(store: TouchStore, tmp_path: Path) -> None:
+def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store, clock_ms=500_000)
     bench.feel(palm(1.2), nothing(1.5))
     bench.clock_ms = 0
@@ -199,7 +193,7 @@ def test_no_store_is_made_unless_asked_for(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_touch_that_goes_on_when_keeping_begins_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
+def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
     bench = Bench(store)
     bench.feel(palm(0.5))
     bench.sink.stop(5.0)
@@ -222,16 +216,14 @@ def test_of_a_thousand_touches_only_the_last_stay() -> None:
         assert [kept.number for kept in kept_touches(folder)] == [995, 996, 997, 998, 999]
 
 
-def test_numbers_that_begin_anew_with_the_daemon_leave_every_touch_its_own_file(tmp_path: Path) -> None:
+def test_repeated_touch_numbers_have_files_of_their_own(tmp_path: Path) -> None:
     store = TouchStore(tmp_path, 5, "")
     store.add(felt(7))
     store.add(felt(7, after_s=100.0))
     assert [kept.number for kept in kept_touches(tmp_path)] == [7, 7]
 
 
-def test_a_folder_deleted_by_who_wants_nothing_kept_any_longer_is_made_anew(
-    store: TouchStore, tmp_path: Path
-) -> None:
+def test_a_deleted_folder_is_made_again(store: TouchStore, tmp_path: Path) -> None:
     store.add(felt(1))
     (only,) = kept_touches(tmp_path / "touches")
     only.path.unlink()
@@ -241,7 +233,7 @@ def test_a_folder_deleted_by_who_wants_nothing_kept_any_longer_is_made_anew(
     assert (tmp_path / "touches").stat().st_mode & 0o007 == 0
 
 
-def test_a_folder_that_cannot_be_used_is_one_line_that_names_the_setting(tmp_path: Path) -> None:
+def test_an_unusable_folder_is_one_line_naming_the_setting(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
         with pytest.raises(ConfigError, match=rf"journal\.keep_touches: .*{why}"):
@@ -261,7 +253,7 @@ class StuckStore(TouchStore):
         super().add(touch)
 
 
-def test_a_disk_that_hangs_costs_the_oldest_touches_and_never_the_loop(tmp_path: Path) -> None:
+def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
     store = StuckStore(tmp_path)
     bench = Bench(store)
     for _ in range(CAPACITY + 4):
@@ -320,7 +312,7 @@ assert len(list(folder.iterdir())) == len(whole) + 1, list(folder.iterdir())
     != 0,
     reason="a small disk cannot be mounted here",
 )
-def test_a_full_disk_is_warned_of_once_leaves_whole_files_only_and_is_gone_on_with(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_only_whole_files(tmp_path: Path) -> None:
     mounted = 'mount -t tmpfs -o size=96k none "$0" && exec "$1" -c "$2" "$0"'
     done = subprocess.run(
         ["unshare", "--mount", "sh", "-c", mounted, str(tmp_path), sys.executable, FILL_A_SMALL_DISK],
@@ -351,7 +343,7 @@ while True:
 """
 
 
-def test_a_daemon_killed_in_the_middle_of_writing_leaves_whole_files_only(tmp_path: Path) -> None:
+def test_a_kill_while_writing_leaves_only_whole_files(tmp_path: Path) -> None:
     chance = random.Random(1)
     for attempt in range(3):
         with subprocess.Popen(
@@ -370,14 +362,14 @@ def test_a_daemon_killed_in_the_middle_of_writing_leaves_whole_files_only(tmp_pa
     assert {path.name for path in tmp_path.iterdir()} == {kept.path.name for kept in kept_touches(tmp_path)}
 
 
-def test_of_the_touches_that_lie_there_a_lowered_bound_leaves_the_last(tmp_path: Path) -> None:
+def test_a_lowered_bound_keeps_the_last_touches(tmp_path: Path) -> None:
     for number in range(6):
         TouchStore(tmp_path, 10, "").add(felt(number))
     TouchStore(tmp_path, 2, "").add(felt(6))
     assert [kept.number for kept in kept_touches(tmp_path)] == [5, 6]
 
 
-def test_a_file_of_somebody_elses_in_the_folder_is_neither_offered_nor_deleted(tmp_path: Path) -> None:
+def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     (tmp_path / "anna_foam_fur_rub_1.csv.gz").touch()
     store = TouchStore(tmp_path, 1, "")
@@ -390,7 +382,7 @@ def test_a_file_of_somebody_elses_in_the_folder_is_neither_offered_nor_deleted(t
     }
 
 
-def test_a_pad_off_54_hz_is_kept_as_it_sent_and_cut_where_the_touch_truly_was(tmp_path: Path) -> None:
+def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame(i, 10 * i, 0.0, counts) for i in range(300))
     began = TouchBegan(touch=1, time="", sensor_ms=1157)

@@ -32,7 +32,7 @@ def test_lines_do_not_depend_on_how_the_bytes_were_cut(cuts: list[int]) -> None:
     assert parser.counts.bad == 0
 
 
-def test_the_first_line_is_never_used_for_it_may_be_half_a_line() -> None:
+def test_the_first_line_may_be_half_and_is_skipped() -> None:
     parser = CsvLines()
     assert_are(parser.feed(line(0)[2:] + line(1) + line(2), 0.0), [1, 2])
     assert parser.counts.bad == 0
@@ -85,14 +85,14 @@ def test_a_line_that_never_ends_is_not_kept() -> None:
     assert parser.counts.bad_framing == 1
 
 
-def test_one_line_that_lost_its_clock_does_not_pass_for_a_pad_without_one() -> None:
+def test_one_line_without_a_clock_is_no_clockless_pad() -> None:
     parser = CsvLines()
     without_clock = line(2).split(b",", 1)[1]
     assert_are(parser.feed(lines([0, 1]) + without_clock + line(3), 0.0), [0, 1, 3])
     assert parser.counts.bad_framing == 1
 
 
-def test_a_pad_that_changes_its_layout_for_good_is_understood_again() -> None:
+def test_a_pad_may_change_its_layout() -> None:
     parser = CsvLines()
     parser.feed(lines([0, 1]), 0.0)
     frames = parser.feed(encode_csv_line(counts_of(5), None) * 5, 9.0)
@@ -112,9 +112,7 @@ printed_soup = st.lists(
 
 @UNHURRIED
 @given(data=printed_soup, cuts=st.lists(st.integers(0, 3000), max_size=20))
-def test_whatever_is_printed_the_cuts_change_nothing_and_memory_stays_bounded(
-    data: bytes, cuts: list[int]
-) -> None:
+def test_chunking_of_lines_changes_nothing_and_memory_stays_bounded(data: bytes, cuts: list[int]) -> None:
     whole, cut = CsvLines(), CsvLines()
     at_once = contents(whole.feed(data, 0.0))
     piecewise = []

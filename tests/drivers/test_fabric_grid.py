@@ -30,7 +30,7 @@ from drivers.pad.protocol import CsvLines, FabricGrid, ProtocolError, encode_fab
 # --- what a frame is ---------------------------------------------------------------------------------------
 
 
-def test_a_10x10_pad_cropped_and_inverted_gives_the_8x8_of_the_haart_recipe() -> None:
+def test_a_10x10_pad_gives_the_8x8_of_haart() -> None:
     raw = np.random.default_rng(0).integers(0, 1024, (10, 10)).astype("<u2")
     times = [7, 26]
     data = b"".join(
@@ -69,7 +69,7 @@ def test_pressure_cannot_be_written_to() -> None:
 
 
 @pytest.mark.parametrize(("rows", "columns", "crop"), [(10, 10, 0), (10, 8, 1), (6, 6, -1), (0, 0, 0)])
-def test_a_geometry_that_leaves_no_8x8_is_refused_with_what_to_do(rows: int, columns: int, crop: int) -> None:
+def test_a_geometry_without_8x8_says_what_to_do(rows: int, columns: int, crop: int) -> None:
     with pytest.raises(ProtocolError, match=f"rows {rows}, columns {columns} and crop {crop}.*10x10"):
         FabricGrid(rows, columns, crop)
     with pytest.raises(ProtocolError):
@@ -101,7 +101,7 @@ def test_a_long_recording_fed_at_once_comes_out_whole() -> None:
     assert parser.counts.frames == 200
 
 
-def test_a_frame_is_there_with_its_last_byte_and_bears_its_arrival() -> None:
+def test_a_frame_bears_the_arrival_of_its_last_byte() -> None:
     parser = FabricGrid()
     parser.feed(packets([0, 1]) + packet(2)[:-1], 10.0)
     (frame,) = parser.feed(packet(2)[-1:], 11.0)
@@ -109,7 +109,7 @@ def test_a_frame_is_there_with_its_last_byte_and_bears_its_arrival() -> None:
 
 
 @pytest.mark.parametrize("cut", [1, 3, 4, 7, 8, 9, 100, SIZE - 1])
-def test_a_stream_joined_in_the_middle_of_a_frame_begins_with_the_next(cut: int) -> None:
+def test_a_stream_joined_midway_begins_with_the_next_frame(cut: int) -> None:
     assert_are(FabricGrid().feed(packets(range(4))[cut:], 0.0), [1, 2, 3])
 
 
@@ -118,7 +118,7 @@ def test_a_stream_joined_in_the_middle_of_a_frame_begins_with_the_next(cut: int)
 
 @UNHURRIED
 @given(bit=st.sampled_from(VISIBLE_BITS))
-def test_a_frame_with_a_flipped_bit_never_gets_through_and_is_counted(bit: int) -> None:
+def test_a_frame_with_a_flipped_bit_is_counted_and_dropped(bit: int) -> None:
     parser = FabricGrid()
     data = packets([0, 1]) + flip(packet(2), bit) + packets([3, 4])
     assert_are(fed(parser, data, range(0, len(data), 50)), [0, 1, 3, 4])
@@ -145,13 +145,13 @@ def test_a_frame_cut_off_costs_only_itself(kept: int) -> None:
 
 
 @pytest.mark.parametrize("length", range(1, 20))
-def test_a_header_that_begins_in_a_run_of_ff_is_found(length: int) -> None:
+def test_a_header_in_a_run_of_ff_is_found(length: int) -> None:
     for number in range(2, 40):
         data = packets([0, 1]) + b"\xff" * length + packets([number, number + 1])
         assert_are(FabricGrid().feed(data, 0.0), [0, 1, number, number + 1])
 
 
-def test_a_false_frame_with_a_right_checksum_does_not_hide_the_true_one_inside_it() -> None:
+def test_a_false_frame_does_not_hide_a_true_one() -> None:
     """Two bytes of FF before a header make a window two bytes early; one in 256 passes every other check."""
     found = 0
     for number in range(2, 2000):
@@ -164,13 +164,13 @@ def test_a_false_frame_with_a_right_checksum_does_not_hide_the_true_one_inside_i
     assert found > 0
 
 
-def test_a_run_of_ff_counts_as_one_however_many_headers_are_in_it() -> None:
+def test_a_run_of_ff_counts_as_one_bad_frame() -> None:
     parser = FabricGrid()
     assert_are(parser.feed(packets([0, 1]) + b"\xff" * 100 + packets([2, 3]), 0.0), range(4))
     assert (parser.counts.bad_value, parser.counts.bad) == (1, 1)
 
 
-def test_a_long_run_of_garbage_counts_as_the_frames_it_took_the_place_of() -> None:
+def test_long_garbage_counts_as_the_frames_it_replaced() -> None:
     parser = FabricGrid()
     assert_are(parser.feed(packets([0, 1]) + b"\x55" * (3 * SIZE) + packets([2, 3]), 0.0), range(4))
     assert (parser.counts.bad_framing, parser.counts.bytes_dropped) == (3, 3 * SIZE)
@@ -194,7 +194,7 @@ mishaps = st.one_of(
 
 @MANY
 @given(line=st.lists(mishaps, max_size=8), cuts=st.lists(st.integers(0, 3000), max_size=20))
-def test_on_any_line_every_intact_frame_comes_out_once_and_in_order(
+def test_every_intact_frame_comes_out_once_in_order(
     line: list[tuple[str, int | bytes]], cuts: list[int]
 ) -> None:
     data, intact = packets([0, 1]), [0, 1]
@@ -229,9 +229,7 @@ soup = st.lists(
 
 @MANY
 @given(data=soup, cuts=st.lists(st.integers(0, 3000), max_size=30))
-def test_whatever_comes_in_the_cuts_change_nothing_and_memory_stays_bounded(
-    data: bytes, cuts: list[int]
-) -> None:
+def test_chunking_of_bytes_changes_nothing_and_memory_stays_bounded(data: bytes, cuts: list[int]) -> None:
     whole, cut = FabricGrid(), FabricGrid()
     at_once = contents(whole.feed(data, 0.0))
     piecewise = []
@@ -242,7 +240,7 @@ def test_whatever_comes_in_the_cuts_change_nothing_and_memory_stays_bounded(
     assert cut.counts == whole.counts
 
 
-def test_a_flood_of_headers_is_not_kept_and_the_frames_after_it_come_out() -> None:
+def test_a_flood_of_headers_is_not_kept() -> None:
     parser = FabricGrid()
     for _ in range(4):
         parser.feed(b"\xff" * 65536, 0.0)
@@ -250,7 +248,7 @@ def test_a_flood_of_headers_is_not_kept_and_the_frames_after_it_come_out() -> No
     assert_are(parser.feed(packets([0, 1]), 0.0), [0, 1])
 
 
-def test_a_flip_the_format_cannot_show_is_the_only_one_that_passes() -> None:
+def test_only_an_undetectable_flip_passes() -> None:
     bits = set(range(64, SIZE * 8 - 8)) - set(VISIBLE_VALUE_BITS)
     assert {(bit - 64) % 16 for bit in bits} == {8, 9}
     for bit in sorted(bits)[::20]:

@@ -78,7 +78,7 @@ def test_a_stream_arrives_byte_for_byte() -> None:
     assert played(stream, NO_FAULTS) == encoded(stream)
 
 
-def test_flat_out_no_byte_is_lost_to_a_slow_reader_and_the_end_waits_for_it() -> None:
+def test_flat_out_a_slow_reader_loses_no_byte() -> None:
     stream = stream_of(600)
     with FakePort(stream, encode_fabric_grid, speed=None) as port, opened(port) as reader:
         assert not port.wait(0.1)
@@ -88,7 +88,7 @@ def test_flat_out_no_byte_is_lost_to_a_slow_reader_and_the_end_waits_for_it() ->
     assert data == encoded(stream)
 
 
-def test_the_pace_is_that_of_the_recording_and_does_not_drift() -> None:
+def test_the_pace_is_the_recordings_without_drift() -> None:
     stream = stream_of(40)
     with FakePort(stream, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
         read_to_end(port, reader)
@@ -126,7 +126,7 @@ def test_bytes_may_be_written_in_small_pieces(chunk_bytes: int) -> None:
         (Faults(garbage_every=5), list(range(12))),
     ],
 )
-def test_each_fault_costs_what_it_says_and_comes_back_the_same(faults: Faults, intact: list[int]) -> None:
+def test_each_fault_is_reproducible_and_costs_what_it_says(faults: Faults, intact: list[int]) -> None:
     stream = stream_of(12)
     data = played(stream, faults)
     assert data != encoded(stream)
@@ -144,7 +144,7 @@ def test_nothing_is_sent_before_somebody_reads() -> None:
             assert reader.read(3 * SIZE) == encoded(stream)
 
 
-def test_flat_out_the_stream_waits_for_a_reader_that_comes_back() -> None:
+def test_flat_out_the_stream_waits_for_a_reader() -> None:
     stream = stream_of(600)
     parser = FabricGrid()
     with FakePort(stream, encode_fabric_grid, speed=None) as port:

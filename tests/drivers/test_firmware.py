@@ -105,9 +105,7 @@ def test_the_sketch_compiles_for_the_mega_without_a_warning(folder: Path, size: 
 
 @requires_board
 @pytest.mark.parametrize("size", [8, 10])
-def test_what_is_on_the_pins_is_what_touchd_feels_and_no_frame_is_lost(
-    run_of: Callable[[int], Run], size: int
-) -> None:
+def test_the_pins_values_arrive_without_a_lost_frame(run_of: Callable[[int], Run], size: int) -> None:
     run, pictures = run_of(size), pictures_of(size, size)
     parser = parser_for(size)
     frames = parser.feed(run.sent, 0.0)
@@ -121,18 +119,14 @@ def test_what_is_on_the_pins_is_what_touchd_feels_and_no_frame_is_lost(
 
 @requires_board
 @pytest.mark.parametrize("size", [8, 10])
-def test_the_border_taxels_are_sent_as_well_each_in_its_place(
-    run_of: Callable[[int], Run], size: int
-) -> None:
+def test_the_border_taxels_are_sent_in_place(run_of: Callable[[int], Run], size: int) -> None:
     raw = run_of(size).raw(size, size)
     np.testing.assert_array_equal(raw, pictures_of(size, size)[: len(raw)])
 
 
 @requires_board
 @pytest.mark.parametrize("size", [8, 10])
-def test_frames_come_at_54_hz_by_the_sensor_clock_and_by_the_crystal(
-    run_of: Callable[[int], Run], size: int
-) -> None:
+def test_frames_come_at_54_hz_by_both_clocks(run_of: Callable[[int], Run], size: int) -> None:
     run = run_of(size)
     frames = parser_for(size).feed(run.sent, 0.0)
     assert 1000 / steps_ms(frames).mean() == pytest.approx(FRAME_RATE_HZ, rel=0.005)
@@ -142,9 +136,7 @@ def test_frames_come_at_54_hz_by_the_sensor_clock_and_by_the_crystal(
 
 @requires_board
 @pytest.mark.parametrize("size", [8, 10])
-def test_a_scan_is_read_and_sent_long_before_the_next_as_the_readme_says(
-    run_of: Callable[[int], Run], size: int
-) -> None:
+def test_a_scan_is_sent_before_the_next_is_due(run_of: Callable[[int], Run], size: int) -> None:
     run = run_of(size)
     assert run.until_sent_ms < 0.7 * PERIOD_MS
     readme = (FIRMWARE / "README.md").read_text()
@@ -172,7 +164,7 @@ def test_our_driver_reads_the_board_on_a_serial_port(board: MakeBoard) -> None:
 
 
 @requires_board
-def test_on_a_line_too_slow_scans_are_left_out_and_the_clock_and_the_frames_stay_true(
+def test_a_slow_line_skips_scans_and_keeps_the_clock(
     board: MakeBoard,
 ) -> None:
     pictures = pictures_of(10, 10)
@@ -196,7 +188,7 @@ def test_512000_and_500000_baud_are_the_same_to_a_mega(
 
 
 @requires_board
-def test_of_a_pad_of_resistors_touchd_feels_what_the_circuit_gives(board: MakeBoard) -> None:
+def test_a_pad_of_resistors_reads_as_the_circuit_predicts(board: MakeBoard) -> None:
     volts = column_volts(pad((3, 4), (6, 2)))
     raw = (volts / SUPPLY_V * MAX_COUNT).astype(np.uint16)
     (frame, *_) = FabricGrid().feed(board().run(raw[None], 0.1).sent, 0.0)

@@ -14,7 +14,7 @@ def frame(number: int) -> Frame:
     return Frame(number, number * 19, 0.0, np.zeros((8, 8), np.uint16))
 
 
-def test_a_full_queue_gives_up_its_oldest_frames_counts_them_and_keeps_states() -> None:
+def test_a_full_queue_drops_old_frames_but_no_state() -> None:
     queue = FrameQueue(4)
     down, up = SensorState("down", "unplugged"), SensorState("up", "back")
     for item in (down, frame(0), up, frame(1), frame(2), frame(3)):

@@ -49,7 +49,7 @@ def new_ring(capacity: int = 600) -> Ring:
     return Ring(RingSettings(), capacity)
 
 
-def test_a_pad_at_exactly_54_hz_passes_unchanged_though_its_clock_is_in_whole_milliseconds() -> None:
+def test_a_pad_at_exactly_54_hz_passes_unchanged() -> None:
     ring, counts = new_ring(), random_counts(431)
     laid = push(ring, counts, ideal_clock_ms(431))
     assert [frame.index for frame in laid] == list(range(431))
@@ -69,7 +69,7 @@ def test_a_pad_that_runs_free_near_54_hz_passes_unchanged(rate_hz: float) -> Non
 
 @pytest.mark.parametrize("jitter_ms", [0.0, 4.0])
 @pytest.mark.parametrize("rate_hz", [50, 54, 60, 80, 100])
-def test_a_pad_at_another_rate_gives_the_windows_of_an_ideal_one(rate_hz: int, jitter_ms: float) -> None:
+def test_a_pad_at_another_rate_gives_ideal_windows(rate_hz: int, jitter_ms: float) -> None:
     seconds = 8
     rng = np.random.default_rng(3)
     true_ms = 10 + np.arange(seconds * rate_hz) * 1000 / rate_hz
@@ -89,7 +89,7 @@ def test_a_pad_at_another_rate_gives_the_windows_of_an_ideal_one(rate_hz: int, j
     assert not any(frame.bridged for frame in laid)
 
 
-def test_a_grid_frame_is_there_as_soon_as_the_frame_that_completes_it() -> None:
+def test_a_grid_frame_comes_with_the_frame_completing_it() -> None:
     ring = new_ring()
     for number, ms in enumerate(ideal_clock_ms(100)):
         (laid,) = ring.push(Frame(number, int(ms), 5.0 + number, np.zeros((8, 8), np.uint16)))
@@ -110,7 +110,7 @@ def test_lost_frames_are_bridged_and_marked(lost: list[int]) -> None:
     np.testing.assert_array_equal(ring.window(100, 100 - stop), counts[stop:])
 
 
-def test_a_gap_too_long_to_bridge_starts_anew_with_indices_that_go_on() -> None:
+def test_a_gap_too_long_to_bridge_starts_anew() -> None:
     counts, clock = random_counts(100), ideal_clock_ms(100)
     kept = np.delete(np.arange(100), range(50, 60))
     laid = push(new_ring(), counts[kept], clock[kept])
@@ -144,7 +144,7 @@ def test_duplicates_and_late_frames_leave_no_trace() -> None:
     np.testing.assert_array_equal(ring.window(100, 100), counts)
 
 
-def test_after_a_reset_the_next_frame_starts_anew_whatever_its_clock() -> None:
+def test_after_a_reset_the_next_frame_starts_anew() -> None:
     ring, counts = new_ring(), random_counts(40)
     push(ring, counts[:20], ideal_clock_ms(20))
     ring.reset()
@@ -152,7 +152,7 @@ def test_after_a_reset_the_next_frame_starts_anew_whatever_its_clock() -> None:
     assert [(frame.index, frame.restarted) for frame in laid[:2]] == [(20, True), (21, False)]
 
 
-def test_the_ring_keeps_its_capacity_and_refuses_to_invent_what_it_has_let_go() -> None:
+def test_the_ring_refuses_frames_it_no_longer_has() -> None:
     ring, counts = new_ring(capacity=50), random_counts(500)
     push(ring, counts, ideal_clock_ms(500))
     np.testing.assert_array_equal(ring.window(500, 50), counts[450:])
@@ -193,7 +193,7 @@ def test_port_and_file_give_the_model_the_same_frames(tmp_path: Path, rate_hz: f
     np.testing.assert_array_equal(ring.window(len(laid), len(laid)), from_file.counts)
 
 
-def test_the_longest_stretch_without_a_gap_is_what_a_recording_gives() -> None:
+def test_a_recording_gives_its_longest_stretch_without_a_gap() -> None:
     (recording,) = simulate([("pat", 3.0)], seed=1)
     clock_ms = recording.sensor_ms.copy()
     clock_ms[40:] += 400

@@ -34,14 +34,14 @@ def said(pattern: str) -> list[float]:
     return [float(figure) for figure in found.groups()]
 
 
-def test_an_untouched_corner_stays_untouched_because_the_other_rows_are_driven_high() -> None:
+def test_an_untouched_corner_of_a_rectangle_stays_untouched() -> None:
     touched = counts(CORNERS)[[2, 2, 6], [2, 6, 2]]
     assert touched.min() > 300
     figures = said(r"would read (\d+) counts; driven it reads (\d+), at a rest of (\d+)")
     assert figures == [counts(CORNERS, others_high=False)[6, 6], counts(CORNERS)[6, 6], counts(pad())[6, 6]]
 
 
-def test_what_two_presses_cost_each_other_is_as_the_page_says() -> None:
+def test_two_presses_cost_each_other_as_documented() -> None:
     alone, column = counts(pad((2, 2)))[2, 2], counts(pad((2, 2), (6, 2)))[2, 2]
     row = counts(pad((2, 2), (2, 6)))[2, 2]
     assert said(r"(\d+) counts become (\d+) \(two in one row: (\d+)\)") == [alone, column, row]
@@ -53,18 +53,18 @@ def test_what_a_press_reads_is_as_the_page_says() -> None:
     assert figures == [counts(pad((3, 4), ohm=ohm))[3, 4] for ohm in pressed_ohm]
 
 
-def test_a_pull_up_of_a_hundredth_of_the_resting_fabric_makes_a_rest_of_about_ten() -> None:
+def test_a_weak_pull_up_makes_a_rest_of_ten() -> None:
     assert pytest.approx(REST_OHM / 100) == PULL_UP_OHM
     assert counts(pad()).mean() == pytest.approx(10, abs=2)
 
 
-def test_a_column_without_its_pull_up_is_known_by_its_rest() -> None:
+def test_a_column_without_pull_up_shows_in_its_rest() -> None:
     (rest,) = said(r"a column that rests at some (\d+) counts")
     unpulled = pressure(column_volts(pad(), pull_up_ohm=1e12))
     np.testing.assert_allclose(unpulled, rest, atol=5)
 
 
-def test_no_pin_bears_more_than_it_can_however_hard_the_pad_is_pressed() -> None:
+def test_no_pin_is_overloaded_however_hard_the_press() -> None:
     (milliamperes,) = said(r"draws (\d+) mA through a row's pin")
     assert round(row_milliamperes(np.full((10, 10), 1_000.0))) == milliamperes
     assert row_milliamperes(np.full((10, 10), 1.0)) < 40
@@ -95,7 +95,7 @@ def test_the_wiring_pictures_show_the_pins_of_the_sketch(picture: str) -> None:
         assert (socket, on_board.format(pin=pin, number=number)) in pairs
 
 
-def test_the_mega_picture_shows_the_resistors_that_the_circuit_was_solved_with() -> None:
+def test_the_mega_picture_shows_the_solved_resistors() -> None:
     words = words_of("wiring-mega.svg")
     assert f"{ROW_RESISTOR_OHM:g} Ω" in words
     assert f"{PULL_UP_OHM / 1000:g} kΩ from each" in words

@@ -100,7 +100,7 @@ def assert_logged(frames: list[Frame], what: str, caplog: pytest.LogCaptureFixtu
         (saturated, "saturated", "a quarter of the pad or more is at its limit"),
     ],
 )
-def test_through_the_port_a_broken_pad_is_told_once_and_its_repair_too(
+def test_a_broken_pad_and_its_repair_are_told_once(
     damage: Damage, kind: str, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     counts = sound_pad(30)
@@ -117,7 +117,7 @@ def test_through_the_port_a_broken_pad_is_told_once_and_its_repair_too(
     assert_logged(frames, begin.what, caplog)
 
 
-def test_a_sound_pad_under_a_still_heavy_hand_is_not_broken() -> None:
+def test_a_heavy_still_hand_breaks_nothing() -> None:
     counts = sound_pad(20)
     counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
     assert findings_in(counts) == []
@@ -145,7 +145,7 @@ def test_a_pad_that_is_silent_at_rest_is_not_broken() -> None:
     assert findings_in(counts) == []
 
 
-def test_through_the_port_a_rest_level_that_creeps_up_is_told_once_and_its_return_too(
+def test_a_creeping_rest_and_its_return_are_told_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     counts = sound_pad(300)

@@ -41,7 +41,7 @@ def told(counts: Counts, caplog: pytest.LogCaptureFixture) -> list[tuple[int, st
     return said
 
 
-def test_the_daemon_warns_once_of_a_row_that_dies_and_says_once_that_it_is_back(tmp_path: Path) -> None:
+def test_a_dead_row_and_its_return_are_told_once(tmp_path: Path) -> None:
     counts = pad(32, ((4, 20),))
     stream = Stream(counts, ideal_clock_ms(len(counts)), ())
     with (
@@ -59,7 +59,7 @@ def test_the_daemon_warns_once_of_a_row_that_dies_and_says_once_that_it_is_back(
     assert {type(event) for event in events} <= {SensorEvent}
 
 
-def test_a_wire_that_comes_and_goes_is_told_once_in_ten_minutes(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_loose_wire_is_told_once_in_ten_minutes(caplog: pytest.LogCaptureFixture) -> None:
     counts = pad(300, tuple((begin_s, begin_s + 12) for begin_s in range(5, 280, 30)))
     assert [line[1:] for line in told(counts, caplog)] == [
         ("WARNING", BROKEN),
@@ -67,7 +67,7 @@ def test_a_wire_that_comes_and_goes_is_told_once_in_ten_minutes(caplog: pytest.L
     ]
 
 
-def test_a_wire_that_breaks_for_good_after_it_came_back_is_told_again(
+def test_a_wire_that_breaks_again_is_told_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     first, again = told(pad(150, ((5, 20), (40, 150))), caplog)[::2]

@@ -15,7 +15,7 @@ from drivers.pad.protocol import encode_fabric_grid
 from drivers.pad.sensor import SensorError, check_port
 
 
-def test_a_port_that_can_be_read_passes_and_is_not_disturbed() -> None:
+def test_a_readable_port_passes_undisturbed() -> None:
     with FakePort(stream_of(5), encode_fabric_grid, speed=None) as port:
         check_port(port.path, BAUD)
         assert not port.wait(0.05)
@@ -39,12 +39,12 @@ def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, me
     assert "\n" not in str(refusal.value)
 
 
-def test_a_device_that_is_no_terminal_is_said_to_be_none() -> None:
+def test_a_device_that_is_no_terminal_is_named() -> None:
     with sensing("/dev/null") as queue:
         assert "/dev/null cannot be opened" in next_state(queue).reason
 
 
-def test_without_permission_it_says_how_to_get_it_and_goes_on_when_it_has_it(
+def test_missing_permission_says_how_to_get_it(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)

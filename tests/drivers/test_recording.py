@@ -55,7 +55,7 @@ def assert_same(read: Sequence[Recording], written: Sequence[Recording]) -> None
 
 
 @pytest.mark.parametrize("name", ["pad.csv", "pad.csv.gz"])
-def test_what_is_written_is_read_back_with_where_it_came_from_on_top(tmp_path: Path, name: str) -> None:
+def test_written_recordings_read_back_with_their_provenance(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     recordings = [made("P1", "rub"), made("P1", "pat", 7), made("P2", "pat", 3)]
     write_recordings(path, recordings, {"source": "made up\nfor a test", "licence": "none"})
@@ -85,7 +85,7 @@ def test_a_damaged_archive_is_one_clear_line(tmp_path: Path) -> None:
             read(path)
 
 
-def test_a_file_of_another_layout_says_nothing_of_where_it_comes_from(tmp_path: Path) -> None:
+def test_a_file_of_another_layout_has_no_provenance(tmp_path: Path) -> None:
     path = tmp_path / "haart.csv"
     path.write_text(f"{TRAINING_HEADER}\nP3,foam,fur,rub,{cells(0)}\n")
     assert read_provenance(path) == {}
@@ -98,7 +98,7 @@ def test_a_file_is_never_written_over(tmp_path: Path) -> None:
         write_recordings(path, [made("P2", "rub")], {})
 
 
-def test_two_recordings_that_would_be_read_back_as_one_are_not_written(tmp_path: Path) -> None:
+def test_two_recordings_that_would_merge_are_not_written(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="two in a row share"):
         write_recordings(tmp_path / "pad.csv", [made("P1", "rub"), made("P1", "rub", 7)], {})
     assert not (tmp_path / "pad.csv").exists()
@@ -136,9 +136,7 @@ def test_each_of_haarts_layouts_gives_all_64_cells(tmp_path: Path, header: str, 
         (f"{TEST_HEADER}\n{ROW}{'0' * 5000}\n", "line 2: too long"),
     ],
 )
-def test_a_file_that_is_no_recording_is_refused_with_the_line_and_the_reason(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_a_file_that_is_no_recording_names_its_line(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "bad.csv"
     path.write_text(text)
     with pytest.raises(RecordingError, match=f"bad.csv.*{message}"):
@@ -176,7 +174,7 @@ def test_realigning_puts_the_two_halves_of_each_scan_together_again() -> None:
     assert realign(live) is live
 
 
-def test_a_spliced_stream_says_what_is_shown_when_and_its_clock_never_jumps() -> None:
+def test_a_spliced_stream_has_spans_and_a_steady_clock() -> None:
     stream = splice([made("P1", "notouch", 5), made("P1", "rub", 7, first_ms=900), made("P1", "notouch", 2)])
     assert stream.counts.shape == (14, 8, 8)
     assert [(span.start, span.stop, span.gesture) for span in stream.spans] == [

@@ -117,7 +117,7 @@ def test_everything_told_fits_the_robots_four_bytes(robot: Robot) -> None:
         assert robot.calls.raised(DETAIL) == [["pat", 0.5, [0, 0], "early", 0, 0]]
 
 
-def test_a_stand_in_keeps_and_refuses_what_a_robots_memory_would(robot: Robot) -> None:
+def test_a_stand_in_behaves_like_a_robots_memory(robot: Robot) -> None:
     session = robot.open_session(robot.url, None, RobotLimits(), threading.Event())
     session.connect()
     session.call("ALMemory", "raiseEvent", "Pad/Float", 0.1, limit_s=5)
@@ -170,7 +170,7 @@ def test_speech_that_takes_long_delays_no_event(make_robot: type[Robot]) -> None
 
 
 @every_robot
-def test_what_the_robot_cannot_do_is_left_out_and_the_rest_done(
+def test_what_the_robot_cannot_do_is_left_out(
     make_robot: type[Robot], caplog: pytest.LogCaptureFixture
 ) -> None:
     rule = ActionRule(do=(Action(behavior="nosuch"), Action(animated_say="no"), Action(say="{gesture}")))
@@ -218,15 +218,13 @@ def test_nothing_loads_qi_before_a_robot_is_configured() -> None:
         ({"url": "tcps://nao:9503", "user": "nao", "token_file": "/dev/null"}, "/dev/null is empty"),
     ],
 )
-def test_a_robot_that_cannot_be_logged_in_to_is_one_clear_line(
-    settings: dict[str, Any], complaint: str
-) -> None:
+def test_a_failed_login_is_one_clear_line(settings: dict[str, Any], complaint: str) -> None:
     with pytest.raises(RobotError, match=complaint):
         RobotLink(RobotSettings(**settings), open_session=lambda *_: pytest.fail("a session was opened"))
 
 
 @needs_qi
-def test_the_fake_robot_command_shows_each_call_as_a_line_of_json() -> None:
+def test_the_fake_robot_shows_calls_as_json() -> None:
     command = [sys.executable, "-m", "drivers.fakes.fake_robot", "--port=0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
@@ -252,7 +250,7 @@ def test_the_fake_robot_command_refuses_what_makes_no_sense(
 
 
 @needs_qi
-def test_the_fake_robot_command_says_in_one_line_that_its_port_is_taken() -> None:
+def test_the_fake_robot_says_its_port_is_taken() -> None:
     with LoopbackRobot() as robot:
         port = robot.url.rsplit(":", 1)[1]
         command = [sys.executable, "-m", "drivers.fakes.fake_robot", f"--port={port}"]

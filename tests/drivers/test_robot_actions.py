@@ -62,7 +62,7 @@ def test_a_wrong_rule_is_refused_with_what_is_wrong(text: str, complaint: str) -
     assert complaint in str(error.value)
 
 
-def test_a_confidence_is_spoken_in_whole_percent_and_braces_can_be_said() -> None:
+def test_a_confidence_is_spoken_in_whole_percent() -> None:
     assert Action(say="{{{gesture}}} {confidence}").say is not None
     assert spoken("{{{gesture}}} {confidence}", "pat", 0.994, {}) == "{pat} 99"
 
@@ -90,7 +90,7 @@ def test_a_rule_without_a_stage_answers_news_only() -> None:
     assert done(chosen, "pat", 2, stage="early") == ["any"]
 
 
-def test_a_rule_with_stages_is_set_off_once_by_an_answer() -> None:
+def test_a_rule_with_stages_fires_once_an_answer() -> None:
     chosen = Reactions(rules("[{do: [{say: any}], stages: [early, final, ongoing]}]"))
     stages = ["early", "revised", "final"]
     assert [done(chosen, "stroke", 1, stage=stage) for stage in stages] == [["any"], [], []]
@@ -136,14 +136,14 @@ def test_a_changed_answer_can_have_an_action_of_its_own() -> None:
     assert done(chosen, "pat", 2) == ["a pat"]
 
 
-def test_every_rule_that_fits_is_carried_out_in_the_order_written() -> None:
+def test_every_fitting_rule_is_carried_out_in_order() -> None:
     chosen = Reactions(
         rules("[{do: [{say: one}, {say: two}]}, {do: [{say: never}], gestures: [rub]}, {do: [{say: three}]}]")
     )
     assert done(chosen, "pat", 1) == ["one", "two", "three"]
 
 
-def test_a_rule_rests_for_its_refractory_time_and_others_do_not() -> None:
+def test_a_rule_rests_for_its_refractory_time() -> None:
     chosen = Reactions(rules("[{do: [{say: slow}], refractory_s: 5}, {do: [{say: quick}]}]"))
     times = [0.0, 4.9, 5.1]
     assert [done(chosen, "pat", touch, now_s=now) for touch, now in enumerate(times)] == [

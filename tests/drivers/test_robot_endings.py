@@ -76,7 +76,7 @@ def test_stopping_takes_less_than_two_seconds_and_leaves_no_thread(
 
 
 @needs_qi
-def test_a_listener_that_never_speaks_is_down_and_can_be_left() -> None:
+def test_a_silent_listener_is_down_and_can_be_left() -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute, LoopbackRobot() as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with linked(robot, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):

@@ -31,7 +31,7 @@ SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
 @every_robot
-def test_a_robot_that_is_not_there_yet_is_found_when_it_comes(make_robot: type[Robot]) -> None:
+def test_a_robot_that_comes_later_is_found(make_robot: type[Robot]) -> None:
     with make_robot() as robot:
         robot.kill()
         with linked(robot) as (link, states):
@@ -43,7 +43,7 @@ def test_a_robot_that_is_not_there_yet_is_found_when_it_comes(make_robot: type[R
 
 
 @every_robot
-def test_a_kill_in_the_middle_of_a_call_is_noticed_and_survived(make_robot: type[Robot]) -> None:
+def test_a_kill_during_a_call_is_survived(make_robot: type[Robot]) -> None:
     limits = RobotLimits(call_s=20)
     with make_robot(call_s=0.1) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
@@ -92,7 +92,7 @@ def test_a_slow_robot_gets_everything_in_order(make_robot: type[Robot]) -> None:
 
 
 @every_robot
-def test_a_robot_that_comes_and_goes_is_told_the_status_each_time(make_robot: type[Robot]) -> None:
+def test_a_returning_robot_gets_the_status_each_time(make_robot: type[Robot]) -> None:
     with make_robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         link.set_status("down")
@@ -158,7 +158,7 @@ def test_the_right_login_lets_in_and_never_shows_the_token(
 
 @every_robot
 @needs_openssl
-def test_a_wrong_login_is_told_with_advice_and_not_the_token(
+def test_a_wrong_login_gives_advice_without_the_token(
     make_robot: type[Robot], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
@@ -171,7 +171,7 @@ def test_a_wrong_login_is_told_with_advice_and_not_the_token(
 @needs_qi
 @needs_openssl
 @pytest.mark.parametrize("encrypted", [True, False])
-def test_the_wrong_one_of_tcp_and_tcps_is_told_with_advice(encrypted: bool) -> None:
+def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
     with LoopbackRobot(login=LOGIN if encrypted else None) as robot:
         url = robot.url.replace("tcps://", "tcp://") if encrypted else robot.url.replace("tcp://", "tcps://")
         with linked(robot, url=url) as (_, states):
@@ -179,7 +179,7 @@ def test_the_wrong_one_of_tcp_and_tcps_is_told_with_advice(encrypted: bool) -> N
 
 
 @every_robot
-def test_publishing_to_a_hung_robot_returns_at_once_and_keeps_only_the_newest(
+def test_publishing_to_a_hung_robot_returns_at_once(
     make_robot: type[Robot],
 ) -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
@@ -198,7 +198,7 @@ def test_publishing_to_a_hung_robot_returns_at_once_and_keeps_only_the_newest(
         assert robot.calls.raised(GESTURE) == [f"gesture {number}" for number in range(495, 500)]
 
 
-def test_a_robot_that_stays_away_is_one_warning_and_its_return_one_line(
+def test_an_absent_robot_is_one_warning(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -214,7 +214,7 @@ def test_a_robot_that_stays_away_is_one_warning_and_its_return_one_line(
     assert "up again after 0." in lines[1][1]
 
 
-def test_attempts_become_rarer_up_to_a_cap_and_quick_again_after_a_success() -> None:
+def test_attempts_back_off_and_recover() -> None:
     backoff = Backoff(0.1, 1.0)
     pauses = [backoff.pause_s() for _ in range(8)]
     for pause, longest in zip(pauses, [0.1, 0.2, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0], strict=True):
@@ -223,7 +223,7 @@ def test_attempts_become_rarer_up_to_a_cap_and_quick_again_after_a_success() -> 
     assert backoff.pause_s() <= 0.1
 
 
-def test_whoever_is_told_the_state_may_fail_without_ending_the_link(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixture) -> None:
     def fail(state: str, reason: str) -> None:
         raise ZeroDivisionError(state + reason)
 
@@ -236,7 +236,7 @@ def test_whoever_is_told_the_state_may_fail_without_ending_the_link(caplog: pyte
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_a_session_that_fails_in_a_way_not_foreseen_is_tried_again() -> None:
+def test_an_unforeseen_failure_is_retried() -> None:
     robot = StubRobot()
     robot.start()
     failures = iter([TypeError("no such thing")])

@@ -38,9 +38,7 @@ def test_it_says_up_and_then_delivers_every_frame_in_order(speed: float | None) 
         (Faults(cut_frame_every=10, repeat_frame_every=4), [9, 19, 29]),
     ],
 )
-def test_on_a_chopped_or_lossy_line_every_intact_frame_is_delivered_once(
-    faults: Faults, lost: list[int]
-) -> None:
+def test_every_intact_frame_of_a_lossy_line_arrives_once(faults: Faults, lost: list[int]) -> None:
     stream = stream_of(32)
     intact = [index for index in range(32) if index not in lost]
     with FakePort(stream, encode_fabric_grid, speed=20.0, faults=faults) as port, sensing(port.path) as queue:
@@ -62,7 +60,7 @@ def test_a_frame_bears_the_time_its_last_byte_arrived() -> None:
     assert np.median(delay_s) < 0.01
 
 
-def test_frames_that_come_in_a_burst_after_a_stall_keep_their_true_arrival() -> None:
+def test_frames_after_a_stall_keep_their_true_arrival() -> None:
     stream = stream_of(30)
     stalled_s = 0.0
 
@@ -97,7 +95,7 @@ def test_any_address_pyserial_knows_will_do() -> None:
     assert_played(frames, stream, range(first, first + 10))
 
 
-def test_it_stops_at_once_while_nothing_is_there_and_before_it_began(tmp_path: Path) -> None:
+def test_it_stops_at_once_before_and_while_waiting(tmp_path: Path) -> None:
     with sensing(str(tmp_path / "none")) as queue:
         next_state(queue)
     Sensor("/dev/none", BAUD, FabricGrid(), FrameQueue()).stop()

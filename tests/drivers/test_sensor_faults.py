@@ -40,7 +40,7 @@ def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels:
     assert [record.levelname for record in caplog.records] == list(levels)
 
 
-def test_a_pad_that_falls_silent_is_down_and_up_again_when_it_goes_on(
+def test_a_silent_pad_is_down_until_it_goes_on(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -80,7 +80,7 @@ def clock_stands(counts: Counts, sensor_ms: int) -> bytes:
         (clock_stands, "frames of fabric-grid 10x10 arrive, but their clock stands still or jumps"),
     ],
 )
-def test_bytes_without_frames_are_recognised_and_frames_come_again_when_they_are_right(
+def test_bytes_without_frames_are_recognised(
     trouble: Encode, reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
@@ -92,7 +92,7 @@ def test_bytes_without_frames_are_recognised_and_frames_come_again_when_they_are
         assert_is_over(queue, caplog, "WARNING", "INFO")
 
 
-def test_a_10x10_pad_is_recognised_where_8x8_or_lines_were_configured() -> None:
+def test_a_10x10_pad_is_recognised_under_other_settings() -> None:
     with FakePort(stream_of(), encode_fabric_grid) as port:
         with sensing(port.path, FabricGrid(8, 8, 0)) as queue:
             assert "looks like fabric-grid 10x10, configured fabric-grid 8x8" in next_state(queue).reason
@@ -100,9 +100,7 @@ def test_a_10x10_pad_is_recognised_where_8x8_or_lines_were_configured() -> None:
             assert "looks like fabric-grid 10x10, configured csv 10x10" in next_state(queue).reason
 
 
-def test_a_pad_unplugged_and_back_under_another_name_is_found_again_by_its_link(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_replugged_pad_is_found_by_its_link(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     link = tmp_path / "touchd-pad"
     first, second = (FakePort(stream_of(), encode_fabric_grid) for _ in range(2))
@@ -147,7 +145,7 @@ def test_a_loose_plug_is_warned_of_once(caplog: pytest.LogCaptureFixture, tmp_pa
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
 
 
-def test_a_pad_that_goes_for_good_soon_after_it_came_back_is_warned_of(
+def test_a_pad_that_goes_for_good_is_warned_of(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.WARNING)
@@ -165,7 +163,7 @@ def test_a_pad_that_goes_for_good_soon_after_it_came_back_is_warned_of(
     assert [state.state for state in states] == ["down", "up", "down", "down"]
 
 
-def test_a_busy_port_is_named_and_taken_when_it_is_free(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_busy_port_is_taken_once_it_is_free(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with FakePort(stream_of(), encode_fabric_grid) as port:
         other = serial.Serial(port.path, exclusive=True)
@@ -175,7 +173,7 @@ def test_a_busy_port_is_named_and_taken_when_it_is_free(caplog: pytest.LogCaptur
             assert_is_over(queue, caplog, "WARNING", "INFO")
 
 
-def test_a_failure_nobody_foresaw_is_told_and_gone_when_its_cause_is() -> None:
+def test_an_unforeseen_failure_is_told_until_it_is_gone() -> None:
     class Fragile(FabricGrid):
         broken = True
 
@@ -191,7 +189,7 @@ def test_a_failure_nobody_foresaw_is_told_and_gone_when_its_cause_is() -> None:
         assert next_state(queue).state == "up"
 
 
-def test_what_is_only_passed_through_on_the_way_back_is_not_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_states_on_the_way_back_are_not_told(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     states: list[SensorState] = []
     announcer = Announcer(states.append)
@@ -201,7 +199,7 @@ def test_what_is_only_passed_through_on_the_way_back_is_not_told(caplog: pytest.
     assert [record.message for record in caplog.records] == ["missing", "busy"]
 
 
-def test_however_long_it_is_gone_it_is_looked_for_at_least_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_retries_never_become_rarer_than_the_cap(monkeypatch: pytest.MonkeyPatch) -> None:
     looked = threading.Semaphore(0)
 
     def not_there(port: str, baud: int) -> None:
@@ -216,9 +214,7 @@ def test_however_long_it_is_gone_it_is_looked_for_at_least_so_often(monkeypatch:
 
 
 @pytest.mark.parametrize("rate_hz", [43.2, 64.8])
-def test_a_pad_20_percent_too_slow_or_too_fast_loses_nothing(
-    rate_hz: float, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_pad_20_percent_off_loses_nothing(rate_hz: float, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     counts = stream_of(40).counts
     stream = Stream(counts, np.rint(np.arange(40) * 1000 / rate_hz).astype(np.int64), ())

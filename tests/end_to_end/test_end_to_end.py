@@ -105,7 +105,7 @@ def test_another_line_gives_the_same_answers(
     assert outline(run(stream, **line)) == outline(answers(stream, classifier))
 
 
-def test_a_line_with_damaged_frames_gives_the_same_touches_marked_degraded(
+def test_damaged_frames_mark_the_touches_degraded(
     run: Callable[..., list[Event]], classifier: Classifier
 ) -> None:
     stream = beginning(stream_of(LENGTHS))
@@ -167,7 +167,7 @@ def four_seconds_of(recording: Recording) -> Recording:
 
 
 @requires_haart
-def test_one_real_recording_of_each_gesture_is_felt_as_one_touch_each(
+def test_each_gestures_real_recording_is_one_touch(
     run: Callable[..., list[Event]], classifier: Classifier
 ) -> None:
     path = Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz"

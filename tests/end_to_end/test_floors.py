@@ -74,7 +74,7 @@ def test_the_running_daemon_never_imports_torch(loaded: set[str]) -> None:
     assert not loaded & {"torch", "onnx", "sklearn", "matplotlib", "scipy"}
 
 
-def test_the_running_daemon_imports_nothing_that_only_view_page_or_robot_need(loaded: set[str]) -> None:
+def test_the_running_daemon_imports_no_view_page_or_robot(loaded: set[str]) -> None:
     assert not loaded & {"rich", "qi", "websockets", "asyncio"}
 
 

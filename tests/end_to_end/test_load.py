@@ -65,7 +65,7 @@ def play(tmp_path: Path) -> Play:
     return play
 
 
-def test_what_it_says_at_the_end_adds_up_to_what_was_sent(play: Play) -> None:
+def test_its_final_counts_add_up(play: Play) -> None:
     _, processed, dropped = play(100.0)
     assert processed + dropped == len(stream_of(LENGTHS).counts)
 
@@ -73,7 +73,7 @@ def test_what_it_says_at_the_end_adds_up_to_what_was_sent(play: Play) -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 @pytest.mark.usefixtures("busy")
-def test_at_the_pads_rate_no_frame_is_lost_while_every_core_is_busy(play: Play) -> None:
+def test_on_busy_cores_no_frame_is_lost(play: Play) -> None:
     events, processed, dropped = play(1.0)
     assert (processed, dropped) == (len(stream_of(LENGTHS).counts), 0)
     assert outline(events) == expected(LENGTHS)
@@ -96,7 +96,7 @@ HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
-def test_overrun_it_counts_and_says_every_frame_given_up_and_then_answers_right_again(tmp_path: Path) -> None:
+def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
     # Held up for eight turns of the recording, it then gets all of them as fast as the line can carry.
     stream = splice(read_recordings(LENGTHS) * TURNS)
     held_up_s = HELD_UP_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / SPEED

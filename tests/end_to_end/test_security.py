@@ -81,7 +81,7 @@ def test_configuration_is_read_by_a_loader_that_makes_no_objects() -> None:
     assert issubclass(_StrictLoader, yaml.SafeLoader | yaml.CSafeLoader)
 
 
-def test_a_checkpoint_that_holds_a_program_is_refused_and_not_run(tmp_path: Path) -> None:
+def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
     from model.training import checkpoint
 
@@ -99,7 +99,7 @@ def test_a_checkpoint_that_holds_a_program_is_refused_and_not_run(tmp_path: Path
     assert ran.exists(), "the trap would not have caught anything"
 
 
-def test_a_checkpoint_that_unpacks_to_more_than_any_of_ours_is_refused_unread(tmp_path: Path) -> None:
+def test_a_checkpoint_that_unpacks_too_large_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is not installed")
     from model.training import checkpoint
 
@@ -135,7 +135,7 @@ def test_a_socket_that_listens_would_be_found() -> None:
         assert ("tcp", LISTENS) in [(protocol, state) for protocol, _, state in sockets(os.getpid())]
 
 
-def test_the_models_runtime_keeps_no_record_of_what_it_runs_and_tells_nobody(tmp_path: Path) -> None:
+def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
     # It sends from a database in the home folder, and is silent by itself where it takes this for a test.
     silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
@@ -146,7 +146,7 @@ def test_the_models_runtime_keeps_no_record_of_what_it_runs_and_tells_nobody(tmp
 
 
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
-def test_the_daemon_listens_nowhere_and_the_stand_in_robot_on_this_computer_only(tmp_path: Path) -> None:
+def test_the_daemon_listens_nowhere(tmp_path: Path) -> None:
     fake_robot = [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"]
     with (
         subprocess.Popen(fake_robot, stdout=subprocess.PIPE) as robot,

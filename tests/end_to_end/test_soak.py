@@ -53,7 +53,7 @@ def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         "no touch",
     ],
 )
-def test_a_touch_without_its_answers_or_with_one_twice_is_found(events: list[Event]) -> None:
+def test_missing_and_double_answers_are_found(events: list[Event]) -> None:
     audit = Audit()
     for event in events:
         audit.see(event)
@@ -67,7 +67,7 @@ def test_a_touch_with_its_answers_is_right() -> None:
     assert not audit.wrong
 
 
-def test_the_published_day_holds_and_was_run_with_the_memory_settings_of_the_service() -> None:
+def test_the_published_day_holds_under_the_services_settings() -> None:
     published = json.loads((ROOT / "docs" / "soak.json").read_text(encoding="utf-8"))
     assert published["sensor_hours"] >= 24.0
     assert [what for what, held in published["holds"].items() if not held] == []

@@ -95,7 +95,7 @@ def adapted_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return output, "".join(said)
 
 
-def test_the_file_knows_the_labs_gestures_and_says_where_it_is_from(adapted_file: tuple[Path, str]) -> None:
+def test_the_file_knows_the_labs_gestures_and_origin(adapted_file: tuple[Path, str]) -> None:
     metadata = Classifier.load(adapted_file[0]).metadata
     assert metadata.labels == ("hug", "notouch", "pat", "scratch", "stroke")
     assert metadata.name == "lab"
@@ -112,7 +112,7 @@ def test_no_name_of_a_person_is_in_the_file(adapted_file: tuple[Path, str]) -> N
     assert str(adapted_file[0].parent).encode() not in content
 
 
-def test_the_report_shows_before_and_after_for_each_gesture_within_80_columns(
+def test_the_report_shows_each_gesture_within_80_columns(
     adapted_file: tuple[Path, str],
 ) -> None:
     said = adapted_file[1].split("\n\nWritten:")[0]
@@ -171,7 +171,7 @@ def test_the_terminal_view_has_room_for_any_gestures(gestures: list[str]) -> Non
     assert any("early, after 1.0 s" in line for line in lines)
 
 
-def test_a_gesture_the_new_model_dropped_is_refused_in_the_scene(
+def test_a_dropped_gesture_is_refused_in_the_scene(
     adapted_file: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "touchd.yaml"
@@ -204,7 +204,7 @@ def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained
     assert one.comparison == other.comparison
 
 
-def test_known_gestures_keep_their_rows_and_a_new_one_begins_as_their_mean(pretrained: Pretrained) -> None:
+def test_known_gestures_keep_their_rows(pretrained: Pretrained) -> None:
     known = pretrained.saved.labels
     head = rebuilt(pretrained.head, known, ("hug", "pat", "notouch"))
     assert torch.equal(head[-1].weight[1], pretrained.head[-1].weight[known.index("pat")])
@@ -256,7 +256,7 @@ def test_rehearsal_keeps_the_gestures_that_the_folder_lacks(
     assert not any("no longer knows" in line for line in report_lines(adapted))
 
 
-def test_touches_too_short_for_the_later_answers_are_learnt_from_all_the_same(pretrained: Pretrained) -> None:
+def test_short_touches_are_learnt_from_too(pretrained: Pretrained) -> None:
     short = [
         replace(recording, counts=recording.counts[:70], sensor_ms=recording.sensor_ms[:70])
         for recording in simulated(("Ann",), 2, ("pat", "hug"))
@@ -291,7 +291,7 @@ def test_with_one_participant_whole_recordings_are_left_out() -> None:
     assert all(not set(fold.trained) & set(fold.evaluated) for fold in planned.folds)
 
 
-def test_a_gesture_is_asked_about_only_where_it_was_learnt_from_another() -> None:
+def test_a_gesture_is_evaluated_only_if_trained_on_elsewhere() -> None:
     planned = plan(labelled(("A", "pat"), ("B", "pat"), ("A", "rub"), ("B", "rub"), ("B", "hug")))
     assert sorted(planned.evaluated) == [0, 1, 2, 3]
 
@@ -310,7 +310,7 @@ def compared(after_right: Sequence[bool], left_out: str = "participants") -> obj
     return compare(answers, recordings, ("pat", "rub"), ("pat", "rub"), left_out).lengths[0]  # type: ignore[arg-type]
 
 
-def test_the_difference_is_after_less_before_with_an_interval_over_participants() -> None:
+def test_the_difference_has_an_interval_over_participants() -> None:
     row = compared([True, True, True, True, True, False])
     assert (row.before, row.after) == (0.0, pytest.approx(5 / 6))
     low, high = row.interval
@@ -409,7 +409,7 @@ def damaged(folder: Path) -> None:
         (with_twin, "002.csv.gz: the same recording as in"),
     ],
 )
-def test_a_folder_that_cannot_be_learnt_from_is_refused_in_one_line(
+def test_an_unusable_folder_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Make, message: str
 ) -> None:
     lab = tmp_path / "lab"
@@ -441,7 +441,7 @@ def test_without_torch_it_says_what_to_install(
     assert "pip install 'touchd[train]'" in capsys.readouterr().err
 
 
-def test_what_only_a_recipe_or_only_adapting_takes_is_not_passed_over(tmp_path: Path) -> None:
+def test_options_of_the_other_training_are_refused(tmp_path: Path) -> None:
     for arguments in (["--output", "x.onnx"], ["--extra", str(tmp_path), "--recipe", "x.yaml"]):
         with pytest.raises(SystemExit) as ended:
             cli.main(["train", *arguments])
@@ -462,7 +462,7 @@ def test_more_gestures_than_can_be_told_apart_are_refused(
         read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
 
 
-def test_what_a_session_was_writing_when_it_was_cut_off_is_passed_over(tmp_path: Path) -> None:
+def test_half_written_files_of_a_session_are_ignored(tmp_path: Path) -> None:
     lab = keep(tmp_path / "lab", simulated(("A",), 1))
     (lab / ".partial-x.csv.gz").write_bytes(b"half")
     assert len(read_folder(lab, ())) == 5

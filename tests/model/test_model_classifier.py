@@ -63,7 +63,7 @@ def test_every_length_up_to_the_longest_is_answered(shipped: Classifier) -> None
         assert probabilities.sum() == pytest.approx(1.0, abs=1e-6)
 
 
-def test_a_pad_at_rest_is_no_touch_and_a_hand_is_one(shipped: Classifier) -> None:
+def test_a_pad_at_rest_is_notouch_a_hand_is_not(shipped: Classifier) -> None:
     at_rest = np.random.default_rng(0).integers(4, size=(144, 8, 8))
     assert shipped.labels[shipped.probabilities(at_rest).argmax()] == "notouch"
     assert shipped.labels[shipped.probabilities(hand(144)).argmax()] != "notouch"
@@ -195,7 +195,7 @@ class TestOtherModels:
         self.onnx.save(proto, path)
         return path
 
-    def test_a_file_without_a_state_is_answered_frame_by_frame_too(self, tmp_path: Path) -> None:
+    def test_a_stateless_file_also_answers_frame_by_frame(self, tmp_path: Path) -> None:
         proto = self.onnx.load(SHIPPED_MODEL)
         del proto.graph.input[1:]
         self.onnx.save(proto, tmp_path / "m.onnx")

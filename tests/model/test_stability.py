@@ -49,7 +49,7 @@ def test_a_model_whose_logits_overflow_is_found_out(tmp_path: Path) -> None:
     assert "inf FAILS" in render(failed)
 
 
-def test_the_table_has_a_row_a_case_and_a_column_a_measure(checks: list[Check]) -> None:
+def test_the_table_has_every_case_and_measure(checks: list[Check]) -> None:
     shown = render(checks)
     for name in (*CASES, *TOLERANCES):
         assert name in shown
@@ -70,7 +70,7 @@ def test_the_cases_are_what_a_pad_can_send() -> None:
             assert window.max() <= MAX_COUNT
 
 
-def test_the_drift_takes_the_offset_from_nothing_to_hundreds_of_counts() -> None:
+def test_the_drift_reaches_hundreds_of_counts() -> None:
     lowest = [int(window[-1].min()) for window in CASES["offset drift over an hour"].windows]
     assert lowest == sorted(lowest)
     assert lowest[0] <= 4

@@ -59,7 +59,7 @@ def network() -> TGC:
 
 
 @torch.no_grad()
-def test_one_pass_answers_at_every_length_as_a_pass_over_that_length_alone(network: TGC) -> None:
+def test_one_pass_answers_at_every_length(network: TGC) -> None:
     window = batch(hand(144))
     together = network.at_lengths(window, LENGTHS)
     for place, length in enumerate(LENGTHS):
@@ -98,7 +98,7 @@ def test_windows_in_a_batch_do_not_see_each_other(network: TGC) -> None:
 
 @torch.no_grad()
 @pytest.mark.parametrize("settings", [SMALL, msgspec.structs.replace(SMALL, blocks=2)])
-def test_frames_a_few_at_a_time_are_answered_as_the_whole_window(settings: NetworkSettings) -> None:
+def test_frames_a_few_at_a_time_equal_the_window(settings: NetworkSettings) -> None:
     network = random_network(settings).double()
     window = batch(hand(144))
     state, start = network.initial_state(), 0
@@ -120,7 +120,7 @@ def test_attention_forgets_only_what_weighs_nothing(monkeypatch: pytest.MonkeyPa
     assert (answers[0] - answers[1]).abs().max().item() <= 1e-6
 
 
-def test_in_training_whole_features_are_dropped_and_the_mean_is_kept() -> None:
+def test_dropout_drops_whole_features_and_keeps_the_mean() -> None:
     torch.manual_seed(0)
     dropped = FeatureDropout(0.25).train()(torch.ones(500, 7, 40))
     assert dropped.unique().tolist() == pytest.approx([0.0, 1 / 0.75])

@@ -177,7 +177,7 @@ def test_a_missing_checkpoint_says_how_to_make_one(tmp_path: Path) -> None:
         checkpoint.load(tmp_path / CHECKPOINT_NAME)
 
 
-def test_the_learning_rate_rises_for_a_tenth_and_falls_to_nothing() -> None:
+def test_the_learning_rate_warms_up_and_decays() -> None:
     rates = [learning_rate_at(step, 100, 1.0) for step in range(100)]
     assert rates[:10] == sorted(rates[:10])
     assert max(rates) == rates[9] == rates[10] == 1.0

@@ -43,7 +43,7 @@ def test_the_printed_block_is_the_encoder_block_of_pytorch() -> None:
         torch.testing.assert_close(forward(attention(x)), theirs(x), rtol=1e-5, atol=1e-5)
 
 
-def test_the_printed_network_has_six_blocks_512_wide_and_three_dense_layers() -> None:
+def test_the_printed_network_is_as_the_paper_says() -> None:
     attention = 4 * (512 * 512 + 512) + 2 * 512
     feed_forward = 512 * 2048 + 2048 + 2048 * 512 + 512 + 2 * 512
     dense = (512 * 128 + 128) + (128 * 16 + 16) + (16 * 4 + 4) + (144 * 4 * 7 + 7)
@@ -52,7 +52,7 @@ def test_the_printed_network_has_six_blocks_512_wide_and_three_dense_layers() ->
     assert not any(isinstance(layer, nn.ReLU) for layer in network.dense)
 
 
-def test_the_public_network_has_attention_alone_and_normalises_by_frame_index() -> None:
+def test_the_public_network_is_as_its_code_says() -> None:
     attention = 4 * (512 * 512 + 512) + 2 * 512
     dense = (512 * 128 + 128) + (128 * 16 + 16) + (16 * 4 + 4) + (144 * 4 * 7 + 7)
     network = PaperTGC(PaperSettings("public"), 7)

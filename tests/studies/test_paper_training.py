@@ -76,7 +76,7 @@ def test_a_cut_off_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
         torch.testing.assert_close(second.network.state_dict()[name], value, rtol=0.0, atol=0.0)
 
 
-def test_every_epoch_is_scored_on_test_with_its_weights_at_rest() -> None:
+def test_every_epoch_is_scored_in_evaluation_mode() -> None:
     paper = training()
     probabilities = paper.run_epoch()
     assert paper.epoch == 1
@@ -93,7 +93,7 @@ def test_a_cell_keeps_every_epoch_and_the_last_ones_answers(study: Study) -> Non
     assert again == pytest.approx(values["accuracies"][-1], abs=1e-5)
 
 
-def test_more_epochs_go_on_from_the_checkpoint_and_stand_as_another_cell(study: Study) -> None:
+def test_more_epochs_resume_into_another_cell(study: Study) -> None:
     train(study, GRID, CELL)
     longer = PaperCell("public", 1, 9, epochs=3, seed=0)
     train(study, GRID, longer)
@@ -105,9 +105,7 @@ def test_more_epochs_go_on_from_the_checkpoint_and_stand_as_another_cell(study: 
     assert len(trained(study, longer).encoder) == 1
 
 
-def test_a_training_that_went_on_for_longer_is_left_as_it_is(
-    study: Study, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_longer_training_is_left_alone(study: Study, caplog: pytest.LogCaptureFixture) -> None:
     train(study, GRID, CELL)
     path = study.checkpoints / CELL.training / CHECKPOINT_NAME
     before = path.read_bytes()
@@ -117,9 +115,7 @@ def test_a_training_that_went_on_for_longer_is_left_as_it_is(
     assert study.results.keys() == [CELL.key]
 
 
-def test_a_training_that_another_process_is_busy_with_is_left_to_it(
-    study: Study, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_training_held_by_another_process_is_left(study: Study, caplog: pytest.LogCaptureFixture) -> None:
     folder = study.checkpoints / CELL.training
     folder.mkdir(parents=True)
     with paper_training.claim(folder) as claimed:
@@ -138,7 +134,7 @@ def test_a_damaged_checkpoint_is_named_in_one_line(study: Study) -> None:
     assert "\n" not in str(raised.value)
 
 
-def test_the_whole_grid_is_tables_2_and_3_at_the_papers_epochs_in_both_variants() -> None:
+def test_the_whole_grid_covers_tables_2_and_3() -> None:
     grid = read_grid()
     cells = {cell for entry in grid.whole for cell in entry.cells()}
     assert (grid.learning_rate, grid.batch) == (1e-4, 64)
@@ -161,7 +157,7 @@ def test_a_key_names_its_cell() -> None:
     assert parse(CELL.key) == CELL
 
 
-def test_networks_are_listed_public_first_then_by_frames_then_by_blocks(tmp_path: Path) -> None:
+def test_networks_are_listed_by_variant_frames_and_blocks(tmp_path: Path) -> None:
     results = Results(tmp_path / "report.json")
     for variant, blocks, frames in (
         ("printed", 1, 9),

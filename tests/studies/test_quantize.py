@@ -53,9 +53,7 @@ def test_without_models_of_left_out_participants_nothing_is_measured() -> None:
         (variant("int8", 1.9, 0.80), FLOAT32),
     ],
 )
-def test_int8_ships_only_when_it_is_clearly_faster_and_loses_next_to_nothing(
-    int8: Variant, ship: str
-) -> None:
+def test_int8_ships_only_when_clearly_faster(int8: Variant, ship: str) -> None:
     assert decide([variant(FLOAT32, 2.0, 0.80), int8]).ship == ship
 
 

@@ -56,12 +56,12 @@ def recordings() -> list[Recording]:
 
 
 @pytest.mark.parametrize("frames", [1, 54, 144])
-def test_multiply_adds_of_the_shipped_file_are_those_counted_by_hand(frames: int) -> None:
+def test_multiply_adds_of_the_shipped_file_match_by_hand(frames: int) -> None:
     assert multiply_adds(SHIPPED_MODEL, frames) == shipped_by_hand(frames)
     assert multiply_adds(SHIPPED_MODEL, frames, windows=3) == 3 * shipped_by_hand(frames)
 
 
-def test_multiply_adds_of_a_grouped_convolution_and_of_linear_layers_are_those_counted_by_hand(
+def test_multiply_adds_of_other_layers_match_by_hand(
     tmp_path: Path,
 ) -> None:
     def weight(name: str, *shape: int) -> Any:
@@ -99,7 +99,7 @@ def test_no_term_of_a_law_is_a_negative_cost() -> None:
     assert 0.1 < found.largest_miss < 0.3
 
 
-def test_the_front_holds_only_who_is_not_beaten_in_both_time_and_error() -> None:
+def test_the_front_holds_only_undominated_networks() -> None:
     quick, good, beaten = timed("quick", 1.0, 0.3), timed("good", 3.0, 0.2), timed("beaten", 4.0, 0.25)
     unknown = timed("unknown", 0.1, None)
     assert front.front([beaten, good, unknown, quick]) == [quick, good]
@@ -120,7 +120,7 @@ def test_the_papers_printed_errors_are_those_of_its_tables() -> None:
     assert front.printed_error(144, 1) == pytest.approx(1 - 0.656)
 
 
-def test_a_batch_takes_more_memory_than_a_window_and_a_network_more_than_none() -> None:
+def test_a_batch_takes_more_memory_than_a_window() -> None:
     none, window, batch = (
         idle_bytes(),
         peak_bytes(SHIPPED_MODEL, 144),
@@ -129,7 +129,7 @@ def test_a_batch_takes_more_memory_than_a_window_and_a_network_more_than_none() 
     assert 10e6 < none < window < batch
 
 
-def test_every_size_is_trained_as_the_shipped_network_but_for_its_widths(tmp_path: Path) -> None:
+def test_every_size_differs_in_widths_only(tmp_path: Path) -> None:
     recipe = read_recipe()
     shipped = final_jobs(recipe, tmp_path)[0].settings
     for job in sizes.jobs(recipe, tmp_path):
@@ -150,9 +150,7 @@ def test_a_size_that_is_stored_is_not_trained_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_size_is_trained_by_the_recipe_and_exported_where_it_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_size_is_trained_and_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shape = {"stem_width": 2, "width": 8, "feed_forward": 8, "dense": 8}
     monkeypatch.setattr(sizes, "SHAPES", {"touchd-8-wide": shape})
     quick = msgspec.structs.replace(read_recipe().settings, epochs=1, crops_per_recording=1, batch=7)
@@ -166,7 +164,7 @@ def test_a_size_is_trained_by_the_recipe_and_exported_where_it_is_missing(
 
 
 @pytest.mark.parametrize("path", sorted(sizes.SIZES_FOLDER.glob("*.onnx")), ids=lambda path: path.stem)
-def test_each_stored_size_is_the_one_that_was_declared_and_answers(path: Path) -> None:
+def test_each_stored_size_is_as_declared(path: Path) -> None:
     classifier = Classifier.load(path)
     shape = classifier.metadata.training["network"]
     assert sizes.SHAPES[path.stem].items() <= shape.items()
@@ -211,7 +209,7 @@ def test_pads_are_answered_in_a_batch_and_one_by_one() -> None:
 
 
 @measured_front
-def test_stored_files_are_as_large_and_as_much_work_as_the_results_say() -> None:
+def test_stored_files_have_the_reported_size_and_work() -> None:
     files = {networks.SHIPPED: SHIPPED_MODEL, **{p.stem: p for p in sizes.SIZES_FOLDER.glob("*.onnx")}}
     for name, path in files.items():
         cell = RESULTS.get(f"front/{name}/float32")
@@ -222,7 +220,7 @@ def test_stored_files_are_as_large_and_as_much_work_as_the_results_say() -> None
 
 @measured_front
 @needs_haart
-def test_stored_errors_hold_when_a_sample_of_them_is_measured_again() -> None:
+def test_a_sample_of_stored_errors_holds_again() -> None:
     assert HAART is not None
     test = haart.read_test(Path(HAART))
     for name, path in (

@@ -65,7 +65,7 @@ def test_processes_that_add_at_the_same_time_lose_nothing(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"a": 1}', '{"a": {"values": {}}}'])
-def test_a_damaged_file_is_named_in_one_line_and_never_written_over(tmp_path: Path, content: str) -> None:
+def test_a_damaged_file_is_never_written_over(tmp_path: Path, content: str) -> None:
     path = tmp_path / "report.json"
     path.write_text(content)
     with pytest.raises(ResultsError, match=r"report\.json") as raised:

@@ -37,7 +37,7 @@ def test_the_defaults_are_the_point_that_the_rule_picks(measured: StreamReport) 
     assert (defaults.speak_above, defaults.revise_margin) == (picked.speak_above, picked.revise_margin)
 
 
-def test_what_the_robot_hears_keeps_within_what_a_scene_may_ask(measured: StreamReport) -> None:
+def test_the_default_meets_its_limits(measured: StreamReport) -> None:
     assert measured.default.right_when_told_early >= LEAST_RIGHT_EARLY
     assert measured.default.changed <= MOST_CHANGED
     assert measured.default.harmed <= MOST_HARMED
@@ -47,7 +47,7 @@ def test_confidence_is_calibrated_at_every_stage(measured: StreamReport) -> None
     assert all(stage.calibration_error <= 0.05 for stage in measured.stages)
 
 
-def test_a_right_answer_that_gives_way_to_a_wrong_one_counts_as_harm() -> None:
+def test_a_right_answer_made_wrong_counts_as_harm() -> None:
     said = Said("pat", "P1", (("early", 1.0, sure_of("pat", 0.9)), ("final", 2.67, sure_of("rub", 0.9))))
     told = decide(said, DecisionSettings(), LABELS)
     assert told == Told(("early", "final"), (1.0, 2.67), (True, False))
@@ -64,7 +64,7 @@ def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
 
 @needs_haart
 @pytest.mark.timeout(120)
-def test_one_participants_touches_are_answered_by_a_network_that_never_saw_them() -> None:
+def test_a_participant_is_answered_by_an_unseen_network() -> None:
     pytest.importorskip("torch", reason="needs the extra train")
     from model.training.ship import left_out_split
 

@@ -63,7 +63,7 @@ def test_the_committed_figures_are_those_of_the_default_settings(committed: Touc
 
 
 @needs_haart
-def test_the_tracker_still_does_on_a_participant_what_the_committed_figures_say(
+def test_the_committed_figures_hold_for_a_participant(
     committed: TouchReport, recordings: list[Recording]
 ) -> None:
     (row,) = [row for row in committed.held_out["rest levelled"] if row.participant == SAMPLE]
@@ -89,7 +89,7 @@ def test_a_minute_of_notouch_tells_the_robot_nothing(recordings: list[Recording]
 
 
 @needs_haart
-def test_a_recording_at_the_ideal_clock_is_seen_by_the_model_as_it_is(recordings: list[Recording]) -> None:
+def test_a_recording_at_the_ideal_clock_passes_unchanged(recordings: list[Recording]) -> None:
     by_gesture = {recording.gesture: recording for recording in recordings}
     quiet, gesture = by_gesture[NO_TOUCH], by_gesture["constant"]
     counts = np.concatenate([quiet.counts[:270], gesture.counts])
