@@ -106,7 +106,7 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
             sink.put(msgspec.structs.replace(PREDICTION, pad=pad))
         for pad, state in (("head", "up"), ("left_arm", "down")):
             robot.calls.wait_for_raise(f"TouchGesture/{pad}/Status", state)
-            robot.calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "pat")
+            robot.calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "stroke")
         robot.calls.wait_for(lambda call: call.method == "say")
         sink.stop(2.0)
         robot.calls.wait_for_raise("TouchGesture/head/Status", "down")

@@ -193,4 +193,4 @@ def test_without_matplotlib_it_says_how_to_get_it(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert cli.main(["plot", str(recorded)]) == 2
-    assert "pip install 'touchd[train]'" in capsys.readouterr().err
+    assert "pip install matplotlib" in capsys.readouterr().err
