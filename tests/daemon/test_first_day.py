@@ -204,7 +204,7 @@ def test_classify_speaks_to_a_person_in_a_terminal() -> None:
     assert right.split()[-3:-1] == ["6", "of"]
 
 
-def test_run_speaks_to_a_person_in_a_terminal_and_json_on_request() -> None:
+def test_run_speaks_to_people_in_terminals_and_json_on_request() -> None:
     stream, encode = splice(read_recordings(DEMO_RECORDING)), encoder_for(Settings().sensor)
     with FakePort(stream, encode, speed=8) as port, Terminal("run", "--port", port.path) as terminal:
         terminal.until("pad up")

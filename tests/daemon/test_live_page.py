@@ -134,7 +134,7 @@ def test_the_pad_moves_with_the_recording(played: Played) -> None:
     assert len(set(played.pictures)) > len(played.pictures) / 3
 
 
-def test_every_touch_is_listed_with_what_the_daemon_said_of_it(played: Played) -> None:
+def test_every_touch_is_listed_with_its_answers(played: Played) -> None:
     ended = [event for event in played.events if isinstance(event, TouchEnded)]
     rows = played.run("return [...document.querySelectorAll('#touches b')].map(row => row.textContent)")
     assert rows == [event.gesture for event in reversed(ended)]
@@ -145,7 +145,7 @@ def test_every_touch_is_listed_with_what_the_daemon_said_of_it(played: Played) -
         assert re.findall(r"[a-z]{3,}", path) == changes
 
 
-def test_answers_stand_at_their_marks_and_a_changed_one_is_seen_to_be(played: Played) -> None:
+def test_answers_stand_at_their_marks_and_show_changes(played: Played) -> None:
     last = max(event.touch for event in played.events if isinstance(event, TouchEnded))
     said = [event for event in played.events if isinstance(event, Prediction) and event.touch == last][:3]
     flags = played.run(
@@ -173,7 +173,7 @@ def test_answers_stand_at_their_marks_and_a_changed_one_is_seen_to_be(played: Pl
     assert "↻ changed from scratch" in played.text("#remark")
 
 
-def test_the_answer_and_how_sure_it_is_are_the_largest_things(played: Played) -> None:
+def test_the_answer_and_its_confidence_are_largest(played: Played) -> None:
     answer = [event for event in played.events if isinstance(event, Prediction)][-1]
     assert played.text("#gesture") == answer.gesture
     assert played.text("#certainty").startswith(f"{answer.confidence:.0%}".replace("%", " % sure"))
@@ -423,9 +423,7 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         assert text_of(chrome, "#bars .best") == "Tätscheln"
 
 
-def test_it_comes_back_when_the_daemon_does_and_a_still_pad_stays_still(
-    played: Played, tmp_path: Path
-) -> None:
+def test_it_reconnects_when_the_daemon_returns(played: Played, tmp_path: Path) -> None:
     chrome, port = played.chrome, free_port()
     encode = encoder_for(SensorSettings())
     with FakePort(STILL, encode) as pad, live_daemon(pad.path, tmp_path, port) as daemon:

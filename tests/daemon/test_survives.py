@@ -46,7 +46,7 @@ def served() -> Iterator[Served]:
 
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
-def test_a_viewer_who_floods_is_let_go_and_costs_others_nothing(served: Served, said: bytes) -> None:
+def test_a_flooding_viewer_is_let_go(served: Served, said: bytes) -> None:
     with served.look() as viewer, socket.create_connection(("127.0.0.1", served.port), timeout=5) as flood:
         viewer.recv(timeout=5)
         flood.sendall(HANDSHAKE.format(port=served.port).encode() + EMPTY_TEXT * (said != PING))
@@ -102,7 +102,7 @@ def test_lines_of_the_log_that_nobody_read_are_counted() -> None:
     assert lines[-1] == "line 9"
 
 
-def test_standard_output_on_a_full_disk_costs_lines_not_the_daemon(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_full_disk_at_standard_output_costs_lines_alone(caplog: pytest.LogCaptureFixture) -> None:
     gone: list[bool] = []
     full = os.open("/dev/full", os.O_WRONLY)
     sink = LinesSink(full, on_gone=lambda: gone.append(True))

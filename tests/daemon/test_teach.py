@@ -31,7 +31,7 @@ def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_one_command_leads_from_a_pad_to_a_model_in_use(
+def test_one_command_leads_from_pad_to_model(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch")
@@ -63,7 +63,7 @@ def test_one_command_leads_from_a_pad_to_a_model_in_use(
     assert "after 1.00 s" in terminal.shown
 
 
-def test_a_name_that_is_none_is_refused_before_the_pad_is_read(
+def test_a_bad_name_is_refused_before_reading_the_pad(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("torch")
