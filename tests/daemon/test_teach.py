@@ -31,9 +31,7 @@ def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_one_command_leads_from_pad_to_model(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
     monkeypatch.setattr(terminal_rig, "SHOWS_WITHIN_S", 200.0)
     pad = MadePad()
