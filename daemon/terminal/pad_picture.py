@@ -27,7 +27,7 @@ def level_of(pressure: NDArray[np.float64], firm: float = FIRM_COUNTS) -> NDArra
 
 
 def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> list[Line]:
-    """Return (8, 8) levels as 4 * scale lines of 8 * scale characters; the scale is even."""
+    """Return (8, 8) levels as 4 * scale lines of 8 * scale characters."""
     weights = _weights(scale)
     pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
     if not palette.heat:

@@ -211,7 +211,6 @@ class View:
         body = height - 3
         card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
         scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
-        scale -= scale % 2 and scale > 3
         with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
         pad_width = COLUMNS * scale if with_pad else 0
         left = self._left(scale, pad_width, body) if with_pad else []

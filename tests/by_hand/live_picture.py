@@ -1,70 +1,62 @@
-"""Makes the picture of the live page: `touchd demo --live` in a real browser, in the middle of a touch.
+"""Makes the picture of the live page, in a real browser, in the middle of the demo.
 
-PYTHONPATH=. python tests/live_picture.py docs/figures/live.png [--scheme light] [--size 390x1300]
+PYTHONPATH=.:tests python tests/by_hand/live_picture.py docs/figures/live.png [--scheme light] [--visitors]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import subprocess
-import sys
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from by_hand.moment import play
 from rigs.browser import browser, picture, prefer, show_in
-from rigs.live_rig import free_port
-from websockets.sync.client import connect
+from rigs.live_rig import serving
 
-# The third touch: a rub, in between taken for scratching.
-TOUCH = 3
-AFTER_FINAL_S = 0.45
-STARTS_WITHIN_S = 20.0
+from daemon.config import RobotConfig
+from daemon.events import RobotEvent, SensorEvent, timestamp
+from drivers.frame import Frame
 
-
-@contextmanager
-def demo(port: int) -> Iterator[None]:
-    """The demo, with its page at a port."""
-    command = [sys.executable, "-m", "daemon", "demo", "--plain", "--live", str(port)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL) as process:
-        try:
-            yield
-        finally:
-            process.terminate()
-
-
-def await_told(port: int, **wanted: object) -> None:
-    """Return when the page is told something with these values."""
-    until_s = time.monotonic() + STARTS_WITHIN_S
-    while time.monotonic() < until_s:
-        with suppress(ConnectionRefusedError), connect(f"ws://127.0.0.1:{port}/stream") as viewer:
-            for message in viewer:
-                told = json.loads(message) if isinstance(message, str) else {}
-                if wanted.items() <= {key: told.get(key) for key in wanted}.items():
-                    return
-        time.sleep(0.1)
-    raise RuntimeError(f"the page was not told {wanted}")
+# The page goes grey when frames stop.
+STILL_EVERY_S = 0.1
+SETTLES_S = 1.5
 
 
 def main() -> None:
-    """Run the demo until the picture can be taken."""
+    """Play the demo up to the moment and save what the page then shows."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--scheme", choices=("dark", "light"), default="dark")
     parser.add_argument("--size", default="1366x768", help="of the window, WIDTHxHEIGHT")
+    parser.add_argument("--language", choices=("en", "de"), default="en")
+    parser.add_argument("--visitors", action="store_true", help="the visitors' view")
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
-    port = free_port()
-    with browser() as chrome, demo(port):
+    robot = RobotConfig(url="tcp://127.0.0.1:9559")
+    over = threading.Event()
+    with browser() as chrome, serving(language=options.language, robot=robot) as served:
         prefer(chrome, color_scheme=options.scheme)
         show_in(chrome, width, height)
-        await_told(port, type="state")
-        chrome.get(f"http://127.0.0.1:{port}/")
-        await_told(port, touch=TOUCH, stage="final")
-        time.sleep(AFTER_FINAL_S)
+        chrome.get(f"http://127.0.0.1:{served.port}/{'#visitors' if options.visitors else ''}")
+        page = served.sink
+        page.put(SensorEvent(state="up", time=timestamp(time.time())))
+        page.put(RobotEvent(state="up", time=timestamp(time.time())))
+
+        def pace(frame: Frame) -> None:
+            page.put_frame(frame, 0)
+            time.sleep(0.002)
+
+        last = play(served.settings, page.put, page.put_live, pace)
+
+        def keep_still() -> None:
+            while not over.wait(STILL_EVERY_S):
+                page.put_frame(last, 0)
+
+        threading.Thread(target=keep_still).start()
+        time.sleep(SETTLES_S)
         picture(chrome, options.out)
+        over.set()
 
 
 if __name__ == "__main__":
