@@ -14,9 +14,9 @@ from by_hand.moment import play
 from rigs.browser import browser, picture, prefer, show_in
 from rigs.live_rig import serving
 
-from daemon.config import RobotConfig
 from daemon.events import RobotEvent, SensorEvent, timestamp
 from drivers.frame import Frame
+from drivers.robot.link import RobotSettings
 
 # The page goes grey when frames stop.
 STILL_EVERY_S = 0.1
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--visitors", action="store_true", help="the visitors' view")
     options = parser.parse_args()
     width, height = map(int, options.size.split("x"))
-    robot = RobotConfig(url="tcp://127.0.0.1:9559")
+    robot = RobotSettings(url="tcp://127.0.0.1:9559")
     over = threading.Event()
     with browser() as chrome, serving(language=options.language, robot=robot) as served:
         prefer(chrome, color_scheme=options.scheme)
