@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +20,8 @@ from rigs.peers import (
     touch,
     wait_for,
 )
+
+from daemon.bridges.bridge import Bridge
 
 KINDS = {
     "mqtt": ("paho.mqtt", MqttPeer, [needs_mosquitto]),
@@ -39,13 +42,13 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
     wait_for(lambda: not [thread for thread in threading.enumerate() if thread.name.startswith("touchd-")])
 
 
-def put_until_heard(peer: Peer, bridge: object, number: int) -> int:
+def put_until_heard(peer: Peer, bridge: Bridge, number: int) -> int:
     """Put events until one is heard, as a peer without memory hears only what comes after it was found."""
     heard = len(peer.heard)
     deadline_s = time.monotonic() + 10.0
     while len(peer.heard) == heard:
         assert time.monotonic() < deadline_s, "nothing is heard"
-        bridge.put(touch(number))  # type: ignore[attr-defined]
+        bridge.put(touch(number))
         number += 1
         time.sleep(0.05)
     return number
@@ -105,6 +108,18 @@ def test_without_a_peer_it_ends_within_its_time(peer: Peer) -> None:
     bridge.stop(1.0)
     bridge.stop(0.1)
     assert time.monotonic() - began_s < 1.3
+
+
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
+def test_a_peer_that_accepts_and_never_speaks_holds_up_nothing(peer: Peer) -> None:
+    with socket.create_server(("127.0.0.1", peer.port)):
+        bridge = peer.bridge()
+        for number in range(20):
+            bridge.put(touch(number))
+        time.sleep(0.3)
+        began_s = time.monotonic()
+        bridge.stop(1.0)
+        assert time.monotonic() - began_s < 1.3
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)

@@ -64,7 +64,7 @@ def wait_for(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
 class Peer(ABC):
     """Somebody who listens; `heard` counts and keeps across its deaths."""
 
-    keeps_events_while_away: bool
+    port: int
 
     def __init__(self) -> None:
         self.heard: list[str] = []
@@ -128,8 +128,6 @@ def subscribed(port: int, topic: str, **options: Any) -> Iterator[list[Any]]:
 class MqttPeer(Peer):
     """A mosquitto and a client that has subscribed."""
 
-    keeps_events_while_away = True
-
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.port = free_port()
@@ -163,8 +161,6 @@ class MqttPeer(Peer):
 
 class RosbridgePeer(Peer):
     """A websocket server that takes rosbridge's operations."""
-
-    keeps_events_while_away = True
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
@@ -203,8 +199,6 @@ class RosbridgePeer(Peer):
 
 class LslPeer(Peer):
     """An inlet on the stream of markers."""
-
-    keeps_events_while_away = False
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
@@ -248,8 +242,6 @@ def inlet_of(name: str, ending: threading.Event) -> Any:
 
 class Ros2Peer(Peer):
     """A second participant in the domain, with a reader as rclpy makes it."""
-
-    keeps_events_while_away = False
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
