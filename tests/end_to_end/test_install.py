@@ -206,9 +206,8 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path) 
     ):
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
         assert done.returncode == 0, done.stderr
-    recording = ROOT / "tests/recordings/demo.csv.gz"
     done = subprocess.run(
-        [python.with_name("touchd"), "classify", recording],
+        [python.with_name("touchd"), "classify"],
         capture_output=True,
         text=True,
         check=True,
