@@ -57,7 +57,7 @@ class Variant:
 
 
 @dataclass(frozen=True)
-class Decision:
+class Verdict:
     """Whether an int8 variant should ship in place of float32, and why."""
 
     ship: str
@@ -99,7 +99,7 @@ def run(model: Path, folds: Sequence[Path], training: Sequence[Recording]) -> li
     return [Variant(*row) for row in zip(VARIANTS, sizes, timings, accuracies, strict=True)]
 
 
-def decide(variants: Sequence[Variant]) -> Decision:
+def decide(variants: Sequence[Variant]) -> Verdict:
     """Say whether to ship int8: where it takes clearly less time and loses next to nothing at any length."""
     plain, *others = variants
     reasons = []
@@ -108,10 +108,10 @@ def decide(variants: Sequence[Variant]) -> Decision:
         loss = max(0.0, *(plain.accuracy[n] - other.accuracy[n] for n in plain.accuracy))
         reason = f"{other.name} takes {share:.0%} of the time and loses up to {100 * loss:.1f} points"
         if share <= LARGEST_SHARE_OF_TIME and loss <= LARGEST_LOSS:
-            return Decision(other.name, reason)
+            return Verdict(other.name, reason)
         reasons.append(reason)
     allowed = f"allowed are {LARGEST_SHARE_OF_TIME:.0%} and {100 * LARGEST_LOSS:.1f} points"
-    return Decision(plain.name, f"{'; '.join(reasons)}; {allowed}")
+    return Verdict(plain.name, f"{'; '.join(reasons)}; {allowed}")
 
 
 def table(variants: Sequence[Variant]) -> Table:
