@@ -20,7 +20,8 @@ from daemon.pipeline import PipelineSettings
 from daemon.touch import TouchSettings
 from daemon.words import Language, Vocabulary, vocabulary
 from drivers.errors import TouchdError
-from drivers.frame import COLUMNS, DEFAULT_PAD, ROWS
+from drivers.frame import DEFAULT_PAD
+from drivers.pad.format import PRESETS, PadFormat, Side
 from drivers.pad.grid import RingSettings
 from drivers.robot.actions import ActionRule, Words
 from drivers.robot.settings import RobotSettings
@@ -41,8 +42,9 @@ MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
 
 MAX_PADS = 16
+OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 
-Side = Annotated[int, msgspec.Meta(ge=8, le=64)]
+Length = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
 
 
 def state_folder() -> Path:
@@ -60,27 +62,38 @@ class ConfigError(TouchdError):
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The pad and the line it is on.
 
-    port: a device, a pty or any address that pyserial's `serial_for_url` takes. baud: bits per second.
-    protocol: "fabric-grid" (the lab firmware's binary frames) or "csv" (one line of numbers a frame).
-    rows, columns: the grid as it is sent. crop: taxels left out on every side, to leave 8x8.
-    invert: the pad sends 1023 for no pressure.
+    port: a device, a pty, tcp://host:port, udp://address:port to listen at, or any address that pyserial's
+    `serial_for_url` takes. baud: bits per second.
+    format: what the pad sends: the name of a preset, or a description; see docs/pads.md. protocol: the older
+    name of the same.
+    rows, columns, crop, invert, turn, mirror: as in a description, and instead of what the format says.
+    size_mm: height and width of the 8x8 taxels, for lengths in touches; None gives them in taxels alone.
     """
 
     port: str = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
+    format: str | PadFormat | None = None
     protocol: Literal["fabric-grid", "csv"] = "fabric-grid"
-    rows: Side = 10
-    columns: Side = 10
-    crop: Annotated[int, msgspec.Meta(ge=0, le=28)] = 1
-    invert: bool = True
+    rows: Side | None = None
+    columns: Side | None = None
+    crop: Annotated[int, msgspec.Meta(ge=0, le=28)] | None = None
+    invert: bool | None = None
+    turn: Literal[0, 90, 180, 270] | None = None
+    mirror: bool | None = None
+    size_mm: tuple[Length, Length] | None = None
 
     def __post_init__(self) -> None:
-        left = (self.rows - 2 * self.crop, self.columns - 2 * self.crop)
-        if left != (ROWS, COLUMNS):
-            raise ValueError(
-                f"{self.rows}x{self.columns} with crop {self.crop} leaves {left[0]}x{left[1]}, "
-                f"and the model feels {ROWS}x{COLUMNS}; set rows, columns and crop to leave that"
-            )
+        if isinstance(self.format, str) and self.format not in PRESETS:
+            raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}, nor a description")
+        _ = self.described
+
+    @property
+    def described(self) -> PadFormat:
+        """What the pad sends."""
+        chosen = self.format or self.protocol
+        described = PRESETS[chosen] if isinstance(chosen, str) else chosen
+        own = {name: getattr(self, name) for name in OVERRIDES if getattr(self, name) is not None}
+        return PadFormat(**(msgspec.structs.asdict(described) | own))
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -16,7 +16,9 @@ from daemon.kept.touch_store import TouchStore, folder_of
 from daemon.live.address import listen, require_library
 from daemon.live.scene import Scene
 from drivers.frame import Counts
-from drivers.pad.protocol import CsvLines, FabricGrid, Protocol, encode_csv_line, encode_fabric_grid
+from drivers.pad.format import encode_frame
+from drivers.pad.parser import FrameParser
+from drivers.pad.protocol import parser_of
 from drivers.recording import RecordingError
 from drivers.robot.actions import Kind
 from drivers.robot.link import RobotLink, RobotMessage, State
@@ -100,19 +102,15 @@ def open_live_page(
 
 def description_of(sensor: SensorSettings) -> str:
     """Return in a line which pad it is and how it is read, for those who use its recordings later."""
-    return (
-        f"{parser_for(sensor).description}, crop {sensor.crop}, invert {sensor.invert}, "
-        f"at {sensor.baud} baud on {sensor.port}"
-    )
+    pad = sensor.described
+    return f"{pad}, crop {pad.crop}, invert {pad.invert}, at {sensor.baud} baud on {sensor.port}"
 
 
-def parser_for(sensor: SensorSettings) -> Protocol:
+def parser_for(sensor: SensorSettings) -> FrameParser:
     """Return a parser for what the pad sends."""
-    kind = FabricGrid if sensor.protocol == "fabric-grid" else CsvLines
-    return kind(rows=sensor.rows, columns=sensor.columns, crop=sensor.crop, invert=sensor.invert)
+    return parser_of(sensor.described)
 
 
 def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:
     """Return what turns counts (8, 8) and the sensor's clock in ms into the bytes that the pad would send."""
-    encode = encode_fabric_grid if sensor.protocol == "fabric-grid" else encode_csv_line
-    return partial(encode, rows=sensor.rows, columns=sensor.columns, crop=sensor.crop, invert=sensor.invert)
+    return partial(encode_frame, sensor.described)

@@ -16,6 +16,7 @@ from daemon.destinations import encoder_for
 from daemon.own_name import own_name
 from daemon.playback.stream import add_arguments, chosen_stream
 from drivers.fakes.fake_port import FakePort
+from drivers.pad.format import PRESETS
 
 
 def parser() -> argparse.ArgumentParser:
@@ -27,7 +28,12 @@ def parser() -> argparse.ArgumentParser:
     )
     add_arguments(parser)
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="1|N|max", help="pace; 1 is a pad's own")
-    parser.add_argument("--protocol", choices=("fabric-grid", "csv"), help="instead of the configured one")
+    parser.add_argument(
+        "--format",
+        "--protocol",
+        choices=[name for name, preset in PRESETS.items() if not preset.poll],
+        help="instead of the configured one",
+    )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings of the pad to be")
     return parser
 
@@ -36,8 +42,8 @@ def main(arguments: Sequence[str]) -> int:
     """Print the path of a fake port and play the chosen recordings to whoever opens it; returns 0."""
     options = parser().parse_args(arguments)
     sensor = load(options.config).sensor if options.config else SensorSettings()
-    if options.protocol:
-        sensor = msgspec.structs.replace(sensor, protocol=options.protocol)
+    if options.format:
+        sensor = msgspec.structs.replace(sensor, format=options.format)
     stream = chosen_stream(options)
     with FakePort(stream, encoder_for(sensor), speed=options.speed) as port:
         sys.stdout.write(f"{port.path}\n")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import serial
 
 from daemon.config import Settings
 from daemon.destinations import parser_for
@@ -28,7 +27,7 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from drivers.pad.port import open_port
+from drivers.pad.port import Line, open_port
 from drivers.pad.sensor import SensorError, check_port
 
 PRESS_S = 15.0
@@ -84,9 +83,7 @@ def _examine_rest(heard: Heard, settings: Settings) -> Iterator[Check]:
     yield from check_taxels(heard)
 
 
-def _examine_orientation(
-    opened: serial.Serial, heard: Heard, settings: Settings, say: Say, with_press: bool
-) -> Check:
+def _examine_orientation(opened: Line, heard: Heard, settings: Settings, say: Say, with_press: bool) -> Check:
     if not with_press:
         return Check("orientation", "not checked", "touchd doctor --press asks for a corner, and tells")
     rest = np.median(heard.counts(), axis=0)

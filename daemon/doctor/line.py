@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 
 import numpy as np
-import serial
 from serial.tools.list_ports import comports
 
 from daemon.config import SensorSettings
@@ -15,6 +14,7 @@ from daemon.doctor.listening import START_S, Heard, listen
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import diagnose
 from drivers.pad.pace import pace_of, steps_ms
+from drivers.pad.port import Line
 from drivers.pad.sensor import SensorError
 
 # What boards are usually set to: the lab's Mega and Teensy builds first.
@@ -35,7 +35,7 @@ ADVICE_FOR_PORT = {
     "unusable": "name the pad's port in sensor.port or with --port",
 }
 ADVICE_FOR_BYTES = {
-    "format": "set sensor.protocol, rows, columns and crop to what it looks like",
+    "format": "set sensor.format to what it looks like",
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
     "damage": "try a shorter cable and another USB port, without a hub",
     "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy",
@@ -64,7 +64,7 @@ def port_is_not_open(error: SensorError) -> Check:
     return Check("port", "to do", str(error), advice)
 
 
-def check_protocol(heard: Heard, sensor: SensorSettings, opened: serial.Serial) -> Check:
+def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
     """Say whether frames were understood; if not, what the bytes look like, trying other baud rates."""
     expected = parser_for(sensor).description
     if heard.frames:
@@ -78,13 +78,13 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: serial.Serial) 
             f"no data within {START_S:g} s",
             "is it the pad's port? press the reset button of its board; flash its firmware",
         )
-    kind, looks = diagnose(heard.recent, expected)
+    kind, looks = diagnose(heard.recent, sensor.described)
     if kind == "noise" and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{expected}, but at {baud} baud", f"set sensor.baud: {baud}")
     return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
 
 
-def _other_baud(sensor: SensorSettings, opened: serial.Serial) -> int | None:
+def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
     """Return the baud rate at which the pad's frames are understood, None if there is none of the usual."""
     for baud in USUAL_BAUDS:
         if baud == sensor.baud:

@@ -7,13 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import serial
 from numpy.typing import NDArray
 
 from drivers.frame import Counts, Frame
 from drivers.pad.framing import CLOCK_MODULUS
-from drivers.pad.port import SensorError, read_waiting
-from drivers.pad.protocol import Protocol
+from drivers.pad.parser import FrameParser
+from drivers.pad.port import Line, SensorError, read_waiting
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
@@ -49,8 +48,8 @@ class Heard:
 
 
 def listen(
-    opened: serial.Serial,
-    parser: Protocol,
+    opened: Line,
+    parser: FrameParser,
     seconds: float,
     start_s: float = START_S,
     enough: Callable[[Frame], bool] = lambda frame: False,
@@ -68,7 +67,7 @@ def listen(
     is_enough = False
     while not is_enough and now_s < until_s and passed_ms < 1000 * seconds:
         try:
-            data = read_waiting(opened)
+            data = read_waiting(opened, parser)
         except SensorError as error:
             broke_off = str(error)
             break

@@ -39,7 +39,7 @@ def check_rest(heard: Heard, settings: Settings) -> Check:
     figures = {"rest_counts": round(float(level.mean()), 1), "highest_rest_counts": float(level.max())}
     found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
     if level.mean() > WRONG_WAY_COUNTS:
-        other = str(not settings.sensor.invert).lower()
+        other = str(not settings.sensor.described.invert).lower()
         return Check("rest", "to do", f"{found}: upside down", f"set sensor.invert: {other}", figures)
     if level.max() > LOADED_COUNTS:
         where = _places(level > LOADED_COUNTS)

@@ -1,57 +1,202 @@
-"""Bytes arrive but no frame does: what do they look like?"""
+"""Bytes arrive but no frame does: what do they look like, and how would they be described?"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections import Counter
-from itertools import pairwise
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from itertools import pairwise, product
+from typing import Any, Literal
 
-from drivers.pad.fabric_grid import damage_in, frame_bytes
+import msgspec
+import numpy as np
 
-# A header, and a clock and a value that may begin with FF; a longer run of FF is an idle or broken line.
-HEADER = re.compile(rb"(?<!\xff)\xff{4,9}(?!\xff)")
+from drivers.frame import MAX_COUNT
+from drivers.pad.binary import BinaryFrames
+from drivers.pad.clock import MAX_STEP_MS
+from drivers.pad.format import CELL_BITS, PRESETS, PadFormat
+from drivers.pad.protocol import parser_of
+
 TEXT = frozenset(b"0123456789,; \t\r\n")
-LEAST_HEADERS = 3
+LEAST_FRAMES = 4
+LEAST_CELLS = 16
+LONGEST_FRAME = 4200
+FULL_SCALES = (255, 1023, 4095, 65535)
+GRAMS = (2, 3)
+MOST_GRAMS = 12
+ORDERS: tuple[Literal["little", "big"], ...] = ("big", "little")
+CHECKSUMS = ("values", "sum8", "xor8", "none")
+COMMONLY = 0.8
 
 
-def diagnose(data: bytes, expected: str) -> tuple[str, str]:
+def diagnose(data: bytes, expected: PadFormat) -> tuple[str, str]:
     """Say what the last bytes (a few frames' worth) look like when `expected` did not understand them.
 
     Returns the kind of trouble ("format", "clock", "damage" or "noise") and a sentence for a person.
     """
-    starts = [match.start() for match in HEADER.finditer(data)]
-    found = _lines_in(data) or _fabric_grid_in(data, starts)
-    if found == expected:
+    found = propose(data)
+    if found is not None and str(found) == str(expected):
         return "clock", f"frames of {expected} arrive, but their clock stands still or jumps"
-    if found:
+    if found is not None:
         return "format", f"looks like {found}, configured {expected}"
-    if len(starts) < LEAST_HEADERS:
-        return "noise", f"bytes but no frame of {expected} in them: noise, wrong baud rate?"
-    return "damage", f"frames begin but none of {expected} is whole: bytes lost or damaged on the way?"
+    if (numbers := _numbers_a_line(data)) is not None:
+        return "format", f"looks like lines of {numbers} numbers, configured {expected}"
+    header = expected.first_bytes
+    if header and data.count(header) >= LEAST_FRAMES - 1 and len(set(data)) > len(set(header)):
+        return "damage", f"frames begin but none of {expected} is whole: bytes lost or damaged on the way?"
+    return "noise", f"bytes but no frame of {expected} in them: noise, wrong baud rate?"
 
 
-def _lines_in(data: bytes) -> str:
-    """Return what kind of lines of numbers this is, "" when it is not that."""
-    lines = data.split(b"\n")[1:-1]
-    if len(lines) < LEAST_HEADERS or sum(byte in TEXT for byte in data) < 0.95 * len(data):
-        return ""
-    numbers = Counter(len(re.findall(rb"\d+", line)) for line in lines).most_common(1)[0][0]
-    side = math.isqrt(numbers)
-    with_clock = numbers == side * side + 1
-    return f"csv {side}x{side}" if numbers == side * side or with_clock else f"lines of {numbers} numbers"
+def propose(data: bytes) -> PadFormat | None:
+    """Return a description by which these bytes, of a pad that nobody knows, become frames; None without one.
+
+    What the bytes cannot show is left at its usual value: above all how the pad lies.
+    """
+    guesses = [*(_binaries(data) if _numbers_a_line(data) is None else _texts(data))]
+    for guess in sorted(guesses, key=_plausibility, reverse=True):
+        parser = parser_of(guess)
+        frames = parser.feed(data, 0.0)
+        if len(frames) + parser.counts.duplicates >= LEAST_FRAMES - 1:
+            level = np.median([frame.pressure for frame in frames]) if frames else 0
+            return _as_preset(msgspec.structs.replace(guess, invert=bool(level > MAX_COUNT / 2)))
+    return None
 
 
-def _fabric_grid_in(data: bytes, starts: list[int]) -> str:
-    """Return the geometry of the sound frames that lie between the headers, "" when there is none."""
-    if len(starts) < LEAST_HEADERS:
-        return ""
-    spacing = Counter(later - earlier for earlier, later in pairwise(starts)).most_common(1)[0][0]
-    taxels = (spacing - frame_bytes(0)) // 2
-    if taxels <= 0 or frame_bytes(taxels) != spacing:
-        return ""
-    windows = [data[start : start + spacing] for start in starts if start + spacing <= len(data)]
-    if 2 * sum(damage_in(window) is None for window in windows) < len(windows):
-        return ""
-    side = math.isqrt(taxels)
-    return f"fabric-grid {side}x{side}" if side * side == taxels else f"fabric-grid of {taxels} taxels"
+def _plausibility(guess: PadFormat) -> float:
+    """A checksum or a clock that fits is no accident; pads are mostly square; a long header is a cell's."""
+    square = min(guess.rows, guess.columns) / max(guess.rows, guess.columns)
+    header = len(guess.first_bytes)
+    return (
+        3 * (guess.checksum != "none")
+        + 2 * guess.clock
+        + 2 * square
+        + 0.5 * (guess.cell == "u16")
+        + 0.1 * (guess.framing == "line")
+        - 0.05 * abs(header - 3)
+        # Cells read from the wrong byte on seem larger than they are.
+        - 0.1 * FULL_SCALES.index(guess.full_scale)
+    )
+
+
+def as_yaml(described: PadFormat) -> str:
+    """Return a description as it stands in the configuration, on one line."""
+    for name, preset in PRESETS.items():
+        if preset == described:
+            return f"format: {name}"
+    fields = msgspec.to_builtins(described)
+    return f"format: {{{', '.join(f'{key}: {_plain(value)}' for key, value in fields.items())}}}"
+
+
+def _plain(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value) if value == "" else f"{value!r}"
+
+
+def _as_preset(guess: PadFormat) -> PadFormat:
+    """Return the preset with the same line and grid, which knows the pad's border; else the guess itself."""
+    same = (p for p in PRESETS.values() if str(p) == str(guess) and p.full_scale == guess.full_scale)
+    return next(same, guess)
+
+
+def _sides(cells: int) -> tuple[int, int] | None:
+    """Return rows and columns as near to a square as these many cells allow; None when they are no grid."""
+    for rows in range(math.isqrt(cells), 3, -1):
+        if cells % rows == 0 and cells // rows <= 32:
+            return rows, cells // rows
+    return None
+
+
+def _full_scale(largest: int) -> int:
+    return next(scale for scale in FULL_SCALES if largest <= scale or scale == FULL_SCALES[-1])
+
+
+def _numbers_a_line(data: bytes) -> int | None:
+    """Return how many numbers most lines of a text of numbers hold; None when it is no such text."""
+    lines = [line for line in data.split(b"\n")[1:-1] if line.strip()]
+    if len(lines) < LEAST_FRAMES - 1 or sum(byte in TEXT for byte in data) < 0.9 * len(data):
+        return None
+    return Counter(len(re.findall(rb"\d+", line)) for line in lines).most_common(1)[0][0]
+
+
+def _texts(data: bytes) -> Iterator[PadFormat]:
+    numbers = _numbers_a_line(data)
+    if numbers is None:
+        return
+    rows_of = [line for line in data.split(b"\n")[1:-1] if len(re.findall(rb"\d+", line)) == numbers]
+    # The first number of a line may be a clock.
+    largest = max(max(map(int, re.findall(rb"\d+", line)[1:]), default=0) for line in rows_of)
+    scale = _full_scale(largest)
+    for cells in (numbers, numbers - 1):
+        known = [(preset.rows, preset.columns) for preset in PRESETS.values() if preset.cells == cells]
+        sides = known[0] if known else _sides(cells) if cells >= LEAST_CELLS else None
+        if sides is not None and (known or cells == numbers or sides[0] == sides[1]):
+            yield PadFormat(framing="line", rows=sides[0], columns=sides[1], full_scale=scale)
+    between = [line.strip() for line in data.split(b"\n")[1:-1] if not re.search(rb"\d", line)]
+    if between and 4 <= numbers <= 32:
+        (end, ends), *_ = Counter(between).most_common(1)
+        rows = round(len(rows_of) / ends)
+        if 4 <= rows <= 32 and end.isascii():
+            yield PadFormat(framing="rows", rows=rows, columns=numbers, full_scale=scale, end=end.decode())
+
+
+def _binaries(data: bytes) -> Iterator[PadFormat]:
+    for header in _headers_of(data):
+        starts = [match.start() for match in re.finditer(b"(?=%s)" % re.escape(header), data)]
+        size, times = Counter(later - earlier for earlier, later in pairwise(starts)).most_common(1)[0]
+        windows = [
+            data[at : at + size] for at in starts if data[at + size : at + size + len(header)] == header
+        ]
+        is_all = times * size >= COMMONLY * (len(data) - 2 * size)
+        if times < LEAST_FRAMES - 1 or not is_all or not LEAST_CELLS < size <= LONGEST_FRAME:
+            continue
+        for clock, checksum, cell in product((True, False), CHECKSUMS, CELL_BITS):
+            bits = 8 * (size - len(header) - 4 * clock - (checksum != "none"))
+            sides = _sides(bits // CELL_BITS[cell]) if bits > 0 and bits % CELL_BITS[cell] == 0 else None
+            for order in ORDERS if cell != "u8" or clock else ORDERS[1:]:
+                fields: dict[str, Any] = {"clock": clock, "checksum": checksum, "cell": cell, "order": order}
+                if sides is not None:
+                    yield from _fitting(windows, header, fields | {"rows": sides[0], "columns": sides[1]})
+
+
+def _fitting(windows: list[bytes], header: bytes, fields: dict[str, Any]) -> Iterator[PadFormat]:
+    """Yield the format with these fields when most of the windows that begin with its header are sound."""
+    bits = CELL_BITS[fields["cell"]]
+    loose = PadFormat(header=header.hex(), full_scale=(1 << bits) - 1, **fields)
+    reader = BinaryFrames(loose)
+    largest = int(np.median([reader.values_in(window).max() for window in windows]))
+    if bits == 16 and largest > FULL_SCALES[2]:
+        return
+    sound = sum(reader.damage_in(window) in (None, "bad_framing") for window in windows)
+    steps = [later - earlier for earlier, later in pairwise(map(reader.time_in, windows))]
+    if loose.clock and sum(0 < step <= MAX_STEP_MS for step in steps) < COMMONLY * len(steps):
+        return
+    if sound >= COMMONLY * len(windows):
+        top = max(
+            int(reader.values_in(window).max()) for window in windows if reader.damage_in(window) is None
+        )
+        yield msgspec.structs.replace(loose, full_scale=_full_scale(top))
+
+
+def _headers_of(data: bytes) -> set[bytes]:
+    """Return what may be the header: those of the presets, and bytes that come again at one distance."""
+    places: defaultdict[bytes, list[int]] = defaultdict(list)
+    for length, at in product(GRAMS, range(len(data))):
+        places[data[at : at + length]].append(at)
+    scored: list[tuple[float, bytes]] = []
+    for gram, seen in places.items():
+        if len(seen) >= LEAST_FRAMES:
+            spacing, times = Counter(later - earlier for earlier, later in pairwise(seen)).most_common(1)[0]
+            if LEAST_CELLS < spacing <= LONGEST_FRAME:
+                # The one with the fewest strays, for a header is nowhere else.
+                scored.append((times**2 * spacing / len(seen), gram))
+    found = {
+        preset.first_bytes
+        for preset in PRESETS.values()
+        if data.count(preset.first_bytes or data) >= LEAST_FRAMES
+    }
+    for _, gram in sorted(scored, reverse=True)[:MOST_GRAMS]:
+        found.add(gram)
+        after = Counter(data[at : at + len(gram) + 1] for at in places[gram]).most_common(1)[0]
+        if after[1] >= COMMONLY * len(places[gram]):
+            found.add(after[0])
+    return found

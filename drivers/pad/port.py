@@ -7,10 +7,16 @@ import errno
 import os
 import stat
 import termios
+import time
+from typing import TypeAlias
 
 import serial
 
 from drivers.errors import TouchdError
+from drivers.pad.network import NetworkPort, is_network
+from drivers.pad.parser import FrameParser
+
+Line: TypeAlias = serial.Serial | NetworkPort
 
 READ_TIMEOUT_S = 0.1
 
@@ -32,11 +38,15 @@ class SensorError(TouchdError):
 
 
 def check_port(port: str, baud: int) -> None:
-    """Raise SensorError when `port` (a device or any `serial_for_url` address) can be seen to be unusable.
+    """Raise SensorError when `port` can be seen to be unusable.
+
+    port: a device, tcp://host:port, udp://address:port to listen at, or any `serial_for_url` address.
 
     Does not open it: opening restarts an Arduino, and disturbs whoever reads it already.
     """
     try:
+        if is_network(port):
+            return
         serial.serial_for_url(port, baudrate=baud, do_not_open=True)
         if "://" in port:
             return
@@ -48,9 +58,11 @@ def check_port(port: str, baud: int) -> None:
         raise _explained(port, error) from error
 
 
-def open_port(port: str, baud: int) -> serial.Serial:
+def open_port(port: str, baud: int) -> Line:
     """Open `port` for this program alone; raise SensorError when that fails."""
     try:
+        if is_network(port):
+            return NetworkPort(port, READ_TIMEOUT_S)
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise _explained(port, error) from error
@@ -60,13 +72,29 @@ def open_port(port: str, baud: int) -> serial.Serial:
     return opened
 
 
-def read_waiting(opened: serial.Serial) -> bytes:
-    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when the port is gone."""
+def read_waiting(opened: Line, parser: FrameParser) -> bytes:
+    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when the port is gone.
+
+    A pad that only answers is asked when its parser says so.
+    """
     try:
+        if parser.poll:
+            _ask(opened, parser)
         first = opened.read(1)
         return first + opened.read(opened.in_waiting) if first else b""
     except (OSError, termios.error) as error:
         raise SensorError("missing", f"{opened.port} went away: unplugged or switched off?") from error
+
+
+def _ask(opened: Line, parser: FrameParser) -> None:
+    wait_s = parser.ask_in_s(time.monotonic())
+    if wait_s > READ_TIMEOUT_S:
+        return
+    time.sleep(wait_s)
+    # A late answer to the question before must not pass for half of the next.
+    opened.reset_input_buffer()
+    parser.ask(time.monotonic())
+    opened.write(parser.poll)
 
 
 def _explained(port: str, error: Exception) -> SensorError:

@@ -6,13 +6,11 @@ import logging
 import threading
 import time
 
-import serial
-
 from drivers.backoff import Backoff
 from drivers.frame import Frame
 from drivers.pad.diagnosis import diagnose
-from drivers.pad.port import SensorError, check_port, open_port, read_waiting
-from drivers.pad.protocol import Protocol
+from drivers.pad.parser import FrameParser
+from drivers.pad.port import Line, SensorError, check_port, open_port, read_waiting
 from drivers.pad.sensor_state import Announcer, SensorState
 from drivers.queue import DroppingQueue
 
@@ -36,7 +34,7 @@ class FrameQueue(DroppingQueue[Frame | SensorState]):
 
 
 class Sensor:
-    """Reads `port` (a device or any `serial_for_url` address); puts frames and changes of state into `queue`.
+    """Reads `port` (see `drivers.pad.port`); puts frames and changes of state into `queue`.
 
     The port is reopened whenever it fails, after first_retry_s and then ever longer up to longest_retry_s.
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
@@ -47,7 +45,7 @@ class Sensor:
         self,
         port: str,
         baud: int,
-        protocol: Protocol,
+        protocol: FrameParser,
         queue: FrameQueue,
         *,
         first_retry_s: float = 0.1,
@@ -96,13 +94,13 @@ class Sensor:
                 self._backoff.reset()
             self._stop.wait(self._backoff.pause_s())
 
-    def _read(self, opened: serial.Serial) -> None:
+    def _read(self, opened: Line) -> None:
         """Read until stopped, or until silence makes it worth opening the port anew."""
         self._protocol.reset()
         recent = b""
         byte_s = frame_s = looked_s = time.monotonic()
         while not self._stop.is_set():
-            data = read_waiting(opened)
+            data = read_waiting(opened, self._protocol)
             now_s = time.monotonic()
             if data:
                 byte_s = now_s
@@ -128,5 +126,5 @@ class Sensor:
             kind = "silent"
             reason = f"no data for {self._silence_s:g} s: is it the pad's port, and does the pad run?"
         else:
-            kind, reason = diagnose(recent, self._protocol.description)
+            kind, reason = diagnose(recent, self._protocol.format)
         self._announcer.down(kind, f"{self._port} at {self._baud} baud: {reason}", since_s)

@@ -13,7 +13,7 @@ import sys
 import atheris
 
 with atheris.instrument_imports(include=["drivers"]):
-    from drivers.pad.protocol import FabricGrid
+    from rigs.formats import FabricGrid
 
 SIZE = 4 + 4 + 2 * 64 + 1
 

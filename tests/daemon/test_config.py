@@ -53,7 +53,9 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     path.write_text(text)
     shown, default = load(path), Settings()
-    assert (shown.sensor, shown.ring, shown.touch) == (default.sensor, default.ring, default.touch)
+    assert (shown.ring, shown.touch) == (default.ring, default.touch)
+    assert shown.sensor.described == default.sensor.described
+    assert (shown.sensor.port, shown.sensor.baud) == (default.sensor.port, default.sensor.baud)
     assert shown.scene.answer_at_frames == default.scene.answer_at_frames
     assert shown.scene.speak_above == default.scene.speak_above
     assert shown.scene.revise_margin == default.scene.revise_margin
@@ -67,9 +69,12 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("scene: {zzz: 1}", "scene.zzz is not a setting; known here: gestures"),
         ("sensor: {baud: fast}", "sensor.baud must be a whole number, not 'fast'"),
         ("sensor: {baud: 3}", "sensor.baud must be a whole number >= 1200, not 3"),
-        ("sensor: {invert: maybe}", "sensor.invert must be true or false, not 'maybe'"),
+        ("sensor: {invert: maybe}", "sensor.invert must be true or false or null, not 'maybe'"),
         ("sensor: {protocol: cvs}", "sensor.protocol must be fabric-grid or csv, not 'cvs'"),
-        ("sensor: {crop: 2}", "10x10 with crop 2 leaves 6x6, and the model feels 8x8"),
+        ("sensor: {crop: 4}", "10x10 with crop 4 leaves 2x2; a side of 4 to 32 must be left"),
+        ("sensor: {format: mucha}", "format 'mucha' is none of fabric-grid, csv,"),
+        ("sensor: {format: {framing: binary}}", "needs a header, a footer or a poll"),
+        ("sensor: {format: {headr: aa}}", "sensor.format.headr is not a setting; did you mean header?"),
         ("sensor:", "sensor must be a section of settings, not None"),
         ("touch: {onset_level: .nan}", "touch.onset_level must be a number > 0.0, not nan"),
         ("scene: {speak_above: 1.5}", "scene.speak_above must be a number <= 1.0, not 1.5"),

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 import serial
 from rigs.doctor_rig import resting, systemd_says, the
+from rigs.formats import encode_fabric_grid
 
 from daemon import cli
 from daemon.commands.doctor import WIDTH
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
 from drivers.fakes.fake_port import FakePort
-from drivers.pad.protocol import encode_fabric_grid
 from drivers.recording import Stream, ideal_clock_ms
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, heard, noise, resting
+from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import Encode
 
 from daemon.destinations import parser_for
@@ -19,7 +20,6 @@ from drivers.fakes.fake_port import FakePort
 from drivers.fakes.line_faults import Faults
 from drivers.frame import Counts, Frame
 from drivers.pad.port import open_port
-from drivers.pad.protocol import encode_csv_line, encode_fabric_grid
 from drivers.recording import Stream, ideal_clock_ms
 
 
@@ -37,9 +37,9 @@ def nothing(counts: Counts, sensor_ms: int) -> bytes:
         (
             as_8x8,
             "looks like fabric-grid 8x8, configured fabric-grid 10x10",
-            "sensor.protocol, rows, columns",
+            "sensor.format",
         ),
-        (encode_csv_line, "looks like csv 10x10", "sensor.protocol, rows, columns"),
+        (encode_csv_line, "looks like csv 10x10", "sensor.format"),
         (nothing, "no data", "reset button"),
     ],
 )

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, heard, resting, the
+from rigs.formats import encode_fabric_grid
 
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
@@ -22,7 +23,6 @@ from daemon.doctor.pad import (
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.frame import Counts
-from drivers.pad.protocol import encode_fabric_grid
 from drivers.recording import Stream, ideal_clock_ms
 
 

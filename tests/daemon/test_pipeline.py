@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
@@ -17,7 +18,6 @@ from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.touch import TouchSettings
 from drivers.frame import MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings
-from drivers.pad.protocol import FabricGrid, encode_fabric_grid
 from drivers.pad.sensor_state import SensorState
 from drivers.recording import ideal_clock_ms
 from model.classifier import Classifier

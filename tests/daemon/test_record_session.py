@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
 
@@ -18,7 +19,6 @@ from daemon.recorder.session import Session, keep
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.frame import Counts
-from drivers.pad.protocol import encode_fabric_grid
 from drivers.recording import Stream, ideal_clock_ms, read_recordings
 
 SPEED = 6.0

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import PERIOD_MS, assert_are, counts_of, flip, packet, packets
-
-from drivers.pad.protocol import FabricGrid, encode_fabric_grid
 
 
 def test_the_clock_may_wrap_after_49_days() -> None:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
+from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.wire import counts_of
 
 from drivers.pad.diagnosis import diagnose
-from drivers.pad.protocol import encode_csv_line, encode_fabric_grid
+from drivers.pad.format import PRESETS, PadFormat
+
+
+def pad(preset: str, rows: int, columns: int) -> PadFormat:
+    return msgspec.structs.replace(PRESETS[preset], rows=rows, columns=columns, crop=(rows - 8) // 2)
+
 
 RANDOM = np.random.default_rng(0).bytes(4000)
 
@@ -26,27 +33,35 @@ def printed(numbers: int) -> bytes:
     return b"".join(b",".join([b"%d" % (17 * i)] * numbers) + b"\r\n" for i in range(12))
 
 
+DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
+
+
 @pytest.mark.parametrize(
     ("data", "expected", "kind", "words"),
     [
-        (binary(8, 8), "fabric-grid 10x10", "format", "looks like fabric-grid 8x8, configured"),
-        (binary(16, 16), "fabric-grid 8x8", "format", "looks like fabric-grid 16x16, configured"),
-        (binary(8, 10), "fabric-grid 8x8", "format", "looks like fabric-grid of 80 taxels, configured"),
-        (binary(10, 10), "csv 10x10", "format", "looks like fabric-grid 10x10, configured csv 10x10"),
-        (binary(10, 10), "fabric-grid 10x10", "clock", "their clock stands still or jumps"),
-        (printed(65), "fabric-grid 8x8", "format", "looks like csv 8x8, configured fabric-grid 8x8"),
-        (printed(100), "csv 8x8", "format", "looks like csv 10x10, configured csv 8x8"),
-        (printed(80), "csv 10x10", "format", "looks like lines of 80 numbers, configured csv 10x10"),
-        (encode_csv_line(counts_of(0), 7) * 9, "csv 10x10", "clock", "their clock stands still"),
-        (RANDOM, "fabric-grid 10x10", "noise", "noise, wrong baud rate?"),
-        (b"\x00" * 3000, "fabric-grid 10x10", "noise", "noise"),
-        (b"\xff" * 3000, "fabric-grid 10x10", "noise", "noise"),
-        (b"x", "csv 10x10", "noise", "noise"),
-        (binary(10, 10).replace(b"\x03", b""), "fabric-grid 10x10", "damage", "none of fabric-grid 10x10"),
+        (binary(8, 8), pad("fabric-grid", 10, 10), "format", "looks like fabric-grid 8x8, configured"),
+        (binary(16, 16), pad("fabric-grid", 8, 8), "format", "looks like fabric-grid 16x16, configured"),
+        (binary(8, 10), pad("fabric-grid", 8, 8), "format", "looks like fabric-grid 8x10, configured"),
+        (binary(10, 10), pad("csv", 10, 10), "format", "looks like fabric-grid 10x10, configured csv 10x10"),
+        (binary(10, 10), pad("fabric-grid", 10, 10), "clock", "their clock stands still or jumps"),
+        (printed(65), pad("fabric-grid", 8, 8), "format", "looks like csv 8x8, configured fabric-grid 8x8"),
+        (printed(100), pad("csv", 8, 8), "format", "looks like csv 10x10, configured csv 8x8"),
+        (printed(80), pad("csv", 10, 10), "format", "looks like csv 8x10, configured csv 10x10"),
+        (encode_csv_line(counts_of(0), 7) * 9, pad("csv", 10, 10), "clock", "their clock stands still"),
+        (RANDOM, pad("fabric-grid", 10, 10), "noise", "noise, wrong baud rate?"),
+        (b"\x00" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
+        (b"\xff" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
+        (b"x", pad("csv", 10, 10), "noise", "noise"),
+        (
+            binary(10, 10).replace(b"\x03", b""),
+            pad("fabric-grid", 10, 10),
+            "damage",
+            "none of fabric-grid 10x10",
+        ),
     ],
 )
 def test_what_bytes_look_like_is_said_with_what_was_expected(
-    data: bytes, expected: str, kind: str, words: str
+    data: bytes, expected: PadFormat, kind: str, words: str
 ) -> None:
     said, reason = diagnose(data, expected)
     assert said == kind
@@ -55,4 +70,4 @@ def test_what_bytes_look_like_is_said_with_what_was_expected(
 
 def test_a_few_frames_are_enough_to_tell() -> None:
     data = b"".join(encode_fabric_grid(counts_of(i), 19 * i) for i in range(4))
-    assert diagnose(data, "fabric-grid 8x8")[1].startswith("looks like fabric-grid 10x10")
+    assert diagnose(data, pad("fabric-grid", 8, 8))[1].startswith("looks like fabric-grid 10x10")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import (
     MANY,
     PERIOD_MS,
@@ -23,9 +24,6 @@ from rigs.wire import (
     packet,
     packets,
 )
-
-from drivers.pad.fabric_grid import damage_in
-from drivers.pad.protocol import CsvLines, FabricGrid, ProtocolError, encode_fabric_grid
 
 # --- what a frame is ---------------------------------------------------------------------------------------
 
@@ -66,14 +64,6 @@ def test_pressure_cannot_be_written_to() -> None:
     frames = FabricGrid().feed(packets([0, 1]), 0.0)
     with pytest.raises(ValueError, match="read-only"):
         frames[0].pressure[0, 0] = 1
-
-
-@pytest.mark.parametrize(("rows", "columns", "crop"), [(10, 10, 0), (10, 8, 1), (6, 6, -1), (0, 0, 0)])
-def test_a_geometry_without_8x8_says_what_to_do(rows: int, columns: int, crop: int) -> None:
-    with pytest.raises(ProtocolError, match=f"rows {rows}, columns {columns} and crop {crop}.*10x10"):
-        FabricGrid(rows, columns, crop)
-    with pytest.raises(ProtocolError):
-        CsvLines(rows, columns, crop)
 
 
 # --- intact frames, however they arrive --------------------------------------------------------------------
@@ -155,7 +145,7 @@ def test_a_false_frame_does_not_hide_a_true_one() -> None:
     """Two bytes of FF before a header make a window two bytes early; one in 256 passes every other check."""
     found = 0
     for number in range(2, 2000):
-        if damage_in(b"\xff\xff" + packet(number)[:-2]) is None:
+        if FabricGrid().damage_in(b"\xff\xff" + packet(number)[:-2]) is None:
             data = packets([0, 1]) + b"\xff\xff" + packets([number, number + 1])
             parser = FabricGrid()
             assert_are(fed(parser, data, range(0, len(data), 100)), [0, 1, number, number + 1])

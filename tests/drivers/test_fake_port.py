@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
+from rigs.formats import FabricGrid, encode_fabric_grid
 
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.line_faults import NO_FAULTS, Faults
-from drivers.pad.protocol import FabricGrid, encode_fabric_grid
 from drivers.recording import Span, Stream, ideal_clock_ms
 
 SIZE = 209

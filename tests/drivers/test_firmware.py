@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.formats import FabricGrid
 from rigs.mega_rig import FIRMWARE, Board, Run, build, build_board, compiler_missing, simulator_missing
 from rigs.pad_circuit import SUPPLY_V, column_volts, pad, pressure
 from rigs.sensor_rig import next_frames, sensing
 
 from daemon import cli
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
-from drivers.pad.protocol import FabricGrid
 
 requires_compiler = pytest.mark.skipif(
     compiler_missing(), reason="no AVR toolchain: apt install gcc-avr avr-libc arduino-core-avr make"

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.haart_folder import needs_haart
 
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.pad.health import Finding, PadHealth
-from drivers.pad.protocol import FabricGrid, encode_fabric_grid
 from drivers.pad.sensor import FrameQueue, Sensor
 from drivers.pad.watch import PadWatch
 from drivers.recording import Selection, Span, Stream, ideal_clock_ms, read_recordings, realign, splice

@@ -8,9 +8,8 @@ import tracemalloc
 
 import numpy as np
 import pytest
+from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import SIZE, TIME_BITS, VISIBLE_BITS, flip
-
-from drivers.pad.protocol import FabricGrid, encode_fabric_grid
 
 SUMMED_BITS = [bit for bit in VISIBLE_BITS if bit not in TIME_BITS]
 # Bytes lost or added elsewhere may leave an intact frame, as where its header follows a run of FF.

@@ -8,10 +8,10 @@ import time
 
 import numpy as np
 import pytest
+from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
 
 from drivers.fakes.fake_port import FakePort
-from drivers.pad.protocol import encode_fabric_grid
 from drivers.pad.sensor import SensorError, check_port
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
 
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.line_faults import Faults
 from drivers.frame import Counts
-from drivers.pad.protocol import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 
 

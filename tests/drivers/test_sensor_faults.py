@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
+from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import (
     Encode,
     Switch,
@@ -25,7 +26,6 @@ from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.pad import sensor as sensor_module
 from drivers.pad import sensor_state
-from drivers.pad.protocol import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState
 from drivers.pad.sensor_state import Announcer
 from drivers.recording import Stream

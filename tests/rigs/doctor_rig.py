@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import Encode
 
 from daemon.config import Settings
@@ -19,7 +20,6 @@ from drivers.fakes.hand import simulate
 from drivers.fakes.line_faults import NO_FAULTS, Faults
 from drivers.frame import Counts
 from drivers.pad.port import open_port
-from drivers.pad.protocol import encode_fabric_grid
 from drivers.recording import Stream
 
 SETTINGS = Settings()

@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
+from rigs.formats import FabricGrid
 
 from drivers.frame import Counts, Frame
-from drivers.pad.protocol import FabricGrid, Protocol
+from drivers.pad.parser import FrameParser
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState
 from drivers.recording import Span, Stream, ideal_clock_ms
 
@@ -26,7 +27,7 @@ def stream_of(frames: int = 4000) -> Stream:
 
 @contextmanager
 def sensing(
-    port: str, protocol: Protocol | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
+    port: str, protocol: FrameParser | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
 ) -> Iterator[FrameQueue]:
     """A running sensor's queue; afterwards nothing of the sensor is left."""
     before = set(os.listdir("/proc/self/fd"))

@@ -7,9 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 from hypothesis import settings
+from rigs.formats import encode_fabric_grid
 
 from drivers.frame import Counts, Frame
-from drivers.pad.protocol import Protocol, encode_fabric_grid
+from drivers.pad.parser import FrameParser
 
 PERIOD_MS = 19
 # A busy machine is no failure: examples have no deadline of their own, the test's timeout stands.
@@ -40,7 +41,7 @@ def flip(data: bytes, bit: int) -> bytes:
     return bytes(flipped)
 
 
-def fed(parser: Protocol, data: bytes, cuts: Sequence[int] = ()) -> list[Frame]:
+def fed(parser: FrameParser, data: bytes, cuts: Sequence[int] = ()) -> list[Frame]:
     edges = [0, *sorted(cuts), len(data)]
     pieces = [data[start:stop] for start, stop in pairwise(edges)]
     return [frame for piece in pieces for frame in parser.feed(piece, 1.0)]

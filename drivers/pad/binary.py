@@ -1,0 +1,191 @@
+"""Binary frames: bytes in, frames out, no I/O.
+
+Which frames are intact: read from the left, a window of one frame's length is well-formed when it begins with
+the header, holds no value above full scale and its checksum, if any, is right; the sensor's clock, if any,
+then decides (see `clock.py`). A window refused for any of these is given up by its first byte only, so a true
+frame that begins inside is found. What a format cannot show, no reader can tell: the fabric pad's checksum
+sums low bytes only, so a flip in bit 8 or 9 of a value passes.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import Frame
+from drivers.pad.format import PadFormat, checksum, decode_cells
+from drivers.pad.framing import Reading, number_frames
+from drivers.pad.parser import FrameParser
+
+Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
+
+
+class BinaryFrames(FrameParser):
+    """Parser for frames with a header or a footer; keeps less than two frames' bytes between calls.
+
+    A footer is taken for the header of the next frame: what came before the first one is never used.
+    """
+
+    def __init__(self, described: PadFormat) -> None:
+        super().__init__(described)
+        self._header = described.first_bytes
+        self._size = described.frame_bytes
+        self._position = 0
+        # Bytes still to be dropped that belong to a damaged frame already counted.
+        self._claimed = 0
+        # The window that began one byte before the position was refused: both lie in one run of header bytes.
+        self._in_refused_run = False
+
+    def feed(self, data: bytes, host_s: float) -> list[Frame]:
+        """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
+        self._buffer += data
+        readings: list[Reading] = []
+        while self._seek_header() and (taken := self._take(host_s)) is not None:
+            readings += taken
+        self._buffer = self._buffer[self._position :]
+        self._position = 0
+        return number_frames(readings, self.counts)
+
+    def reset(self) -> None:
+        """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
+        super().reset()
+        self._claimed = 0
+        self._in_refused_run = False
+
+    def damage_in(self, window: bytes) -> Damage | None:
+        """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
+        described = self.format
+        # Looking at the first value alone is enough, and quick, in a long run of header bytes.
+        at = len(self._header) + 4 * described.clock
+        first = window[at : at + 2]
+        if described.cell == "u16" and int.from_bytes(first, described.order) > described.full_scale:
+            return "bad_value"
+        values = self.values_in(window)
+        if values.max() > described.full_scale:
+            return "bad_value"
+        if described.checksum == "none":
+            # Bytes were lost, and the next frame has begun.
+            return "bad_framing" if window.find(self._header, 1) > 0 else None
+        body = window[len(self._header) : -1]
+        total = int(values.sum()) + (self.time_in(window) if described.clock else 0)
+        return "bad_checksum" if checksum(described, body, total) != window[-1] else None
+
+    def values_in(self, window: bytes) -> NDArray[np.uint16]:
+        """Return the values (cells,) of a whole window."""
+        at = len(self._header) + 4 * self.format.clock
+        return decode_cells(self.format, window[at : len(window) - (self.format.checksum != "none")])
+
+    def time_in(self, window: bytes) -> int:
+        """Return the four bytes after the header of a whole window as its clock."""
+        at = len(self._header)
+        return int.from_bytes(window[at : at + 4], self.format.order)
+
+    def _seek_header(self) -> bool:
+        """Move to the next header, dropping what comes before; False when none is in the buffer."""
+        start = self._buffer.find(self._header, self._position)
+        if start >= 0:
+            self._drop(start - self._position)
+            return True
+        # The last bytes may be the beginning of a header whose rest is still to come.
+        tail = self._buffer[self._position :][1 - len(self._header) :] if len(self._header) > 1 else b""
+        begun = next((n for n in range(len(tail), 0, -1) if tail.endswith(self._header[:n])), 0)
+        self._drop(len(self._buffer) - self._position - begun)
+        return False
+
+    def _take(self, host_s: float) -> list[Reading] | None:
+        """Judge the window at the position: the readings it lets out, or None when it takes more bytes."""
+        window = self._buffer[self._position : self._position + self._size]
+        if len(window) < self._size:
+            return None
+        if damage := self.damage_in(window):
+            self._refuse(damage)
+            return []
+        sensor_ms = self.time_in(window) if self.format.clock else None
+        if sensor_ms is not None and not self._clock.is_on_time(sensor_ms):
+            hides_another = self._hides_another()
+            if hides_another is None:
+                return None
+            if hides_another:
+                self._refuse("bad_time")
+                return []
+        self._position += self._size
+        self._claimed = 0
+        self._in_refused_run = False
+        return self._judge(sensor_ms, host_s, self.values_in(window))
+
+    def _hides_another(self) -> bool | None:
+        """Whether a well-formed window begins inside the one at the position, None when it takes more bytes.
+
+        Then the outer one, whose clock jumps, is false: in two true frames running, the header of the second
+        would be a value above full scale in every window that begins inside the first.
+        """
+        inner = self._position
+        while (inner := self._buffer.find(self._header, inner + 1, self._position + self._size)) >= 0:
+            window = self._buffer[inner : inner + self._size]
+            if len(window) < self._size:
+                return None
+            if self.damage_in(window) is None:
+                return True
+        return False
+
+    def _refuse(self, damage: Damage) -> None:
+        """Give up the window at the position by its first byte; one run of header bytes is counted once."""
+        if not self._in_refused_run:
+            setattr(self.counts, damage, getattr(self.counts, damage) + 1)
+            self._claimed = self._size
+        self._drop(1)
+        self._in_refused_run = True
+
+    def _drop(self, count: int) -> None:
+        """Pass over bytes of no frame; each frame's length that no refusal explains counts as one lost."""
+        if count == 0:
+            return
+        self._position += count
+        self._in_refused_run = False
+        self.counts.bytes_dropped += count
+        unexplained = count - self._claimed
+        lost = max(0, -(-unexplained // self._size))
+        self.counts.bad_framing += lost
+        self._claimed = lost * self._size - unexplained
+
+
+class Replies(FrameParser):
+    """Parser for a pad that answers each poll with bare cells: only their number can be checked."""
+
+    _has_stray = False
+
+    def ask(self, now_s: float) -> None:
+        """Take note that the pad is asked now."""
+        super().ask(now_s)
+        self._has_stray = False
+
+    def feed(self, data: bytes, host_s: float) -> list[Frame]:
+        """Take bytes that arrived at `host_s` (monotonic seconds); return the frame they completed."""
+        size = self.format.frame_bytes
+        readings: list[Reading] = []
+        if self._asked:
+            self._buffer, data = (self._buffer + data)[:size], (self._buffer + data)[size:]
+            if len(self._buffer) == size:
+                reply, self._buffer, self._asked = self._buffer, b"", False
+                readings = self._take(reply, host_s)
+        if data:
+            # Nobody asked for it.
+            self.counts.bytes_dropped += len(data)
+            self.counts.bad_framing += not self._has_stray
+            self._has_stray = True
+        return number_frames(readings, self.counts)
+
+    def _take(self, reply: bytes, host_s: float) -> list[Reading]:
+        described = self.format
+        is_checked = described.checksum != "none"
+        values = decode_cells(described, reply[: len(reply) - is_checked])
+        if values.max() > described.full_scale:
+            self.counts.bad_value += 1
+        elif is_checked and checksum(described, reply[:-1], int(values.sum())) != reply[-1]:
+            self.counts.bad_checksum += 1
+        else:
+            return self._judge(None, host_s, values)
+        self.counts.bytes_dropped += len(reply)
+        return []

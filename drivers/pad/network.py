@@ -1,0 +1,87 @@
+"""A pad behind a network address: as much of a serial port's interface as is used here."""
+
+from __future__ import annotations
+
+import re
+import socket
+from types import TracebackType
+from typing import Any
+
+CONNECT_S = 3.0
+MOST_BYTES = 65536
+ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
+
+
+def is_network(port: str) -> bool:
+    """Whether this is an address of a pad on the network; raises ValueError for one that is malformed."""
+    if not port.startswith(("tcp://", "udp://")):
+        return False
+    if not ADDRESS.fullmatch(port):
+        raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
+    return True
+
+
+class NetworkPort:
+    """tcp://host:port connects to the pad; udp://address:port listens there for what the pad sends."""
+
+    def __init__(self, port: str, timeout_s: float) -> None:
+        self.port = port
+        self.baudrate = 0
+        self.in_waiting = 0
+        match = ADDRESS.fullmatch(port)
+        assert match is not None
+        where = (match[2].strip("[]"), int(match[3]))
+        if match[1] == "tcp":
+            self._socket = socket.create_connection(where, CONNECT_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        else:
+            family = socket.AF_INET6 if ":" in where[0] else socket.AF_INET
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            try:
+                self._socket.bind(where)
+            except OSError:
+                self._socket.close()
+                raise
+        self._is_stream = match[1] == "tcp"
+        self._sender: Any = None
+        self._socket.settimeout(timeout_s)
+
+    def read(self, size: int) -> bytes:
+        """Return what has arrived, whatever the size, waiting for it at most the timeout; b"" for size 0."""
+        if size == 0:
+            return b""
+        try:
+            data, sender = self._socket.recvfrom(MOST_BYTES)
+        except TimeoutError:
+            return b""
+        if not data and self._is_stream:
+            raise ConnectionResetError("the pad closed the connection")
+        self._sender = sender
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send to the pad; over UDP, to whoever sent last."""
+        if self._is_stream:
+            self._socket.sendall(data)
+        elif self._sender is not None:
+            self._socket.sendto(data, self._sender)
+
+    def reset_input_buffer(self) -> None:
+        """Drop what has arrived."""
+        timeout_s = self._socket.gettimeout()
+        self._socket.setblocking(False)
+        try:
+            while self._socket.recv(MOST_BYTES):
+                pass
+        except BlockingIOError:
+            pass
+        finally:
+            self._socket.settimeout(timeout_s)
+
+    def __enter__(self) -> NetworkPort:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._socket.close()

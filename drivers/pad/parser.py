@@ -1,0 +1,80 @@
+"""What every parser does: counts, clock, layout, and when a pad that only answers is to be asked."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import Frame
+from drivers.pad.clock import ArrivalClock, ClockCheck
+from drivers.pad.format import PadFormat, layout_of
+from drivers.pad.framing import ProtocolCounts, Reading
+
+# A pad that has not answered by then is asked anew.
+REPLY_S = 0.2
+
+
+class FrameParser(ABC):
+    """A parser: drops and counts what is damaged, never raises on it, keeps a bounded number of bytes."""
+
+    def __init__(self, described: PadFormat) -> None:
+        self.counts = ProtocolCounts()
+        self.format = described
+        self._layout = layout_of(described)
+        self._clock = ClockCheck(self.counts)
+        self._arrivals = ArrivalClock(described.rate_hz)
+        self._buffer = b""
+        self._asked = False
+        self._asked_s = -math.inf
+
+    @property
+    def description(self) -> str:
+        """What this parser expects, in words for a person, as in "fabric-grid 10x10"."""
+        return str(self.format)
+
+    @property
+    def pending_bytes(self) -> int:
+        """Bytes kept until more arrive."""
+        return len(self._buffer)
+
+    @property
+    def poll(self) -> bytes:
+        """What to ask the pad for a frame with; empty for a pad that sends by itself."""
+        return bytes.fromhex(self.format.poll)
+
+    def ask_in_s(self, now_s: float) -> float:
+        """Return how long to wait before asking for the next frame; infinite while a reply may still come."""
+        if self._asked and now_s - self._asked_s < REPLY_S:
+            return math.inf
+        return max(0.0, self._asked_s + 1 / self.format.rate_hz - now_s)
+
+    def ask(self, now_s: float) -> None:
+        """Take note that the pad is asked now; half a reply will not become whole any more."""
+        if self._asked and self._buffer:
+            self.counts.bad_framing += 1
+            self.counts.bytes_dropped += len(self._buffer)
+        self._buffer = b""
+        self._asked, self._asked_s = True, now_s
+
+    @abstractmethod
+    def feed(self, data: bytes, host_s: float) -> list[Frame]:
+        """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
+
+    def reset(self) -> None:
+        """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
+        self.counts.bytes_dropped += len(self._buffer)
+        self._buffer = b""
+        self._asked = False
+        self._clock.reset()
+        self._arrivals.reset()
+
+    def _judge(self, sensor_ms: int | None, host_s: float, values: NDArray[np.uint16]) -> list[Reading]:
+        """Return what a well-formed frame lets out; sensor_ms: None for a pad without a clock."""
+        self._asked = False
+        pressure = self._layout.pressure(values)
+        if sensor_ms is None:
+            return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
+        return self._clock.judge(Reading(sensor_ms, host_s, pressure))

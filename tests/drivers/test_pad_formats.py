@@ -1,0 +1,269 @@
+"""Every promise of the parser, for every format: frames once and in order, damage counted, memory bounded."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Sequence
+from functools import cache
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.frame import Counts, Frame
+from drivers.pad.diagnosis import as_yaml, propose
+from drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, encode_frame, encode_values, layout_of
+from drivers.pad.framing import ProtocolCounts
+from drivers.pad.parser import FrameParser
+from drivers.pad.protocol import parser_of
+
+MORE = {
+    "packed 12 bit": PadFormat(
+        header="a5 5a", cell="u12", rows=16, columns=16, full_scale=4095, checksum="xor8"
+    ),
+    "footer": PadFormat(footer="0d 0a fe fe", rows=8, columns=8, clock=True, order="big", full_scale=4095),
+    "sum of bytes": PadFormat(header="f0f0f0", cell="u8", rows=8, columns=8, full_scale=239, checksum="sum8"),
+    "rows to a flag": PadFormat(framing="rows", rows=16, columns=12, end="flag"),
+    "32x32": PadFormat(header="aaabac", clock=True, rows=32, columns=32, full_scale=4095),
+    "4x4": PadFormat(header="aaabac", clock=True, rows=4, columns=4),
+}
+FORMATS = PRESETS | MORE
+every_format = pytest.mark.parametrize("described", FORMATS.values(), ids=FORMATS)
+sending = {name: each for name, each in FORMATS.items() if not each.poll}
+every_stream = pytest.mark.parametrize("described", sending.values(), ids=sending)
+binary = {name: each for name, each in sending.items() if each.framing == "binary"}
+
+
+FEW = settings(deadline=None, max_examples=20)
+
+
+@cache
+def felt(number: int) -> Counts:
+    return np.random.default_rng(number).integers(0, 1024, (8, 8)).astype(np.uint16)
+
+
+@cache
+def laid(described: PadFormat, number: int) -> bytes:
+    """What comes out of a frame that shows `felt(number)` as well as this grid can."""
+    layout = layout_of(described)
+    return layout.pressure(layout.values(felt(number)).ravel()).tobytes()
+
+
+@cache
+def sent(described: PadFormat, number: int) -> bytes:
+    return encode_frame(described, felt(number), 5000 + 19 * number)
+
+
+def stream(described: PadFormat, numbers: Sequence[int]) -> bytes:
+    """Frames as they come, after the second half of one for those that need a beginning."""
+    begun = sent(described, 99)[-9:] if described.footer or described.framing != "binary" else b""
+    return begun + b"".join(sent(described, number) for number in numbers)
+
+
+def feed(parser: FrameParser, data: bytes, cuts: Sequence[int] = ()) -> list[Frame]:
+    edges = [0, *sorted(cut % (len(data) + 1) for cut in cuts), len(data)]
+    frames: list[Frame] = []
+    for start, stop in pairwise(edges):
+        frames += parser.feed(data[start:stop], 1.0)
+        assert parser.pending_bytes <= 2 * longest(parser.format)
+    return frames
+
+
+def longest(described: PadFormat) -> int:
+    return described.frame_bytes if described.framing == "binary" else 12 * (described.cells + 1)
+
+
+def assert_are(described: PadFormat, frames: Sequence[Frame], numbers: Sequence[int]) -> None:
+    assert [frame.pressure.tobytes() for frame in frames] == [laid(described, number) for number in numbers]
+    stamps = [frame.sensor_ms for frame in frames]
+    assert stamps == sorted(set(stamps))
+    assert [frame.number for frame in frames] == list(range(len(frames)))
+
+
+@every_stream
+@given(cuts=st.lists(st.integers(0, 20_000), max_size=12))
+@FEW
+def test_frames_come_whole_and_in_order_however_cut(described: PadFormat, cuts: list[int]) -> None:
+    parser = parser_of(described)
+    assert_are(described, feed(parser, stream(described, range(5)), cuts), range(5))
+    # The half frame before the first footer counts as one lost.
+    assert parser.counts.bad == bool(described.footer)
+
+
+@every_stream
+@pytest.mark.parametrize("kept", [0.02, 0.4, 0.97])
+def test_a_frame_cut_off_costs_itself_and_is_counted(described: PadFormat, kept: float) -> None:
+    parser = parser_of(described)
+    whole = sent(described, 2)
+    broken = whole[: max(1, round(kept * len(whole)))]
+    # A printed line that lost its end is one with the next.
+    if described.framing != "binary":
+        broken += encode_frame(described, felt(0), None)[-1 - len(described.end) :]
+        broken = broken if described.framing == "line" else broken + b"\n" + described.end.encode() + b"\n"
+    data = stream(described, [0, 1]) + broken + b"".join(sent(described, n) for n in (3, 4, 5))
+    came = {frame.pressure.tobytes() for frame in feed(parser, data, range(0, len(data), 97))}
+    assert {laid(described, number) for number in (0, 1, 4, 5)} <= came
+    # A frame that lost the end of its footer is whole itself.
+    assert laid(described, 2) not in came or (described.footer and kept > 0.9)
+    assert parser.counts.bad >= 1
+
+
+@every_stream
+def test_garbage_is_counted_and_costs_no_intact_frame(described: PadFormat) -> None:
+    parser = parser_of(described)
+    rng = random.Random(1)
+    garbage = bytes(rng.choice(b"\x00\x07uxyz") for _ in range(3 * longest(described)))
+    marks = b"\n" if described.framing == "line" else b"\n" + described.end.encode() + b"\n"
+    after = marks if described.framing != "binary" else bytes.fromhex(described.footer)
+    data = stream(described, [0, 1]) + garbage + after + b"".join(sent(described, n) for n in (2, 3, 4))
+    assert_are(described, feed(parser, data, range(0, len(data), 211)), range(5))
+    assert parser.counts.bad >= 1
+    assert parser.counts.bytes_dropped >= len(garbage) - 9
+
+
+@every_stream
+@given(
+    pieces=st.lists(st.one_of(st.binary(max_size=300), st.integers(0, 9)), max_size=10),
+    cuts=st.lists(st.integers(0, 9999), max_size=9),
+)
+@FEW
+def test_whatever_comes_the_cuts_change_nothing(
+    described: PadFormat, pieces: list[bytes | int], cuts: list[int]
+) -> None:
+    data = b"".join(sent(described, one) if isinstance(one, int) else one for one in pieces)
+    whole, cut = parser_of(described), parser_of(described)
+    at_once = [(frame.sensor_ms, frame.pressure.tobytes()) for frame in whole.feed(data, 1.0)]
+    assert [(frame.sensor_ms, frame.pressure.tobytes()) for frame in feed(cut, data, cuts)] == at_once
+    assert cut.counts == whole.counts
+
+
+@every_stream
+def test_an_endless_line_of_anything_is_not_kept(described: PadFormat) -> None:
+    for flood in (b"\xff" * 5000, b"1," * 2500, b"\n" * 5000, described.first_bytes * 1500 or b" " * 5000):
+        parser = parser_of(described)
+        for _ in range(20):
+            parser.feed(flood, 1.0)
+            assert parser.pending_bytes <= 2 * longest(described)
+
+
+@every_format
+def test_values_above_full_scale_are_refused(described: PadFormat) -> None:
+    upright = msgspec.structs.replace(described, invert=False)
+    parser = parser_of(msgspec.structs.replace(upright, full_scale=described.full_scale // 2))
+    frame = encode_frame(upright, np.full((8, 8), 1023, np.uint16), 5)
+    if described.poll:
+        parser.ask(0.0)
+    marks = b"" if described.framing == "binary" else encode_frame(described, felt(0), None)
+    assert parser.feed(marks + bytes.fromhex(described.footer) + frame * 2, 1.0) == []
+    assert parser.counts.bad >= 1
+
+
+@pytest.mark.parametrize("name", ["itas", "fsr-array"])
+def test_a_pad_that_only_answers_gives_a_frame_a_question(name: str) -> None:
+    described = PRESETS[name]
+    parser = parser_of(described)
+    assert parser.poll == b"A"
+    frames: list[Frame] = []
+    for number in range(6):
+        parser.ask(number / 54)
+        reply = encode_frame(described, felt(number), None)
+        if number == 2:
+            reply = reply[:-1]
+        if number == 4:
+            reply += b"x"
+        frames += [f for at in range(0, len(reply), 7) for f in parser.feed(reply[at : at + 7], number / 54)]
+    assert_are(described, frames, [0, 1, 3, 4, 5])
+    assert parser.counts.bad == 2
+    assert parser.ask_in_s(5 / 54) == pytest.approx(1 / 54)
+    parser.ask(1.0)
+    assert parser.ask_in_s(1.05) == float("inf")
+    assert parser.ask_in_s(1.3) == 0.0
+
+
+def test_a_pad_without_a_clock_gets_an_even_one() -> None:
+    parser = parser_of(PRESETS["m1616"])
+    rng = np.random.default_rng(0)
+    stamps = []
+    for number in range(600):
+        # A pad at 57 Hz whose frames are held back by up to 16 ms.
+        arrival_s = 10 + number / 57 + rng.uniform(0, 0.016)
+        stamps += [f.sensor_ms for f in parser.feed(sent(PRESETS["m1616"], number % 9), arrival_s)]
+    steps = np.diff(stamps[200:])
+    assert steps.mean() == pytest.approx(1000 / 57, abs=0.1)
+    assert steps.std() < 2.0
+    assert abs(stamps[-1] - 1000 * (10 + 599 / 57)) < 20
+
+
+def test_a_finer_grid_is_pooled_and_a_coarser_one_interpolated() -> None:
+    fine = Layout(PadFormat(header="aa", rows=16, columns=32))
+    grid = np.random.default_rng(0).integers(0, 1024, (16, 32)).astype(np.uint16)
+    pooled = grid.reshape(8, 2, 8, 4).mean(axis=(1, 3))
+    assert np.abs(fine.pressure(grid.ravel()) - pooled).max() <= 0.5
+    ramp = np.repeat(np.arange(4, dtype=np.uint16)[:, None] * 100, 4, axis=1)
+    coarse = Layout(PadFormat(header="aa", rows=4, columns=4)).pressure(ramp.ravel())
+    assert coarse[:, 0].tolist() == [0, 25, 75, 125, 175, 225, 275, 300]
+
+
+def test_a_pad_is_turned_then_mirrored() -> None:
+    grid = np.arange(64, dtype=np.uint16).reshape(8, 8)
+    for turn in (0, 90, 180, 270):
+        described = PadFormat(header="aa", rows=8, columns=8, turn=turn, mirror=True)  # type: ignore[arg-type]
+        laid = Layout(described).pressure(grid.ravel())
+        np.testing.assert_array_equal(laid, np.rot90(grid, -turn // 90)[:, ::-1])
+        np.testing.assert_array_equal(Layout(described).values(laid), grid)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"header": "xyz"}, "header 'xyz' is not bytes in hex"),
+        ({"rows": 10, "crop": 4, "header": "aa"}, "10x10 with crop 4 leaves 2x2"),
+        ({}, "needs a header, a footer or a poll"),
+        ({"header": "aa", "cell": "u8"}, "full_scale 1023 does not fit into a cell of u8"),
+    ],
+)
+def test_a_description_that_contradicts_itself_is_refused(fields: dict[str, object], message: str) -> None:
+    with pytest.raises(FormatError, match=message):
+        PadFormat(**fields)  # type: ignore[arg-type]
+
+
+def moving(described: PadFormat, count: int = 40) -> bytes:
+    """A pad at rest with a little noise, on which a hand lies now and then."""
+    rng = np.random.default_rng(3)
+    frames = []
+    for number in range(count):
+        values = rng.integers(0, max(2, described.full_scale // 80), (described.rows, described.columns))
+        if number % 4 == 0:
+            values[1:3, 1:3] += rng.integers(
+                described.full_scale // 3, described.full_scale * 9 // 10, (2, 2)
+            )
+        if described.invert:
+            values = described.full_scale - values
+        frames.append(encode_values(described, values.astype(np.uint16), 7000 + 18 * number))
+    return b"".join(frames)[len(frames[0]) // 3 :]
+
+
+@every_stream
+def test_an_unknown_pad_is_described_from_its_bytes(described: PadFormat) -> None:
+    proposed = propose(moving(described))
+    assert proposed is not None
+    data = moving(described)
+    wanted, got = parser_of(described), parser_of(proposed)
+    theirs, ours = wanted.feed(data, 0.0), got.feed(data, 0.0)
+    assert len(ours) >= len(theirs) - 1
+    assert (proposed.rows, proposed.columns) == (described.rows, described.columns)
+    assert "\n" not in as_yaml(proposed)
+
+
+@pytest.mark.parametrize(
+    "data", [np.random.default_rng(0).bytes(6000), b"\xff" * 4000, b"\x00" * 4000, b"hello\n" * 99, b""]
+)
+def test_noise_is_no_pad(data: bytes) -> None:
+    assert propose(data) is None
+
+
+def test_counts_of_a_new_parser_are_zero() -> None:
+    assert all(parser_of(described).counts == ProtocolCounts() for described in FORMATS.values())
