@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs import terminal as terminal_rig
+from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
 
@@ -15,7 +16,6 @@ from daemon.commands.teach import with_model
 from daemon.config import SensorSettings, Settings, load
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
-from drivers.pad.protocol import encode_fabric_grid
 from drivers.recording import Stream, ideal_clock_ms
 from model.classifier import Classifier
 
