@@ -257,7 +257,18 @@ SYNTAX_HINTS = {
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """A key given twice is an error, where YAML would let the last one win in silence."""
+    """A key given twice is an error, where YAML would let the last one win in silence; so is an alias.
+
+    A few hundred bytes of aliases can stand for gigabytes.
+    """
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.constructor.ConstructorError(
+                problem="aliases (*name) are not taken; write the value out",
+                problem_mark=self.peek_event().start_mark,  # type: ignore[no-untyped-call]
+            )
+        return super().compose_node(parent, index)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
@@ -334,6 +345,9 @@ def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
 
 
 def _unknown_key(keys: Keys, wrong: str, struct: type[msgspec.Struct]) -> str:
+    if wrong == "token":
+        # A hint at a similar setting would have the token written there, and shown.
+        return "robot.token is not a setting: put the token into a file of its own and name it in token_file"
     known = _section(struct, keys).__struct_fields__
     near = difflib.get_close_matches(wrong, known, n=1, cutoff=0.5)
     advice = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"

@@ -69,6 +69,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
     revise_margin: an answer the robot has heard is replaced only by one more probable than it by this much.
+    stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
     """
 
     gestures: tuple[str, ...] = ()
@@ -77,6 +78,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     sure: Sure = "quick"
     speak_above: Probability = 0.65
     revise_margin: Probability = 0.1
+    stale_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 2.0
 
     def __post_init__(self) -> None:
         early, revised, final = self.answer_at_frames
@@ -119,24 +121,26 @@ class Decision:
         self._stands: str | None = None
         self.told: str | None = None
 
-    def answer(self, stage: Stage, probabilities: NDArray[np.float64]) -> Answer:
+    def answer(self, stage: Stage, probabilities: NDArray[np.float64], *, may_tell: bool = True) -> Answer:
         """Return the answer to (labels,) calibrated probabilities at a stage.
 
         At "released", when nothing was told and nothing can be, the answer's stage is "uncertain" instead. At
-        "uncertain", for a touch that ended with nothing told, it is always that.
+        "uncertain", for a touch that ended with nothing told, it is always that. may_tell: False where it
+        comes too late to be told. An "ongoing" answer is reported, and stands, only when it is told.
         """
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
         if self.told is None:
-            stands, tell = best, best != NO_TOUCH and self._may_tell(stage, scene[best])
+            stands, tell = best, best != NO_TOUCH and may_tell and self._may_tell(stage, scene[best])
         else:
             beaten = best != NO_TOUCH and scene[best] - scene[self.told] >= self._settings.revise_margin
-            tell = beaten and best != self.told and self._may_tell(stage, scene[best])
+            tell = beaten and best != self.told and may_tell and self._may_tell(stage, scene[best])
             stands = best if tell else self.told
         if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
-            return self._uncertain(scene, best)
+            return self._uncertain(scene, best, may_tell)
         changed = stands != self._stands
-        self._stands = stands
+        if stage != "ongoing" or tell:
+            self._stands = stands
         self.told = stands if tell else self.told
         return Answer(stage, stands, scene[stands], scene, changed, tell)
 
@@ -154,9 +158,9 @@ class Decision:
     def _may_tell(self, stage: Stage, confidence: float) -> bool:
         return stage == "final" or confidence >= self._settings.speak_above
 
-    def _uncertain(self, scene: dict[str, float], best: str) -> Answer:
+    def _uncertain(self, scene: dict[str, float], best: str, may_tell: bool) -> Answer:
         """The robot hears that there was a touch without a name, unless the model sees no touch at all."""
-        return Answer("uncertain", UNCERTAIN, scene[best], scene, True, best != NO_TOUCH)
+        return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell and best != NO_TOUCH)
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""

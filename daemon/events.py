@@ -45,6 +45,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     changed: the answer differs from the touch's previous one. told: the robot is told now.
     degraded: frames of this touch were lost and bridged.
     latency_ms: from the arrival of the frame that made this answer due to its hand-over.
+    age_ms: from when the hand was so, by the pad's clock, to the hand-over; 0 in older journals.
     """
 
     touch: int
@@ -61,6 +62,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     model: str
     time: str
     pad: str = DEFAULT_PAD
+    age_ms: float = 0.0
 
 
 class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="live_prediction"):
@@ -95,9 +97,12 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
-    """The pad came or went. reason: one line for people, empty when there is nothing to add."""
+    """The pad came, went, or delivers frames on which no touch can be felt ("degraded").
 
-    state: Literal["up", "down"]
+    reason: one line for people, empty when there is nothing to add.
+    """
+
+    state: Literal["up", "down", "degraded"]
     time: str
     reason: str = ""
     pad: str = DEFAULT_PAD

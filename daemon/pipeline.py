@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -24,11 +26,14 @@ from daemon.events import (
     one_line,
     timestamp,
 )
+from daemon.pad_clock import Age, Feeling
 from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
 from model.classifier import State
+
+log = logging.getLogger(__name__)
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # Two inferences a second while a long touch goes on: a change is seen within half a second, at little cost.
@@ -107,11 +112,15 @@ class Pipeline:
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
         self._final_frames = settings.decision.answer_at_frames[-1]
+        # At the end of a touch its last frames lie behind by the quiet in which the end was known.
+        self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
         self._tracker: TouchTracker = TouchTracker(settings.touch, before._tracker if before else None)
         self._ring: Ring = Ring(settings.ring, _history_frames(settings), before._ring if before else None)
         self._touches: int = before._touches if before else 0
         self._touch: Touch | None = None
+        self._age: Age = before._age if before else Age()
+        self._feeling = Feeling(settings.ring.max_gap_s)
 
     @property
     def has_touch(self) -> bool:
@@ -120,20 +129,29 @@ class Pipeline:
 
     def on_frame(self, frame: Frame) -> None:
         """Take the sensor's next frame."""
-        for grid_frame in self._ring.push(frame):
+        laid = self._ring.push(frame)
+        for grid_frame in laid:
+            self._age.update(grid_frame)
             self._advance(grid_frame)
+        why = self._feeling.update(frame, any(grid_frame.restarted for grid_frame in laid))
+        if why is not None:
+            log.warning("%s", why or "touches can be felt again")
+            self._tell_sensor("degraded" if why else "up", why)
 
     def on_sensor_state(self, state: SensorState) -> None:
         """Take note that the sensor came or went; its going ends the touch, and rest is learned anew."""
         if state.state == "down":
             self._stop("sensor")
-        self._emit(
-            SensorEvent(state=state.state, time=self._now(), reason=one_line(state.reason), pad=self._pad)
-        )
+            self._age.forget()
+            self._feeling.forget()
+        self._tell_sensor(state.state, state.reason)
 
     def flush(self) -> None:
         """End the touch that goes on, if any: no frame will come any more."""
         self._stop("stopped")
+
+    def _tell_sensor(self, state: Literal["up", "down", "degraded"], reason: str) -> None:
+        self._emit(SensorEvent(state=state, time=self._now(), reason=one_line(reason), pad=self._pad))
 
     def _advance(self, frame: GridFrame) -> None:
         match self._tracker.update(frame):
@@ -225,11 +243,15 @@ class Pipeline:
         probabilities = touch.heard.get(length)
         if probabilities is None:
             probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
-        answer = touch.decision.answer(stage, probabilities)
+        last = touch.first_index + length - 1
+        age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
+        answer = touch.decision.answer(stage, probabilities, may_tell=age_s <= self._stale_s)
         if stage != "ongoing" or answer.told:
-            self._report(touch, answer, frames, length, since_s)
+            self._report(touch, answer, frames, length, since_s, age_s)
 
-    def _report(self, touch: Touch, answer: Answer, frames: int, length: int, since_s: float) -> None:
+    def _report(
+        self, touch: Touch, answer: Answer, frames: int, length: int, since_s: float, age_s: float
+    ) -> None:
         self._emit(
             Prediction(
                 touch=touch.number,
@@ -246,6 +268,7 @@ class Pipeline:
                 model=self._model.name,
                 time=self._now(),
                 pad=self._pad,
+                age_ms=round(age_s * 1000.0, 1),
             )
         )
 

@@ -14,7 +14,7 @@ import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import IO, Literal, cast
 
@@ -37,6 +37,9 @@ LONGEST_LINE = 4096
 DAMAGED = (OSError, EOFError, UnicodeDecodeError, zlib.error)
 Framing = Literal["published", "live"]
 Keys = tuple[str, str, str, str]
+
+
+MOST_RECORDINGS = 10_000
 
 
 class RecordingError(TouchdError):
@@ -110,9 +113,12 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
     """
     try:
         with _open_text(path, "r") as file:
-            return list(_parse(path, file, select))
+            recordings = list(islice(_parse(path, file, select), MOST_RECORDINGS + 1))
     except (*DAMAGED, csv.Error) as error:
         raise RecordingError(f"{path}: cannot be read as a recording ({error})") from error
+    if len(recordings) > MOST_RECORDINGS:
+        raise RecordingError(f"{path}: more than {MOST_RECORDINGS} recordings; split the file")
+    return recordings
 
 
 def read_provenance(path: Path) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
 MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
+TRIAL_S = 10.0
+TRIAL_FRAMES = 54
 
 # Every event of an answer carries them all, and is bounded by these.
 Label: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,24}$")]
@@ -161,6 +164,8 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
+        if path.is_fifo() or path.is_char_device():
+            raise ModelError(f"{path}: is no file; check `model` in the configuration")
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
         content = path.read_bytes()
@@ -196,6 +201,31 @@ def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.Inferen
         raise ModelError(
             f"{path}: its inputs are {inputs}, not any number of {ROWS}x{COLUMNS} taxels' counts"
         )
-    classes = session.get_outputs()[0].shape[-1]
-    if classes != len(metadata.labels):
-        raise ModelError(f"{path}: {classes} outputs for {len(metadata.labels)} labels; export it again")
+    _try_out(path, metadata, session)
+
+
+def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
+    """Ask about a pad at rest; raises ModelError unless probabilities come, within TRIAL_S."""
+    options = onnxruntime.RunOptions()
+    # A loop in the graph may have no end.
+    limit = threading.Timer(TRIAL_S, setattr, (options, "terminate", True))
+    limit.daemon = True
+    limit.start()
+    try:
+        rest = np.zeros((1, min(TRIAL_FRAMES, metadata.max_length), ROWS, COLUMNS), np.float32)
+        (answer,) = session.run(["probabilities"], {"counts": rest}, options)
+    except Exception as error:  # ONNX Runtime raises its own undocumented types
+        why = str(error).splitlines()[0] if limit.is_alive() else f"no answer within {TRIAL_S:g} s"
+        raise ModelError(f"{path}: gives no answer for a pad at rest ({why}); export it again") from error
+    finally:
+        limit.cancel()
+    answer = np.asarray(answer)
+    if answer.shape != (1, len(metadata.labels)):
+        found = (
+            answer.shape[1]
+            if answer.ndim == 2 and len(answer) == 1
+            else f"answers of shape {answer.shape}, not"
+        )
+        raise ModelError(f"{path}: {found} outputs for {len(metadata.labels)} labels; export it again")
+    if not (answer.min() >= -1e-6 and abs(float(answer.sum()) - 1.0) <= 1e-3):
+        raise ModelError(f"{path}: its answers are no probabilities; export it again")

@@ -28,6 +28,7 @@ from drivers.recording import (
 DEMO_RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 # Long enough for a touch to end and the pad's rest to be found again, short enough to wait for.
 QUIET_FRAMES = round(4.0 * FRAME_RATE_HZ)
+MOST_HOURS = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,6 +73,11 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
     if not wanted:
         names = ", ".join(str(path) for path in arguments.files)
         raise RecordingError(f"{names}: no recording matches; see which there are with fewer options")
+    hours = sum(len(part.counts) + 2 * QUIET_FRAMES for part in wanted) / FRAME_RATE_HZ / 3600
+    if hours > MOST_HOURS:
+        raise RecordingError(
+            f"{hours:.0f} hours of recordings and quiet, {MOST_HOURS} at most; choose among them"
+        )
     return with_quiet(wanted, [recording for recording in found if recording.gesture == NO_TOUCH])
 
 

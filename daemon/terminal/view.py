@@ -181,7 +181,7 @@ class View:
                 case RobotAction(action="behavior"):
                     self._said_by_robot = event.what
         if isinstance(event, SensorEvent | RobotEvent):
-            self.note(describe(event, self._words), event.state == "down")
+            self.note(describe(event, self._words), event.state != "up")
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Leave the terminal as it was; never waits."""

@@ -77,6 +77,7 @@ class Ring:
         self._grid_ms = 0.0
         self._phase_ms = 0.0
         self._in_step = IN_STEP_FRAMES
+        self._late: Frame | None = None
         if before is not None:
             vars(self).update(vars(before), _history=deque(before._history, maxlen=capacity))
         self._max_gap_ms = settings.max_gap_s * 1000.0
@@ -92,7 +93,15 @@ class Ring:
         if self._sensor_ms is None:
             return [self._restart(frame, pressure)]
         elapsed_ms = (frame.sensor_ms - self._sensor_ms) % CLOCK_WRAP_MS
-        if elapsed_ms == 0 or elapsed_ms > CLOCK_WRAP_MS - LATE_MS:
+        if elapsed_ms > CLOCK_WRAP_MS - LATE_MS:
+            late, self._late = self._late, frame
+            if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_WRAP_MS <= self._max_gap_ms:
+                return []
+            # Two that follow each other are no late frames: the clock itself ran back.
+            self._sensor_ms = None
+            return [*self.push(late), *self.push(frame)]
+        self._late = None
+        if elapsed_ms == 0:
             return []
         if elapsed_ms > self._max_gap_ms:
             return [self._restart(frame, pressure)]

@@ -10,7 +10,6 @@ from drivers.frame import DEFAULT_PAD
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage, detail
 from drivers.robot.session import RobotRefused, RobotSession
-from drivers.robot.worker import State
 
 
 class EventDuty:
@@ -25,9 +24,9 @@ class EventDuty:
         self._prefix = prefix
         self._limits = limits
         self._remove_at_s: dict[str, float] = {}
-        self._told_status: dict[str, State] = {}
+        self._told_status: dict[str, str] = {}
         # Written by whoever knows the pads, read here; replacing a value is atomic.
-        self.status: dict[str, State] = dict.fromkeys(pads, "up")
+        self.status: dict[str, str] = dict.fromkeys(pads, "up")
 
     def begin(self, session: RobotSession) -> None:
         """Tell the robot the status of every pad."""
@@ -62,7 +61,7 @@ class EventDuty:
     def _name(self, pad: str, event: str) -> str:
         return f"{self._prefix}/{event}" if pad == DEFAULT_PAD else f"{self._prefix}/{pad}/{event}"
 
-    def _tell_status(self, session: RobotSession, pad: str, status: State) -> None:
+    def _tell_status(self, session: RobotSession, pad: str, status: str) -> None:
         self._raise(session, self._name(pad, "Status"), status)
         self._told_status[pad] = status
 

@@ -58,7 +58,7 @@ class RobotLink:
         if open_session is None:
             load_qi()
             open_session = QiSession
-        limits = limits or RobotLimits()
+        limits = limits or RobotLimits(call_s=settings.call_s)
         opener = partial(_open, open_session, settings.url, login, limits)
         self._url = settings.url
         self._on_state = on_state
@@ -109,8 +109,8 @@ class RobotLink:
         if reaction is not None and self._actions is not None:
             self._actions.put(reaction)
 
-    def set_status(self, status: State, pad: str = DEFAULT_PAD) -> None:
-        """Tell the robot whether touches can be felt on a pad: "down" while it is away. Never waits."""
+    def set_status(self, status: str, pad: str = DEFAULT_PAD) -> None:
+        """Tell the robot whether a pad can be felt: "up", "degraded" or, while away, "down". Never waits."""
         self._event_duty.status[pad] = status
         self._events.wake()
 

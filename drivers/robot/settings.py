@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import ipaddress
+import logging
 import os
 import re
+import stat
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
 
 from drivers.robot.session import Login, RobotError
+
+log = logging.getLogger(__name__)
 
 MAX_TOKEN_BYTES = 4096
 
@@ -20,6 +26,9 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     no certificate. prefix: of the ALMemory events raised.
     user, and token_file or token_env (a file, or an environment variable, that holds the token): for NAOqi
     2.9, which asks.
+    trust_network: libqi takes any certificate for the robot's, so whoever can step in between gets the token;
+    it is sent beyond this computer only where this says that nobody can.
+    call_s: how long the robot may take for a call before it counts as gone.
     """
 
     url: str
@@ -27,6 +36,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     user: str | None = None
     token_file: str | None = None
     token_env: str | None = None
+    trust_network: bool = False
+    call_s: Annotated[float, msgspec.Meta(ge=0.1, le=10)] = 1.0
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
@@ -43,7 +54,9 @@ def read_login(settings: RobotSettings) -> Login | None:
     The token comes from a file or an environment variable, and is in no text made of the result.
     """
     if not re.fullmatch(r"tcps?://[^\s/@:]+:\d+", settings.url):
-        raise RobotError(f"robot url {settings.url!r} is not an address such as tcp://nao.local:9559")
+        # A password in it is nobody's business.
+        shown = re.sub(r"//.*@", "//***@", settings.url)
+        raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
     if settings.user is None:
         if settings.token_file or settings.token_env:
             raise RobotError("robot has a token but no user; set user (nao on most robots)")
@@ -52,15 +65,37 @@ def read_login(settings: RobotSettings) -> Login | None:
         raise RobotError(
             f"robot {settings.url} would get the token unencrypted; use tcps://, or leave user out"
         )
-    return Login(settings.user, _read_token(settings))
+    login = Login(settings.user, _read_token(settings))
+    host = settings.url.partition("//")[2].rpartition(":")[0]
+    if not _is_here(host) and not settings.trust_network:
+        raise RobotError(
+            f"robot {settings.url}: its certificate cannot be checked, so whoever is between could read the "
+            "token; set robot.trust_network: true if nobody can be, or leave user out"
+        )
+    if not _is_here(host):
+        log.warning(
+            "robot %s: the token is sent to whoever answers there (robot.trust_network)", settings.url
+        )
+    return login
+
+
+def _is_here(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
 
 
 def _read_token(settings: RobotSettings) -> str:
     if settings.token_file is not None:
-        where = settings.token_file
+        # What is no path may be the token itself.
+        where = settings.token_file if "/" in settings.token_file else "(not shown, since it is no full path)"
         try:
-            with Path(where).expanduser().open("rb") as file:
-                content = file.read(MAX_TOKEN_BYTES + 1)
+            # A pipe that nobody writes to must not hold the daemon up.
+            fd = os.open(Path(settings.token_file).expanduser(), os.O_RDONLY | os.O_NONBLOCK)
+            with open(fd, "rb", buffering=0) as file:
+                content = file.read(MAX_TOKEN_BYTES + 1) or b""
+                mode = os.fstat(fd).st_mode
             token = content.decode().strip()
         except (OSError, UnicodeDecodeError) as error:
             why = error.strerror if isinstance(error, OSError) else "not text"
@@ -69,6 +104,8 @@ def _read_token(settings: RobotSettings) -> str:
             raise RobotError(
                 f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token"
             )
+        if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
+            log.warning("robot token_file %s can be read or changed by others: chmod 600 it", where)
     elif settings.token_env is not None:
         where = settings.token_env
         token = os.environ.get(where, "").strip()

@@ -130,5 +130,4 @@ def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
     for one, two in zip("abcdefgh", "bcdefghi", strict=True):
         levels.append(f"&{two} [{', '.join([f'*{one}'] * 9)}]")
     message = refusal(tmp_path, f"model: [{', '.join(levels)}]")
-    assert message.startswith("model must be text or null, not [[")
-    assert len(message) < 1000
+    assert message == "line 1: aliases (*name) are not taken; write the value out"

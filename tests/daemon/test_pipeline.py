@@ -95,6 +95,7 @@ def test_a_prediction_says_everything_a_listener_needs() -> None:
         latency_ms=2.0,
         model="scripted",
         time="2026-11-20T10:00:00.000Z",
+        age_ms=2.0,
     )
 
 

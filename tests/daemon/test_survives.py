@@ -8,22 +8,35 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
+import numpy as np
 import pytest
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.felt_touch import felt
 from rigs.live_rig import Served, frames_among, serving
+from rigs.made_pad import MadePad, Scans, nothing, palm
+from rigs.scripted_model import Scripted
 
-from daemon.config import JournalSettings, SensorSettings, Settings
-from daemon.destinations import encoder_for, open_journal
-from daemon.events import TouchBegan, TouchEnded, decode, encode
+from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings, load
+from daemon.decide import Decision, DecisionSettings
+from daemon.destinations import encoder_for, link_to_robot, open_journal
+from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode, encode
 from daemon.kept.journal import Journal, JournalError
 from daemon.kept.touch_store import TouchStore, kept_touches
 from daemon.kept.touches import read_journal, read_since
+from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.playback.rig import SpawnedDaemon
 from daemon.sinks import JournalSink, LinesSink, LogSink
+from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort
+from drivers.frame import Frame
+from drivers.pad.grid import Ring, RingSettings
+from drivers.recording import Recording, RecordingError, read_recordings, write_recordings
+from drivers.robot.session import RobotError
+from drivers.robot.settings import RobotSettings, read_login
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 HANDSHAKE = (
@@ -199,3 +212,150 @@ def test_a_clock_that_was_ahead_does_not_cost_new_touches(tmp_path: Path) -> Non
     for number in (4, 5):
         TouchStore(tmp_path, 3, "").add(felt(number))
     assert [kept.number for kept in kept_touches(tmp_path)] == [3, 4, 5]
+
+
+class Line:
+    """A made pad on a line that can hold frames up, before a pipeline; clocks in seconds."""
+
+    def __init__(self, step_ms: float = 1000 / 54, clock_factor: float = 1.0) -> None:
+        self.events: list[Event] = []
+        self.now_s, self.sensor_ms, self.sent = 1000.0, 5000.0, 0
+        self._step_ms, self._clock_factor = step_ms, clock_factor
+        self._pad = MadePad()
+        clock = Clock(monotonic_s=lambda: self.now_s, epoch_s=lambda: 1795168800.0 + self.now_s)
+        self._pipeline = Pipeline(PipelineSettings(), Scripted(), self.events.append, clock)
+
+    def feel(self, *pressures: Scans, held_up: bool = False) -> list[Event]:
+        before = len(self.events)
+        for counts in self._pad.counts(np.concatenate(pressures)):
+            self.sent += 1
+            self.sensor_ms += self._step_ms * self._clock_factor
+            self.now_s += 0.0 if held_up else self._step_ms / 1000
+            self._pipeline.on_frame(Frame(self.sent, round(self.sensor_ms) % 2**32, self.now_s, counts))
+        return self.events[before:]
+
+    def predictions(self) -> list[Prediction]:
+        return [event for event in self.events if isinstance(event, Prediction)]
+
+
+def test_old_touches_are_not_told_as_fresh_and_say_their_age() -> None:
+    line = Line()
+    line.feel(nothing(1.5), palm(1.2), nothing(1.5))
+    fresh = line.predictions()
+    assert fresh[0].told
+    assert fresh[0].age_ms < 50
+    # The line stands still for as long as the touch and 9 s of rest take, and then all of it comes at once.
+    line.now_s += 10.5
+    line.feel(palm(1.2), nothing(9.3), held_up=True)
+    old = line.predictions()[len(fresh) :]
+    assert old
+    assert not any(answer.told for answer in old)
+    assert all(8000 < answer.age_ms < 11000 for answer in old)
+    line.feel(nothing(0.5), palm(1.2))
+    assert line.predictions()[-1].told
+    assert line.predictions()[-1].age_ms < 500
+
+
+def test_a_pad_played_at_half_its_pace_is_not_taken_for_late() -> None:
+    line = Line(step_ms=2000 / 54, clock_factor=0.5)
+    line.feel(nothing(1.5), *[palm(1.2), nothing(1.5)] * 5)
+    assert all(answer.age_ms < 1000 for answer in line.predictions())
+    assert any(answer.told for answer in line.predictions())
+
+
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [(Line(step_ms=200), "5.0 frames a second come"), (Line(clock_factor=10), "it must count milliseconds")],
+    ids=["5 Hz", "100 us for ms"],
+)
+def test_a_pad_that_cannot_be_felt_is_degraded_and_says_why(line: Line, why: str) -> None:
+    line.feel(nothing(6.0))
+    (event,) = line.events
+    assert isinstance(event, SensorEvent)
+    assert event.state == "degraded"
+    assert why in event.reason
+    line._step_ms, line._clock_factor = 1000 / 54, 1.0
+    line.feel(nothing(1.5))
+    assert isinstance(line.events[-1], SensorEvent)
+    assert line.events[-1].state == "up"
+
+
+def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
+    ring = Ring(RingSettings(), capacity=1000)
+    counts = np.zeros((8, 8), np.uint16)
+    laid = 0
+    for number in range(216):
+        ms = round(number * 1000 / 54) - (900 if number >= 100 else 0) + 5000
+        laid += len(ring.push(Frame(number, ms, 0.0, counts)))
+    assert laid == 216
+
+
+def test_an_answer_told_after_an_unreported_one_has_changed() -> None:
+    labels = ("notouch", "rub")
+    decision = Decision(DecisionSettings(), labels)
+    answers = [
+        decision.answer(stage, np.array([1.0 - rub, rub]))
+        for stage, rub in (("final", 0.1), ("ongoing", 0.6), ("ongoing", 0.9))
+    ]
+    assert [(answer.gesture, answer.told) for answer in answers] == [
+        ("notouch", False),
+        ("rub", False),
+        ("rub", True),
+    ]
+    assert answers[-1].changed
+
+
+def test_a_token_goes_to_no_robot_that_cannot_be_checked(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    token = tmp_path / "token"
+    token.write_text("s3cret")
+    token.chmod(0o644)
+    there = RobotSettings(url="tcps://nao.local:9503", user="nao", token_file=str(token))
+    with pytest.raises(RobotError, match="trust_network") as refused:
+        read_login(there)
+    trusted = msgspec.structs.replace(there, trust_network=True)
+    assert read_login(trusted) == read_login(msgspec.structs.replace(there, url="tcps://127.0.0.1:9503"))
+    assert "chmod 600" in caplog.text
+    assert "s3cret" not in caplog.text + str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "robot: {url: 'tcp://nao:9559', token: s3cret}",
+        "robot: {url: 'tcp://nao:s3cret@nao.local:9559'}",
+        "robot: {url: 'tcps://nao:9503', user: nao, token_file: s3cret}",
+    ],
+)
+def test_no_message_shows_a_token_or_a_password(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(text)
+    with pytest.raises(TouchdError) as said:
+        link_to_robot(load(path), lambda _: None)
+    assert "s3cret" not in str(said.value)
+
+
+def test_a_token_file_that_is_a_pipe_holds_nothing_up(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "token")
+    with pytest.raises(RobotError, match="empty"):
+        read_login(RobotSettings(url="tcps://127.0.0.1:1", user="nao", token_file=str(tmp_path / "token")))
+
+
+def test_merged_aliases_cost_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    lines = ["a0: &a0 {k: v}"] + [
+        f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}" for n in range(1, 9)
+    ]
+    path.write_text("\n".join(lines))
+    with pytest.raises(ConfigError, match="aliases"):
+        load(path)
+
+
+def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.csv.gz"
+    one = Recording("p", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
+    parts = [replace(one, participant=f"p{number % 2}") for number in range(10_002)]
+    write_recordings(path, parts, {})
+    with pytest.raises(RecordingError, match="more than 10000 recordings"):
+        read_recordings(path)

@@ -203,6 +203,40 @@ class TestOtherModels:
         assert not without.states
         assert chunked(without, hand(54), (20, 1, 7)) <= 1e-6
 
+    def broken(self, path: Path, values: list[float], shape: list[int], endless: bool = False) -> str:
+        """Why a model that answers these values, or never, is refused."""
+        self.tiny_graph(path, "counts", ["batch", "frames", 8, 8], 7)
+        proto, helper, kind = self.onnx.load(path), self.onnx.helper, self.onnx.TensorProto
+        proto.graph.initializer[0].CopyFrom(helper.make_tensor("even", kind.FLOAT, shape, values))
+        proto.graph.output[0].CopyFrom(helper.make_tensor_value_info("probabilities", kind.FLOAT, shape))
+        if endless:
+            info = helper.make_tensor_value_info
+            steps = [("go", "still"), ("held", "kept")]
+            body = helper.make_graph(
+                [helper.make_node("Identity", [before], [after]) for before, after in steps],
+                "body",
+                [info("turn", kind.INT64, []), info("go", kind.BOOL, []), info("held", kind.FLOAT, shape)],
+                [info("still", kind.BOOL, []), info("kept", kind.FLOAT, shape)],
+            )
+            proto.graph.initializer.append(helper.make_tensor("yes", kind.BOOL, [], [True]))
+            loop = helper.make_node("Loop", ["", "yes", "even"], ["probabilities"], body=body)
+            proto.graph.node[0].CopyFrom(loop)
+        self.onnx.save(proto, path)
+        return refusal(path)
+
+    def test_answers_that_are_no_probabilities_are_refused(self, tmp_path: Path) -> None:
+        nan = [float("nan")] * 7
+        assert "no probabilities" in self.broken(tmp_path / "nan.onnx", nan, [1, 7])
+        assert "no probabilities" in self.broken(tmp_path / "large.onnx", [1.0] * 7, [1, 7])
+        assert "shape ()" in self.broken(tmp_path / "scalar.onnx", [1.0], [])
+        assert "shape (7,)" in self.broken(tmp_path / "rank.onnx", [1 / 7] * 7, [7])
+
+    def test_a_graph_without_an_end_is_refused_in_time(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("model.classifier.TRIAL_S", 0.5)
+        assert "no answer within 0.5 s" in self.broken(tmp_path / "m.onnx", [1 / 7] * 7, [1, 7], endless=True)
+
     def test_without_metadata_it_is_no_touchd_model(self, tmp_path: Path) -> None:
         path = self.tiny_graph(tmp_path / "m.onnx", "counts", ["batch", "frames", 8, 8], 7)
         proto = self.onnx.load(path)

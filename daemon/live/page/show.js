@@ -156,6 +156,7 @@ export function showVitals(store, link, age) {
 
 function padState(sensor) {
   if (!sensor) return ["–", "none"];
+  if (sensor.state === "degraded") return ["not felt", "bad"];
   return sensor.state === "up" ? ["up", "good"] : ["away", "bad"];
 }
 
@@ -178,6 +179,7 @@ export function troubleOf(store, link, age, staleAfter) {
   if (link !== "live") {
     return link ? `touchd sends nothing: ${link}. Trying again.` : "No connection to touchd. Trying again.";
   }
+  if (store.sensor?.state === "degraded") return store.sensor.reason;
   if (store.sensor?.state === "down") return `The pad is away: ${store.sensor.reason || "no reason given"}`;
   if (age !== null && age > staleAfter) return "The pad sends no frames.";
   if (store.scene.robot_configured && store.robot?.state === "down") {

@@ -1,0 +1,99 @@
+"""What a pad's own clock tells besides the grid: how old its frames are, and whether they can be felt."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from daemon.touch import LEARN_FRAMES
+from drivers.frame import FRAME_RATE_HZ, Frame
+from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame
+
+# A frame that comes later than the one before by more than this, by the pad's clock, was held up on its way.
+HELD_UP_S = 0.1
+# So a delay that stays, and is no delay then, is forgiven in time.
+FORGIVEN_SHARE = 0.02
+# No touch is felt before so many frames without a gap, half a second, and none at all in this time without.
+DEAF_S = 3.0
+
+
+class Age:
+    """How old frames are: how much later they come than the pad's clock and the host's, so far, agreed on.
+
+    A pad that is played slowly, or whose clock is a little off, drifts without a jump, and is followed.
+    """
+
+    def __init__(self) -> None:
+        self._offset_s: float | None = None
+        self._lag_s = 0.0
+        self._host_s = 0.0
+
+    def update(self, frame: GridFrame) -> None:
+        """Take the next frame of the grid."""
+        lag_s = frame.host_s - frame.sensor_ms / 1000.0
+        later_s, passed_s = lag_s - self._lag_s, max(0.0, frame.host_s - self._host_s)
+        self._lag_s, self._host_s = lag_s, frame.host_s
+        if self._offset_s is None or lag_s < self._offset_s:
+            self._offset_s = lag_s
+            return
+        if 0.0 < later_s <= HELD_UP_S:
+            self._offset_s += later_s
+        self._offset_s = min(lag_s, self._offset_s + FORGIVEN_SHARE * min(passed_s, HELD_UP_S))
+
+    def forget(self) -> None:
+        """What comes is another pad's, or of one whose clock has started anew."""
+        self._offset_s = None
+
+    def of(self, frame: GridFrame, now_s: float) -> float:
+        """Return how long ago the pad was so, in seconds, at a time of the host's."""
+        if self._offset_s is None:
+            return 0.0
+        return max(0.0, now_s - self._offset_s - frame.sensor_ms / 1000.0)
+
+
+class Feeling:
+    """Whether frames come close enough together, by the pad's clock, for touches to be felt."""
+
+    def __init__(self, max_gap_s: float) -> None:
+        self._max_gap_s = max_gap_s
+        self._frames: deque[Frame] = deque(maxlen=LEARN_FRAMES)
+        self._without_gap = 0
+        self._since_s: float | None = None
+        self._is_degraded = False
+
+    def update(self, frame: Frame, restarted: bool) -> str | None:
+        """Take a frame, and whether it goes on from the last; return what changed, None for nothing.
+
+        That is why no touch can be felt from now on, or "" when touches can be felt again.
+        """
+        self._frames.append(frame)
+        self._without_gap = 0 if restarted else self._without_gap + 1
+        if self._since_s is None:
+            self._since_s = frame.host_s
+        if self._without_gap >= LEARN_FRAMES:
+            self._since_s = frame.host_s
+            if self._is_degraded:
+                self._is_degraded = False
+                return ""
+        elif not self._is_degraded and frame.host_s - self._since_s >= DEAF_S and restarted:
+            self._is_degraded = True
+            return self._why()
+        return None
+
+    def forget(self) -> None:
+        """The pad went away."""
+        self.__init__(self._max_gap_s)  # type: ignore[misc]
+
+    def _why(self) -> str:
+        first, last = self._frames[0], self._frames[-1]
+        steps = len(self._frames) - 1
+        step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_WRAP_MS) / steps
+        rate_hz = steps / (last.host_s - first.host_s)
+        if rate_hz > 1.0 / self._max_gap_s:
+            return (
+                f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "
+                f"{step_ms:.0f} ms apart; it must count milliseconds"
+            )
+        return (
+            f"no touch can be felt: {rate_hz:.1f} frames a second come, and more than "
+            f"{1.0 / self._max_gap_s:.0f} are needed, best {FRAME_RATE_HZ:.0f}"
+        )
