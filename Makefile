@@ -139,7 +139,7 @@ deb:
 	minor=$$(/usr/bin/python3 -c 'import sys; print(sys.version_info.minor)'); \
 	sed -i "s/@VERSION@/$$version/; s/@ARCHITECTURE@/$$arch/; s/@PYTHON@/3.$$minor/; s/@NEXT@/3.$$((minor + 1))/" \
 	  $(PACKAGE)/DEBIAN/control; \
-	dpkg-deb --root-owner-group -Zgzip --build $(PACKAGE) dist/touchd_$${version}_$$arch.deb
+	dpkg-deb --root-owner-group -Zgzip -z1 --build $(PACKAGE) dist/touchd_$${version}_$$arch.deb
 	@rm -rf $(PACKAGE)
 
 # The lock holds hashes for every platform and for Python 3.10 to 3.13; the constraints hold versions alone, so
