@@ -19,8 +19,8 @@ from drivers.frame import Frame
 from drivers.robot.link import RobotSettings
 
 # The page goes grey when frames stop.
-STILL_EVERY_S = 0.1
-SETTLES_S = 1.5
+STILL_EVERY_S = 1 / 54
+SETTLES_S = 5.0
 
 
 def main() -> None:
