@@ -122,12 +122,15 @@ class Dialogue:
                     elapsed_s / countdown_s,
                     frame.pressure,
                 )
+            # Heard where the terminal can, by who looks at the hand and not at the screen.
+            self._console.bell()
             for elapsed_s, frame in self._pad.follow(length_s):
                 is_touched = contact.update(frame)
                 show(f"{take.gesture} now", elapsed_s / length_s, frame.pressure)
                 if EDGE_S <= elapsed_s < length_s - EDGE_S:
                     frames.append(frame)
                     touched += is_touched
+        self._console.bell()
         return Capture(tuple(frames), touched / len(frames))
 
     @contextmanager
