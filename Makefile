@@ -111,8 +111,9 @@ install-program:
 # What is in /etc/touchd already is the user's: an upgrade only renews the example beside it.
 install-files:
 	@install -d $(ETC)/touchd $(UNITS) $(DESTDIR)$(BINDIR)
-	@sed 's#/opt/touchd#$(PROGRAM)#g' systemd/touchd.service > $(UNITS)/touchd.service
-	@chmod 644 $(UNITS)/touchd.service
+	@for unit in touchd touchd@; do \
+	  sed 's#/opt/touchd#$(PROGRAM)#g' systemd/$$unit.service > $(UNITS)/$$unit.service; \
+	  chmod 644 $(UNITS)/$$unit.service; done
 	@install -D -m 644 systemd/99-touchd.rules $(DESTDIR)$(SYSTEM)/udev/rules.d/99-touchd.rules
 	@install -D -m 644 systemd/touchd.sysusers.conf $(DESTDIR)$(SYSTEM)/sysusers.d/touchd.conf
 	@install -D -m 644 systemd/touchd.tmpfiles.conf $(DESTDIR)$(SYSTEM)/tmpfiles.d/touchd.conf
@@ -155,7 +156,7 @@ ifeq ($(DESTDIR),)
 	@if test -d /run/systemd/system && test -e $(UNITS)/touchd.service; then \
 	  systemctl --quiet disable --now touchd; fi
 endif
-	@rm -f $(UNITS)/touchd.service $(addprefix $(DESTDIR)$(SYSTEM)/,udev/rules.d/99-touchd.rules \
+	@rm -f $(UNITS)/touchd.service $(UNITS)/touchd@.service $(addprefix $(DESTDIR)$(SYSTEM)/,udev/rules.d/99-touchd.rules \
 	  sysusers.d/touchd.conf tmpfiles.d/touchd.conf) $(ETC)/touchd/touchd.example.yaml
 	@if test "$$(readlink $(COMMAND))" = $(PROGRAM)/bin/touchd; then rm $(COMMAND); fi
 	@if test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then rm -rf $(DESTDIR)$(PROGRAM); fi

@@ -207,7 +207,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     @property
     def pipeline(self) -> PipelineSettings:
         """What the pipeline needs of this."""
-        return PipelineSettings(ring=self.ring, touch=self.touch, decision=self.scene)
+        return PipelineSettings(
+            ring=self.ring, touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm
+        )
 
 
 def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:

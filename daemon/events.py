@@ -7,6 +7,7 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
+from daemon.feel import Feel
 from drivers.frame import DEFAULT_PAD
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
@@ -46,6 +47,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     degraded: frames of this touch were lost and bridged.
     latency_ms: from the arrival of the frame that made this answer due to its hand-over.
     age_ms: from when the hand was so, by the pad's clock, to the hand-over; 0 in older journals.
+    feel: what the touch was like so far.
     """
 
     touch: int
@@ -63,6 +65,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     time: str
     pad: str = DEFAULT_PAD
     age_ms: float = 0.0
+    feel: Feel | None = None
 
 
 class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="live_prediction"):
@@ -84,7 +87,8 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     frames: from first to last contact, on the 54 Hz grid.
     reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "gap" (more
     frames lost than can be bridged, or the sensor restarted); "sensor" (gone); "stopped" (the stream ended).
-    sensor_ms: the sensor's clock at the last contact; None in journals of before it was said.
+    sensor_ms: the sensor's clock at the last contact. feel: what the touch was like. Both are None in older
+    journals.
     """
 
     touch: int
@@ -94,6 +98,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     time: str
     sensor_ms: int | None = None
     pad: str = DEFAULT_PAD
+    feel: Feel | None = None
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):

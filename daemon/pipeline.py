@@ -27,6 +27,7 @@ from daemon.events import (
     timestamp,
 )
 from daemon.pad_clock import Age, Feeling
+from daemon.feel import FeelMeter
 from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
@@ -49,11 +50,12 @@ STRIDE_FRAMES = 3
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything between a frame and an event."""
+    """Everything between a frame and an event. size_mm: of the 8x8 taxels, height and width."""
 
     ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
     decision: DecisionSettings = DecisionSettings()
+    size_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,7 @@ class Touch:
     decision: Decision
     due: list[tuple[int, Stage]]
     degraded: bool
+    meter: FeelMeter
     heard: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     state: State | None = None
     given: int = 0
@@ -118,6 +121,7 @@ class Pipeline:
         self._tracker: TouchTracker = TouchTracker(settings.touch, before._tracker if before else None)
         self._ring: Ring = Ring(settings.ring, _history_frames(settings), before._ring if before else None)
         self._touches: int = before._touches if before else 0
+        self._size_mm = settings.size_mm
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
         self._feeling = Feeling(settings.ring.max_gap_s)
@@ -161,6 +165,7 @@ class Pipeline:
                 self._end(release, frame.host_s)
         if self._touch is not None:
             self._touch.degraded |= frame.bridged
+            self._touch.meter.add(frame.pressure)
             self._follow(self._touch, frame)
             self._ask_what_is_due(self._touch, frame)
 
@@ -180,7 +185,11 @@ class Pipeline:
             decision=Decision(self._decision_settings, self._model.labels),
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
+            meter=FeelMeter(self._tracker.rest.counts, self._tracker.rest.floor, self._size_mm),
         )
+        # The newest frame is taken like those that follow.
+        for earlier in so_far[:-1]:
+            self._touch.meter.add(earlier.pressure)
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
@@ -234,6 +243,7 @@ class Pipeline:
                 time=self._now(),
                 sensor_ms=_as_sent(last),
                 pad=self._pad,
+                feel=touch.meter.feel(),
             )
         )
 
@@ -269,6 +279,7 @@ class Pipeline:
                 time=self._now(),
                 pad=self._pad,
                 age_ms=round(age_s * 1000.0, 1),
+                feel=touch.meter.feel(),
             )
         )
 

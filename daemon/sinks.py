@@ -12,6 +12,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Generic, TypeVar
 
+import msgspec
+
 from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, encode, epoch_s
 from daemon.kept.journal import Journal
 from drivers.queue import DroppingQueue
@@ -261,6 +263,7 @@ class RobotSink:
                 touch=event.touch,
                 sequence=next(self._numbers) if event.told else 0,
                 pad=event.pad,
+                feel=msgspec.structs.asdict(event.feel) if event.feel else {},
             )
             if event.told:
                 self._link.publish(message)

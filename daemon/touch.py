@@ -131,6 +131,11 @@ class TouchTracker:
         self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)
 
     @property
+    def rest(self) -> Rest:
+        """What is known of the pad at rest; it stays the same during a touch."""
+        return self._rest
+
+    @property
     def last_contact_index(self) -> int:
         """The last grid frame with contact of the touch that goes on; the median shows its end late."""
         if self._last_index == self._index or self._first_index is None:

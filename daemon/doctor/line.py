@@ -12,7 +12,7 @@ from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
 from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.diagnosis import diagnose
+from drivers.pad.diagnosis import as_yaml, diagnose, propose
 from drivers.pad.pace import pace_of, steps_ms
 from drivers.pad.port import Line
 from drivers.pad.sensor import SensorError
@@ -81,7 +81,11 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
     kind, looks = diagnose(heard.recent, sensor.described)
     if kind == "noise" and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{expected}, but at {baud} baud", f"set sensor.baud: {baud}")
-    return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
+    advice = ADVICE_FOR_BYTES[kind]
+    proposed = propose(heard.recent) if kind == "format" else None
+    if proposed is not None:
+        advice = f"set under sensor: {as_yaml(proposed)}"
+    return Check("protocol", "to do", looks, advice)
 
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:

@@ -26,6 +26,9 @@ import msgspec
 # Told apart by name, not by the daemon's own type: drivers import nothing above them.
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 UNCERTAIN = "uncertain"
+Measure: TypeAlias = Literal[
+    "duration_s", "peak", "mean", "area", "row", "column", "path", "down", "right", "rhythm_hz"
+]
 
 COLORS = {
     "white": 0xFFFFFF,
@@ -104,6 +107,7 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     Either way an answer sets a rule off once in a touch: [final, released] acts once on what each settles on.
     changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
     with changed: true if any fits, and only otherwise those without.
+    above, below: only for a touch of which a measure, as peak, is at least, or below, so much: docs/pads.md.
     refractory_s: how long the rule rests after it was set off, in seconds.
     """
 
@@ -111,6 +115,8 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     gestures: tuple[Name, ...] = ()
     stages: tuple[Stage, ...] = ()
     changed: bool = False
+    above: dict[Measure, float] = {}
+    below: dict[Measure, float] = {}
     refractory_s: Seconds = 0.0
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from drivers.frame import DEFAULT_PAD
 
@@ -14,7 +15,7 @@ class RobotMessage:
     gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
     stage: early, revised, final, released, ongoing or uncertain.
     touch: number of the touch on its pad since the daemon started. sequence: number of the message.
-    pad: where it was.
+    pad: where it was. feel: what the touch was like so far, by the names in `daemon.feel`.
     """
 
     gesture: str
@@ -24,6 +25,7 @@ class RobotMessage:
     touch: int
     sequence: int
     pad: str = DEFAULT_PAD
+    feel: Mapping[str, float | None] = field(default_factory=dict)
 
 
 def detail(message: RobotMessage) -> list[object]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -130,4 +131,8 @@ class ReactionDuty:
 
 def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:
     named = message.gesture in rule.gestures if rule.gestures else message.gesture != UNCERTAIN
-    return named and (message.stage in rule.stages if rule.stages else news)
+    # A measure that this touch does not have is neither high nor low.
+    felt = {measure: value for measure, value in message.feel.items() if value is not None}
+    is_like = all(felt.get(measure, -math.inf) >= least for measure, least in rule.above.items())
+    is_like &= all(felt.get(measure, math.inf) < most for measure, most in rule.below.items())
+    return named and is_like and (message.stage in rule.stages if rule.stages else news)

@@ -37,9 +37,9 @@ def nothing(counts: Counts, sensor_ms: int) -> bytes:
         (
             as_8x8,
             "looks like fabric-grid 8x8, configured fabric-grid 10x10",
-            "sensor.format",
+            "format: {",
         ),
-        (encode_csv_line, "looks like csv 10x10", "sensor.format"),
+        (encode_csv_line, "looks like csv 10x10", "format: csv"),
         (nothing, "no data", "reset button"),
     ],
 )

@@ -62,6 +62,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "model": "tgc",
             "time": TIME,
             "pad": "pad",
+            "feel": None,
         },
     ),
     (
@@ -75,6 +76,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "time": TIME,
             "sensor_ms": 84937,
             "pad": "pad",
+            "feel": None,
         },
     ),
     (

@@ -22,6 +22,7 @@ PACKAGES = [path for floor in ("daemon", "drivers", "model") for path in (ROOT /
 CONFIGURATION = "etc/touchd/touchd.yaml"
 INSTALLED = {
     "etc/systemd/system/touchd.service",
+    "etc/systemd/system/touchd@.service",
     "etc/sysusers.d/touchd.conf",
     "etc/tmpfiles.d/touchd.conf",
     "etc/touchd/touchd.example.yaml",

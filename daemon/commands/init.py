@@ -1,0 +1,109 @@
+"""`touchd init`: finds the pad, asks for the robot, tries both, and writes a configuration that runs."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from serial.tools.list_ports import comports
+
+from daemon.config import DEFAULT_PORT, ConfigError, load
+from daemon.doctor.line import USUAL_BAUDS
+from daemon.doctor.machine import check_robot
+from drivers.pad.diagnosis import as_yaml, propose
+from drivers.pad.format import PRESETS, PadFormat
+from drivers.pad.port import SensorError, open_port, read_waiting
+from drivers.pad.protocol import parser_of
+
+# Opening the port restarts an Arduino, whose boot loader takes two seconds.
+FIRST_BYTE_S = 3.0
+LISTEN_S = 1.0
+ENOUGH_BYTES = 8192
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
+    parser = argparse.ArgumentParser(
+        prog="touchd init",
+        description="Looks for a pad on this computer's ports, tries the robot, and writes a configuration.",
+    )
+    parser.add_argument("file", nargs="?", type=Path, default=Path("touchd.yaml"), help="(%(default)s)")
+    parser.add_argument("--port", help="the pad's port or address, instead of looking for it")
+    parser.add_argument("--baud", type=int, help="instead of trying the usual ones")
+    parser.add_argument("--robot", metavar="URL", help="as in tcp://nao.local:9559, or none")
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write the file and say what next; returns 0 when pad and robot answered, else 1."""
+    options = parser().parse_args(arguments)
+    if options.file.exists():
+        raise ConfigError(f"{options.file} is there already; give another name, or move it away")
+    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    ports = [options.port] if options.port else _ports()
+    bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
+    port, baud, described = next(
+        (
+            (port, baud, found)
+            for port in ports
+            for baud in (bauds if "://" not in port else bauds[:1])
+            if (found := _listen(console, port, baud)) is not None
+        ),
+        (options.port or DEFAULT_PORT, bauds[0], None),
+    )
+    robot = _ask_robot() if options.robot is None else options.robot
+    robot = None if robot in ("", "none") else robot
+    text = f"sensor:\n  port: {port}\n  baud: {baud}\n  {as_yaml(described or PRESETS['fabric-grid'])}\n"
+    text += f"robot: {f'{{url: {robot}}}' if robot else 'null'}\njournal: {{}}\n"
+    try:
+        options.file.write_text(text)
+    except OSError as error:
+        raise ConfigError(
+            f"{options.file}: cannot be written ({error.strerror}); give another path"
+        ) from error
+    settings = load(options.file)
+    console.print(
+        f"pad: {described}, at {port}" if described else "pad: none found; plug it in and run touchd doctor"
+    )
+    is_well = described is not None
+    if robot:
+        check = check_robot(settings)
+        console.print(f"robot: {check.found} {check.advice}", markup=False)
+        is_well &= check.verdict == "ok"
+    console.print(
+        f"wrote {options.file}; next: touchd doctor -c {options.file}, then touchd run -c {options.file}"
+    )
+    return 0 if is_well else 1
+
+
+def _ports() -> list[str]:
+    found = sorted(port.device for port in comports())
+    return [DEFAULT_PORT, *found] if Path(DEFAULT_PORT).exists() else found
+
+
+def _listen(console: Console, port: str, baud: int) -> PadFormat | None:
+    """Return what a pad on this port sends, None when nothing there is a pad's."""
+    console.print(f"listening at {port}, {baud} baud ...")
+    data = b""
+    silent = parser_of(PRESETS["fabric-grid"])
+    until_s = time.monotonic() + FIRST_BYTE_S
+    try:
+        with open_port(port, baud) as opened:
+            while time.monotonic() < until_s and len(data) < ENOUGH_BYTES:
+                came = read_waiting(opened, silent)
+                until_s = time.monotonic() + LISTEN_S if came and not data else until_s
+                data += came
+    except SensorError as error:
+        console.print(str(error), style="yellow", markup=False)
+        return None
+    return propose(data)
+
+
+def _ask_robot() -> str:
+    if not sys.stdin.isatty():
+        return ""
+    return input("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ").strip()

@@ -1,0 +1,139 @@
+"""What a touch was like, from its frames alone: how long, how hard, how wide, where to, how fast it beat."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+
+# A taxel is touched above twice its noise, and above this many counts on a quiet pad.
+TOUCHED_COUNTS = 4.0
+# The centroid follows by this share a frame, so that noise walks no path: 4 frames.
+CENTROID_SHARE = 0.25
+# A beat rises from below the one to above the other share of the strongest load.
+FALLEN_SHARE, RISEN_SHARE = 0.15, 0.4
+MOST_LOADS = round(60 * FRAME_RATE_HZ)
+
+PLACES = np.indices((ROWS, COLUMNS), np.float32).reshape(2, -1)
+
+
+class Feel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """Counts are above rest; places are of the centroid of pressure, taxels counted from 0 at the top left.
+
+    duration_s: from first to last contact. peak: of any taxel. mean: of the touched taxels.
+    area: taxels touched at once, on average. row, column: where, on average.
+    path: how far the centroid went while there was contact, in taxels. down, right: from where it began to
+    where it ended, in taxels. direction_deg: that as an angle, 0 to the right, 90 up; None within a taxel.
+    rhythm_hz: beats a second; 0 below two.
+    path_mm, stroke_mm: the path, and the way from begin to end, on a pad whose size is given.
+    """
+
+    duration_s: float
+    peak: float
+    mean: float
+    area: float
+    row: float
+    column: float
+    path: float
+    down: float
+    right: float
+    rhythm_hz: float
+    direction_deg: float | None = None
+    path_mm: float | None = None
+    stroke_mm: float | None = None
+
+
+class FeelMeter:
+    """Follows one touch frame by frame, in bounded memory.
+
+    rest, noise: (64,) counts. size_mm: height and width of the 8x8 taxels.
+    """
+
+    def __init__(
+        self, rest: NDArray[np.float32], noise: NDArray[np.float32], size_mm: tuple[float, float] | None
+    ) -> None:
+        self._rest = rest.copy()
+        self._threshold = np.maximum(2 * noise, TOUCHED_COUNTS)
+        self._pitch_mm = None if size_mm is None else np.array(size_mm) / (ROWS, COLUMNS)
+        self._frames = self._last = self._touched_frames = 0
+        self._peak = self._touched = self._pressed = self._path = self._path_mm = 0.0
+        self._place_sum = np.zeros(2)
+        self._start: NDArray[np.float64] | None = None
+        self._end: NDArray[np.float64] | None = None
+        self._place: NDArray[np.float64] | None = None
+        self._loads: list[float] = []
+
+    def add(self, pressure: NDArray[np.float32]) -> None:
+        """Take the touch's next frame on the 54 Hz grid, (8, 8) counts."""
+        rise = pressure.reshape(-1) - self._rest
+        rise[rise < self._threshold] = 0
+        load = float(rise.sum())
+        if len(self._loads) < MOST_LOADS:
+            self._loads.append(load)
+        self._frames += 1
+        if load == 0:
+            return
+        touched = np.count_nonzero(rise)
+        if self._last != self._frames - 1:
+            # The hand was lifted: how far it went in the air is no path.
+            self._place = None
+        self._last = self._frames
+        self._touched_frames += 1
+        self._peak = max(self._peak, float(rise.max()))
+        self._touched += int(touched)
+        self._pressed += load
+        self._move(PLACES @ rise / load)
+
+    def feel(self) -> Feel:
+        """Return what the touch was like so far."""
+        count = max(self._touched_frames, 1)
+        row, column = self._place_sum / count
+        way = np.zeros(2) if self._start is None or self._end is None else self._end - self._start
+        down, right = way
+        far = math.hypot(down, right) >= 1
+        return Feel(
+            duration_s=round(self._last / FRAME_RATE_HZ, 3),
+            peak=round(self._peak, 1),
+            mean=round(self._pressed / max(self._touched, 1), 1),
+            area=round(self._touched / count, 1),
+            row=round(float(row), 2),
+            column=round(float(column), 2),
+            path=round(self._path, 2),
+            down=round(float(down), 2),
+            right=round(float(right), 2),
+            direction_deg=round(math.degrees(math.atan2(-down, right))) if far else None,
+            rhythm_hz=round(self._rhythm_hz(), 2),
+            path_mm=None if self._pitch_mm is None else round(self._path_mm, 1),
+            stroke_mm=None if self._pitch_mm is None else round(math.hypot(*(self._pitch_mm * way)), 1),
+        )
+
+    def _move(self, centroid: NDArray[np.float64]) -> None:
+        self._place_sum += centroid
+        if self._place is None:
+            self._place = centroid
+        step = CENTROID_SHARE * (centroid - self._place)
+        self._place = self._place + step
+        self._path += math.hypot(*step)
+        if self._pitch_mm is not None:
+            self._path_mm += math.hypot(*(step * self._pitch_mm))
+        self._start = self._place if self._start is None else self._start
+        self._end = self._place
+
+    def _rhythm_hz(self) -> float:
+        """Return the pace of the beats from the first to the last."""
+        top = max(self._loads, default=0.0)
+        beats: list[int] = []
+        is_fallen = True
+        for at, load in enumerate(self._loads):
+            if is_fallen and load > RISEN_SHARE * top:
+                beats.append(at)
+                is_fallen = False
+            elif load < FALLEN_SHARE * top:
+                is_fallen = True
+        if len(beats) < 2:
+            return 0.0
+        return FRAME_RATE_HZ * (len(beats) - 1) / (beats[-1] - beats[0])
