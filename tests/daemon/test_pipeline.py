@@ -69,6 +69,8 @@ def test_a_touch_is_answered_early_revised_and_final() -> None:
     ]
     assert told(events) == [("early", "stroke")]
     assert events[0] == TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=2000)
+    assert isinstance(events[-1], TouchEnded)
+    assert events[-1].feel is not None
     assert events[-1] == TouchEnded(
         touch=1,
         gesture="stroke",
@@ -76,6 +78,7 @@ def test_a_touch_is_answered_early_revised_and_final() -> None:
         reason="released",
         time="2026-11-20T10:00:00.000Z",
         sensor_ms=5481,
+        feel=events[-1].feel,
     )
 
 
@@ -95,7 +98,11 @@ def test_a_prediction_says_everything_a_listener_needs() -> None:
         latency_ms=2.0,
         model="scripted",
         time="2026-11-20T10:00:00.000Z",
+<<<<<<< HEAD
         age_ms=2.0,
+=======
+        feel=early.feel,
+>>>>>>> 0b05872 (Expect what a touch was like among an event's fields)
     )
 
 
