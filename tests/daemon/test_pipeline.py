@@ -98,11 +98,8 @@ def test_a_prediction_says_everything_a_listener_needs() -> None:
         latency_ms=2.0,
         model="scripted",
         time="2026-11-20T10:00:00.000Z",
-<<<<<<< HEAD
         age_ms=2.0,
-=======
         feel=early.feel,
->>>>>>> 0b05872 (Expect what a touch was like among an event's fields)
     )
 
 
