@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import msgspec
 
 from drivers.errors import TouchdError
 
 LENGTHS = (54, 81, 144)
 """The window lengths, in frames, at which touches are answered: 1, 1.5 and 2.67 s."""
+
+Study = Literal["haart", "second"]
 
 
 class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,6 +53,19 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     offset_counts: float = 12.0
     noise_counts: float = 1.5
     dead_row: float = 0.1
+    gain_field: float = 0.0
+    """Standard deviation of the log of a factor that varies smoothly over the pad, as where it is worn."""
+    warp: float = 0.0
+    """Standard deviation, in taxels, of a smooth displacement, as of a pad that is bent around a body."""
+    rest: float = 0.0
+    """The rest is another: a smooth field and single taxels, up to `rest_counts` up or down."""
+    rest_counts: float = 8.0
+    sway: float = 0.0
+    """The body below breathes or leans: a smooth field that comes and goes at 0.2 to 1 Hz, and drifts."""
+    sway_counts: float = 4.0
+    hum: float = 0.0
+    """A motor or the mains: all taxels together, at 4 to 27 Hz as sampled."""
+    hum_counts: float = 2.0
     mix: float = 0.0
     """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""
 
@@ -58,6 +75,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     name: str = "touchd"
     seed: int = 0
+    studies: tuple[Study, ...] = ("haart",)
+    """Whose recordings it learns from: HAART's training participants, the second study's people."""
     left_out: tuple[str, ...] = ()
     epochs: int = 60
     crops_per_recording: int = 3
@@ -69,6 +88,12 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     label_smoothing: float = 0.05
     average_decay: float = 0.995
     """Of the exponential moving average of the weights, which is the network that is kept."""
+    balance_people: bool = False
+    """Whether every person is drawn equally often, however many recordings there are."""
+    bfloat16: bool = False
+    """Whether the layers compute in bfloat16 while training."""
+    begins_from: str = ""
+    """A checkpoint whose network the training begins from; from random weights without it."""
     teachers: tuple[str, ...] = ()
     """Checkpoints whose averaged answers the network learns too (distillation, Hinton et al. 2015)."""
     teacher_weight: float = 0.7

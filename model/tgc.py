@@ -215,7 +215,8 @@ class TGC(nn.Module):
 
     def at_lengths(self, counts: Tensor, lengths: tuple[int, ...]) -> Tensor:
         """Return (B, len(lengths), classes) logits, each over the first `length` frames, in one pass."""
-        features = self.features(counts)
+        # Sums over a touch need float32, also where the layers train in bfloat16.
+        features = self.features(counts).to(counts.dtype)
         last = torch.tensor(lengths, device=counts.device) - 1
         total = features.cumsum(dim=1)[:, last]
         squares = (features * features).cumsum(dim=1)[:, last]

@@ -1,4 +1,4 @@
-"""The folder of HAART recordings, as several commands are told of it."""
+"""The folders of the two studies' recordings, as several commands take them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 
 HAART_VARIABLE = "TOUCHD_HAART"
+SECOND_STUDY_VARIABLE = "TOUCHD_SECOND_STUDY"
 
 
 def default_haart() -> Path:
@@ -22,4 +23,15 @@ def add_haart_argument(parser: argparse.ArgumentParser) -> None:
         default=default_haart(),
         metavar="FOLDER",
         help=f"folder of the HAART recordings (${HAART_VARIABLE}, else haart); `touchd data` fetches them",
+    )
+
+
+def add_second_study_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --second-study FOLDER, by default the environment's TOUCHD_SECOND_STUDY, else ./second-study."""
+    parser.add_argument(
+        "--second-study",
+        type=Path,
+        default=Path(os.environ.get(SECOND_STUDY_VARIABLE, "second-study")),
+        metavar="FOLDER",
+        help=f"folder of the second study's robot-pad.csv (${SECOND_STUDY_VARIABLE}, else second-study)",
     )

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.commands.haart_folder import add_haart_argument, default_haart
+from daemon.commands.haart_folder import add_haart_argument, add_second_study_argument, default_haart
 
 
 def parser() -> argparse.ArgumentParser:
@@ -19,6 +19,7 @@ def parser() -> argparse.ArgumentParser:
         "how well it does before and after.",
     )
     add_haart_argument(parser)
+    add_second_study_argument(parser)
     parser.set_defaults(haart=None)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
     parser.add_argument("--recipe", type=Path, help="YAML file; the recipe of the shipped model without it")
@@ -49,8 +50,10 @@ def main(arguments: Sequence[str]) -> int:
 def _train(options: argparse.Namespace, haart: Path) -> int:
     from model.training.recipe import SHIPPED_RECIPE, read_recipe
     from model.training.ship import train_recipe
+    from model.training.studies import Folders
 
-    train_recipe(read_recipe(options.recipe or SHIPPED_RECIPE), haart, options.runs, options.threads)
+    folders = Folders(haart, options.second_study)
+    train_recipe(read_recipe(options.recipe or SHIPPED_RECIPE), folders, options.runs, options.threads)
     return 0
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -18,31 +19,43 @@ PAPER_ACCURACY = {9: 57.0, 27: 66.6, 54: 70.8, 72: 71.1, 108: 72.3, 144: 72.8, 2
 """Table 3 of Ren, Hou and Belpaeme (HRI 2023), percent; its "1.5 seconds" are 72 frames."""
 
 
+MARK = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+TITLES = {
+    "test": "HAART, test participants",
+    "left_out": "HAART, training participants left out",
+    "second_study": "second study, people left out",
+}
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Write the page from the stored scores; returns 0."""
-    scores, page = map(
-        Path, (*arguments, *("model/weights/scores.json", "docs/accuracy.md")[len(arguments) :])
-    )
-    write_page(read_scores(scores), page)
-    return 0
-
-
-def write_page(scores: Scores, page: Path) -> None:
-    """Write the page, in Markdown, and its pictures beside it in figures/."""
+    """Write the page's tables and figures from the stored scores; returns 0."""
+    weights, page = map(Path, (*arguments, *("model/weights", "docs/accuracy.md")[len(arguments) :]))
+    scores, haart = read_scores(weights / "scores.json"), read_scores(weights / "haart" / "scores.json")
     figures = page.parent / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")
-    page.write_text("\n".join(page_lines(scores)) + "\n", encoding="utf-8")
+    draw_confusion(scores.labels, scores.second_study, figures / "confusion-second-study.png")
+    page.write_text(filled(page.read_text(encoding="utf-8"), scores, haart), encoding="utf-8")
+    return 0
+
+
+def filled(page: str, scores: Scores, haart: Scores) -> str:
+    """Return the page with its marked places filled; haart: of the network that learnt from HAART alone."""
+    tables = {"model": _model_lines(scores, haart), "summary": _summary_table(scores, haart)}
+    tables["seeds"] = _seed_table(scores)
+    for name in TITLES:
+        tables[name] = _evaluation_tables(getattr(scores, name))
+    return MARK.sub(lambda mark: f"{mark[1]}{chr(10).join(tables[mark[2]])}{mark[3]}", page)
 
 
 def draw_accuracy(scores: Scores, path: Path) -> None:
     """Draw accuracy against time since the touch began, ours and the paper's."""
     figure, axes = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
-    for name, evaluation in (("test participants", scores.test), ("training, left out", scores.left_out)):
-        rows = evaluation.realigned
+    for name, title in TITLES.items():
+        rows = getattr(scores, name).realigned
         seconds = [row.frames / 54 for row in rows]
-        axes.plot(seconds, [100 * row.accuracy for row in rows], marker="o", label=f"touchd, {name}")
+        axes.plot(seconds, [100 * row.accuracy for row in rows], marker="o", label=f"touchd, {title}")
     paper = list(PAPER_ACCURACY.values())
     axes.plot([frames / 54 for frames in PAPER_ACCURACY], paper, "k--", marker="s", label="paper, test")
     for length in LENGTHS:
@@ -71,38 +84,36 @@ def draw_confusion(labels: Sequence[str], evaluation: Evaluation, path: Path) ->
     plt.close(figure)
 
 
-def page_lines(scores: Scores) -> Iterable[str]:
-    """Yield the page's lines."""
-    yield "# How accurate the classifier is"
+def _model_lines(scores: Scores, haart: Scores) -> Iterable[str]:
+    yield f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), scored by `{scores.command}`;"
+    yield f"from HAART alone: `{haart.model}` (sha256 {haart.model_sha256[:16]}…), scored by"
+    yield f"`{haart.command}`; on {scores.machine}."
     yield ""
-    yield f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), written by `{scores.command}` on"
-    yield f"{scores.machine}. The figures come from `scores.json` beside the model."
-    yield ""
-    yield "Windows and macro accuracy as in the paper: each recording cut into 432 // L windows of L frames."
-    yield "**Test**: the challenge's participants T1, T2 and T9; nothing was chosen on them."
-    yield "**Left out**: the training participants, each answered by a network that never saw them."
-    yield "The interval is a 95 % bootstrap over participants. One file answers at every length."
-    yield ""
-    yield "![Accuracy against time](figures/accuracy.png)"
-    yield ""
-    yield from _seed_table(scores)
-    for name, evaluation in (
-        ("Test participants", scores.test),
-        ("Training participants, left out", scores.left_out),
+
+
+def _summary_table(scores: Scores, haart: Scores) -> Iterable[str]:
+    lengths = " | ".join(f"{length / 54:.2f} s ({length} frames)" for length in LENGTHS)
+    yield f"| | {lengths} | calibration error |"
+    yield f"|---{'|---' * (len(LENGTHS) + 1)}|"
+    for title, evaluation in (
+        *((f"`{scores.model}`, {title}", getattr(scores, name)) for name, title in TITLES.items()),
+        (f"`{haart.model}`, from HAART alone to the second study", haart.second_study),
     ):
-        yield f"## {name}"
-        yield ""
-        yield from _length_table(evaluation)
-        yield from _class_table(scores.labels, evaluation)
-        yield from _disturbance_table(evaluation)
-    yield "## What is confused (test, realigned)"
+        rows = [_at(evaluation, length) for length in LENGTHS]
+        shares = " | ".join(f"**{_percent(row.accuracy)}**" for row in rows)
+        yield f"| {title} | {shares} | {', '.join(f'{row.calibration_error:.3f}' for row in rows)} |"
     yield ""
-    yield "![Confusion at the three answers](figures/confusion.png)"
+
+
+def _evaluation_tables(evaluation: Evaluation) -> Iterable[str]:
+    yield from _length_table(evaluation)
+    yield from _share_table("gesture", evaluation, lambda row: row.per_class)
+    yield from _share_table("person", evaluation, lambda row: row.per_participant)
+    yield from _share_table("condition", evaluation, lambda row: row.per_condition)
+    yield from _disturbance_table(evaluation)
 
 
 def _seed_table(scores: Scores) -> Iterable[str]:
-    yield "The same recipe from other seeds, on the test participants, realigned; the first ships:"
-    yield ""
     yield f"| seed | {' | '.join(f'{length} frames' for length in LENGTHS)} |"
     yield f"|---{'|---' * len(LENGTHS)}|"
     for seed, accuracies in scores.seeds.items():
@@ -115,27 +126,29 @@ def _seed_table(scores: Scores) -> Iterable[str]:
 def _length_table(evaluation: Evaluation) -> Iterable[str]:
     yield "| frames | seconds | paper (test) | realigned | 95 % interval | published | calibration error |"
     yield "|---|---|---|---|---|---|---|"
-    for live, published in zip(evaluation.realigned, evaluation.published, strict=True):
+    published = {row.frames: _percent(row.accuracy) for row in evaluation.published}
+    for live in evaluation.realigned:
         paper = f"{PAPER_ACCURACY[live.frames]:.1f}" if live.frames in PAPER_ACCURACY else ""
         low, high = live.interval
         yield (
             f"| {live.frames} | {live.frames / 54:.2f} | {paper} | **{_percent(live.accuracy)}** "
-            f"| {_percent(low)} to {_percent(high)} | {_percent(published.accuracy)} "
+            f"| {_percent(low)} to {_percent(high)} | {published.get(live.frames, '')} "
             f"| {live.calibration_error:.3f} |"
         )
     yield ""
 
 
-def _class_table(labels: Sequence[str], evaluation: Evaluation) -> Iterable[str]:
+def _share_table(
+    heading: str, evaluation: Evaluation, shares: Callable[[Score], dict[str, float]]
+) -> Iterable[str]:
     rows = [_at(evaluation, length) for length in LENGTHS]
-    people = sorted(rows[0].per_participant)
-    yield f"| frames | {' | '.join(labels)} | {' | '.join(people)} | scene of {', '.join(SCENE)} |"
-    yield f"|---{'|---' * (len(labels) + len(people) + 1)}|"
-    for row in rows:
-        gestures = " | ".join(_percent(row.per_class[label]) for label in labels)
-        participants = " | ".join(_percent(row.per_participant[name]) for name in people)
-        scene = f"{_percent(row.scene_accuracy)} (unrestricted {_percent(row.scene_unrestricted_accuracy)})"
-        yield f"| {row.frames} | {gestures} | {participants} | {scene} |"
+    yield f"| {heading} | {' | '.join(f'{length} frames' for length in LENGTHS)} |"
+    yield f"|---{'|---' * len(LENGTHS)}|"
+    for name in sorted(shares(rows[0])):
+        yield f"| {name} | {' | '.join(_percent(shares(row)[name]) for row in rows)} |"
+    if heading == "gesture":
+        scene = " | ".join(_percent(row.scene_accuracy) for row in rows)
+        yield f"| scene of {', '.join(SCENE)} | {scene} |"
     yield ""
 
 

@@ -18,6 +18,11 @@ LOST_SHARE = 0.05
 REST_COUNTS = 2.0
 RISE_FRAMES = 4
 DEAD_ROW = 3
+BREATHS_HZ = 0.5
+BREATH_COUNTS = 4.0
+LEFT_COUNTS = 5.0
+BEND = 0.9
+"""Half the angle, in radians, over which a curved pad is bent."""
 
 
 def scaled(factor: float) -> Disturb:
@@ -38,6 +43,42 @@ def offset(by: float) -> Disturb:
         return disturbed
 
     return disturb
+
+
+def half_pressure(counts: Counts32) -> Counts32:
+    """Halve what a hand adds, not the rest of a few counts."""
+    rest = np.minimum(counts, np.float32(REST_COUNTS))
+    disturbed: Counts32 = rest + (counts - rest) / 2
+    return disturbed
+
+
+def rest_shifted(counts: Counts32) -> Counts32:
+    """Leave 5 counts where the touch before, here the window before, pressed more than on half of the pad."""
+    before = np.roll(counts, 1, axis=0).mean(axis=1, keepdims=True)  # (B, 1, 8, 8)
+    pressed = before > np.median(before, axis=(2, 3), keepdims=True)
+    disturbed: Counts32 = np.minimum(counts + np.float32(LEFT_COUNTS) * pressed, np.float32(MAX_COUNT))
+    return disturbed
+
+
+def breathing(counts: Counts32) -> Counts32:
+    """Flex the pad at 0.5 Hz: one end rises by up to 4 counts as the other falls."""
+    seconds = np.arange(counts.shape[1], dtype=np.float32)[:, None, None] / np.float32(FRAME_RATE_HZ)
+    slope = np.linspace(-1.0, 1.0, counts.shape[2], dtype=np.float32)[:, None]
+    breath = np.float32(BREATH_COUNTS) * np.sin(2 * np.pi * BREATHS_HZ * seconds) * slope
+    disturbed: Counts32 = np.clip(counts + breath, 0, MAX_COUNT).astype(np.float32)
+    return disturbed
+
+
+def curved(counts: Counts32) -> Counts32:
+    """Bend the pad around a cylinder: towards its edges a touch is foreshortened and presses less."""
+    columns = counts.shape[3]
+    angles = BEND * np.linspace(-1.0, 1.0, columns)
+    places = (np.sin(angles) / np.sin(BEND) + 1) / 2 * (columns - 1)
+    left = np.clip(places.astype(np.int64), 0, columns - 2)
+    part = (places - left).astype(np.float32)
+    seen = counts[..., left] * (1 - part) + counts[..., left + 1] * part
+    disturbed: Counts32 = (seen * np.cos(angles)).astype(np.float32)
+    return disturbed
 
 
 def quarter_turn(counts: Counts32) -> Counts32:
@@ -117,10 +158,14 @@ DISTURBANCES: Mapping[str, Disturb] = {
     "begun from rest": from_rest,
     "counts x 0.5": scaled(0.5),
     "counts x 2": scaled(2.0),
+    "half the pressure": half_pressure,
     "+ 10 counts": offset(10.0),
     "quarter turn": quarter_turn,
     "mirror": mirrored,
     "shift by one taxel": shifted,
+    "curved pad": curved,
+    "breathing pad": breathing,
+    "rest shifted by 5 counts after each touch": rest_shifted,
     "one dead row": dead_row,
     "5 % of frames lost": lossy,
     "50 Hz pad": pad_rate(50.0),

@@ -1,8 +1,9 @@
-"""The classifier's scores on HAART windows: by length, class, participant, framing and disturbance.
+"""The classifier's scores on windows: by length, class, participant, condition, framing and disturbance.
 
 Windows are the paper's: 432 // L non-overlapping windows a recording, accuracy averaged over classes. "Test"
-is the challenge's test participants, whom nothing was chosen on. "Left out" is the training participants,
-each answered by a network of the same settings that never saw them.
+is the challenge's test participants, whom nothing was chosen on. "Left out" is HAART's training participants,
+each answered by a network of the same recipe that never saw them; "second study" is that study's people, in
+the same way.
 """
 
 from __future__ import annotations
@@ -31,10 +32,13 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     frames: int
     windows: int
     accuracy: float
+    right: float
+    """Share of all windows, not averaged over classes."""
     interval: tuple[float, float]
     """95 % bootstrap interval of the mean over participants."""
     per_class: dict[str, float]
     per_participant: dict[str, float]
+    per_condition: dict[str, float]
     negative_log_likelihood: float
     calibration_error: float
     confusion: list[list[int]]
@@ -50,6 +54,7 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
 
     realigned: list[Score]
     published: list[Score]
+    """In HAART's own framing; empty for recordings that hold whole scans."""
     disturbed: dict[str, float]
     """Accuracy at the longest answer, realigned, after each disturbance; "none" is without."""
 
@@ -66,6 +71,7 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     """Of the recipe's every seed, the shipped one too: accuracy on test by frames, realigned."""
     test: Evaluation
     left_out: Evaluation
+    second_study: Evaluation
 
 
 Split = Sequence[tuple[Classifier, Sequence[Recording]]]
@@ -75,9 +81,10 @@ Split = Sequence[tuple[Classifier, Sequence[Recording]]]
 def evaluate(split: Split) -> Evaluation:
     """Score every length in both framings, and the longest answer under every disturbance."""
     live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
+    published = any(recording.framing == "published" for _, recordings in split for recording in recordings)
     return Evaluation(
         realigned=[score(live, length) for length in REPORTED_LENGTHS],
-        published=[score(split, length) for length in REPORTED_LENGTHS],
+        published=[score(split, length) for length in REPORTED_LENGTHS] if published else [],
         disturbed={
             name: score(live, LENGTHS[-1], disturb).accuracy for name, disturb in DISTURBANCES.items()
         },
@@ -99,7 +106,8 @@ def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
     )
     truth = np.concatenate([w.labels for w in windows])
     participants = np.concatenate([w.participants for w in windows])
-    return _score(labels, length, probabilities, truth, participants)
+    conditions = np.concatenate([w.conditions for w in windows])
+    return _score(labels, length, probabilities, truth, participants, conditions)
 
 
 def answer(
@@ -119,6 +127,7 @@ def _score(
     probabilities: NDArray[np.float64],
     truth: NDArray[np.int64],
     participants: NDArray[np.str_],
+    conditions: NDArray[np.str_],
 ) -> Score:
     classes = len(labels)
     predicted = probabilities.argmax(axis=1).astype(np.int64)
@@ -135,9 +144,11 @@ def _score(
         frames=length,
         windows=len(truth),
         accuracy=accuracy(everyone),
+        right=float((predicted == truth).mean()),
         interval=metrics.participant_interval(accuracy, participants),
         per_class=dict(zip(labels, per_class.tolist(), strict=True)),
         per_participant={str(name): accuracy(participants == name) for name in np.unique(participants)},
+        per_condition={str(name): accuracy(conditions == name) for name in np.unique(conditions)},
         negative_log_likelihood=metrics.negative_log_likelihood(probabilities, truth),
         calibration_error=metrics.expected_calibration_error(probabilities, truth),
         confusion=metrics.confusion(predicted, truth, classes).tolist(),

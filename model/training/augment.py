@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
+from torch.nn import functional
 
-from drivers.frame import COLUMNS, MAX_COUNT, ROWS
+from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 from model.settings import AugmentationSettings
 from model.tgc import KNEE_COUNTS
 
@@ -52,8 +55,14 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
     x = counts / MAX_COUNT
     x = x.clamp_min(1e-6) ** torch.exp(settings.gamma * normal(B, 1, 1, 1))
     x = x * torch.exp(settings.gain * normal(B, 1, 1, 1) + settings.taxel_gain * normal(B, 1, ROWS, COLUMNS))
-    x = x * MAX_COUNT
+    x = x * MAX_COUNT * torch.exp(settings.gain_field * _smooth(B, rng))
     x = _shift(_turn(x, settings.turn, rng), settings.shift, rng)
+    if settings.warp:
+        x = _warp(x, settings.warp, rng)
+    x = x + chosen(settings.rest) * _rest(B, settings.rest_counts, rng)
+    x = x + chosen(settings.sway) * _sway(B, x.shape[1], settings.sway_counts, rng)
+    x = x + chosen(settings.hum) * _hum(B, x.shape[1], settings.hum_counts, rng)
+    x = x.clamp_min(0.0)
     dead = torch.rand(B, 1, ROWS, 1, generator=rng).argsort(dim=2) == 0
     x = x * (1.0 - chosen(settings.dead_row) * dead)
     x = x + chosen(settings.offset) * settings.offset_counts * torch.rand(B, 1, 1, 1, generator=rng)
@@ -91,6 +100,46 @@ def _shift(x: Tensor, probability: float, rng: torch.Generator) -> Tensor:
             moved[step == direction] = x[step == direction].index_select(axis, source)
         x = moved
     return x
+
+
+def _warp(x: Tensor, spread: float, rng: torch.Generator) -> Tensor:
+    """Displace what each taxel of (B, T, 8, 8) sees by a smooth field, repeating the edge."""
+    theta = torch.eye(2, 3).expand(len(x), -1, -1)
+    places = functional.affine_grid(theta, [len(x), 1, ROWS, COLUMNS], align_corners=True)
+    moved = torch.stack([_smooth(len(x), rng), _smooth(len(x), rng)], dim=-1).squeeze(1)  # (B, 8, 8, 2)
+    places = places + spread * moved * 2.0 / (ROWS - 1)
+    warped: Tensor = functional.grid_sample(x, places, padding_mode="border", align_corners=True)
+    return warped
+
+
+def _rest(B: int, counts: float, rng: torch.Generator) -> Tensor:
+    """Return offsets (B, 1, 8, 8) of up to `counts`: a smooth field, and some single taxels."""
+    single = torch.randn(B, 1, ROWS, COLUMNS, generator=rng)
+    single = single * (torch.rand(B, 1, ROWS, COLUMNS, generator=rng) < 0.2)
+    depth = torch.rand(B, 1, 1, 1, generator=rng) * counts
+    offsets: Tensor = (depth * (_smooth(B, rng) + single)).clamp(-counts, counts)
+    return offsets
+
+
+def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
+    """Return (B, T, 8, 8) of slow movement: breathing and a drift of up to 1 count a second."""
+    seconds = (torch.arange(T) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
+    rate, phase, depth, drift = torch.rand(4, B, 1, 1, 1, generator=rng)
+    breath = depth * counts * torch.sin(2.0 * math.pi * ((0.2 + 0.8 * rate) * seconds + phase))
+    return breath * _smooth(B, rng) + (2.0 * drift - 1.0) * seconds * _smooth(B, rng)
+
+
+def _hum(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
+    """Return (B, T, 1, 1) of a tone that all taxels share."""
+    seconds = (torch.arange(T) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
+    rate, phase, depth = torch.rand(3, B, 1, 1, 1, generator=rng)
+    return depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * seconds + phase))
+
+
+def _smooth(B: int, rng: torch.Generator) -> Tensor:
+    """Return random fields (B, 1, 8, 8), about standard normal, that vary smoothly over the pad."""
+    coarse = torch.randn(B, 1, 3, 3, generator=rng)
+    return functional.interpolate(coarse, (ROWS, COLUMNS), mode="bicubic", align_corners=True)
 
 
 def _chance(probability: float, rng: torch.Generator) -> bool:

@@ -33,9 +33,12 @@ class LeftOut:
 
 
 def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> LeftOut:
-    """Ask a network about the participants that its training left out, at every length that is answered."""
+    """Ask a network about the participants that its training left out, at every length that is answered.
+
+    recordings: as they are scored, whole scans.
+    """
     participants = saved.settings.left_out
-    held = haart.realigned(haart.only(recordings, participants))
+    held = haart.only(recordings, participants)
     windows = {length: haart.cut(held, length) for length in LENGTHS}
     network = saved.build()
     return LeftOut(

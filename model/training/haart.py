@@ -24,11 +24,15 @@ GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Equal windows cut from recordings: counts (N, L, 8, 8) uint16, labels (N,) int64, participants (N,)."""
+    """Equal windows cut from recordings: counts (N, L, 8, 8) uint16, labels (N,) int64.
+
+    participants, conditions: (N,), whose window it is, and on which substrate under which cover.
+    """
 
     counts: Counts
     labels: NDArray[np.int64]
     participants: NDArray[np.str_]
+    conditions: NDArray[np.str_]
 
 
 def read_training(folder: Path) -> list[Recording]:
@@ -41,12 +45,12 @@ def read_test(folder: Path) -> list[Recording]:
     return read_recordings(find(folder, TEST_FILE))
 
 
-def find(folder: Path, name: str) -> Path:
+def find(folder: Path, name: str, hint: str = "fetch them with `touchd data`") -> Path:
     """Return the file `name`, or `name`.gz, in the folder; raises RecordingError when neither is there."""
     for path in (folder / name, folder / f"{name}.gz"):
         if path.is_file():
             return path
-    raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; fetch them with `touchd data`")
+    raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; {hint}")
 
 
 def without(recordings: Iterable[Recording], participants: Sequence[str]) -> list[Recording]:
@@ -77,13 +81,17 @@ def cut(recordings: Sequence[Recording], length: int) -> Windows:
     counts: list[Counts | NDArray[np.float32]] = []
     labels: list[int] = []
     participants: list[str] = []
+    conditions: list[str] = []
     for recording in recordings:
         for window in range(PUBLISHED_FRAMES // length):
             start = min(window * length, len(recording.counts) - length)
             counts.append(recording.counts[start : start + length])
             labels.append(label(recording))
             participants.append(recording.participant)
-    return Windows(np.stack(counts), np.array(labels, dtype=np.int64), np.array(participants))
+            conditions.append(f"{recording.substrate}, {recording.cover}")
+    return Windows(
+        np.stack(counts), np.array(labels, dtype=np.int64), np.array(participants), np.array(conditions)
+    )
 
 
 def data_hash(recordings: Iterable[Recording]) -> str:

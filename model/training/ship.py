@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,33 +14,37 @@ from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording
 from model.checks import evaluate
 from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
-from model.settings import LENGTHS
+from model.settings import LENGTHS, Study
 from model.training import calibrate, checkpoint, haart
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
 from model.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name, plan
-from model.training.train import CHECKPOINT_NAME, train_haart
+from model.training.studies import Folders
+from model.training.train import CHECKPOINT_NAME, train_studies
 
 MAX_LENGTH = 432
+HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
+"""The network that learnt from HAART's training participants alone, which the paper is compared with."""
 LEFT_OUT_FOLDER = "left_out"
 SEEDS_FOLDER = "seeds"
 SCORES_NAME = "scores.json"
 
 
-def train_recipe(recipe: Recipe, haart_folder: Path, runs: Path, threads: int) -> None:
+def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
     """Train every network of the recipe that is not finished in `runs` yet."""
     for job in plan(recipe, runs):
         if not _finished(job, runs):
-            train_haart(haart_folder, job.settings, runs / job.name, threads)
+            train_studies(folders, job.settings, runs / job.name, threads)
 
 
-def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path) -> list[Path]:
+def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, one file a further seed and one file a fold; return the paths.
 
     The shipped network's checkpoint is laid beside it, for comparing with PyTorch and for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
     """
-    recordings = haart.read_training(haart_folder)
+    scored = folders.to_score_on(recipe.settings.studies)
+    recordings = [recording for study in scored.values() for recording in study]
     folds = [_load(job, runs) for job in fold_jobs(recipe, runs)]
     answers = [calibrate.ask_left_out(fold, recordings) for fold in folds]
     written: list[Path] = []
@@ -48,14 +52,14 @@ def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path)
         temperatures = calibrate.fit_temperatures([answer for answer in answers if answer is not own])
         path = fold_path(weights, own.participants)
         name = f"{recipe.name}-{fold_name(own.participants)}"
-        _export(fold, name, temperatures, calibrate.accuracies([own]), path)
+        _export(fold, name, scored, temperatures, calibrate.accuracies([own]), path)
         written.append(path)
     temperatures = calibrate.fit_temperatures(answers)
     for job in final_jobs(recipe, runs):
         saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
         path = weights / SHIPPED_MODEL.name if shipped else seed_path(weights, job.settings.seed)
-        _export(saved, recipe.name, temperatures, calibrate.accuracies(answers), path)
+        _export(saved, recipe.name, scored, temperatures, calibrate.accuracies(answers), path)
         written.append(path)
         if shipped:
             beside = path.with_suffix(".pt")
@@ -64,11 +68,18 @@ def export_recipe(recipe: Recipe, haart_folder: Path, runs: Path, weights: Path)
     return written
 
 
-def evaluate_shipped(haart_folder: Path, weights: Path, command: str) -> evaluate.Scores:
-    """Score the shipped file on the test participants, and the fold files on the ones they never saw."""
+def evaluate_weights(folders: Folders, weights: Path, command: str) -> evaluate.Scores:
+    """Score a folder's model on the test participants, and its fold files on the people they never saw.
+
+    Of the second study, a model that did not learn from it is asked itself.
+    """
     model = weights / SHIPPED_MODEL.name
     classifier = Classifier.load(model)
-    test = haart.read_test(haart_folder)
+    test = haart.read_test(folders.haart)
+    scored = folders.to_score_on(("haart", "second"))
+    second: evaluate.Split = [(classifier, scored["second"])]
+    if "second" in classifier.metadata.training.get("studies", ()):
+        second = left_out_split(weights, scored["second"])
     seeds = [model, *sorted((weights / SEEDS_FOLDER).glob("*.onnx"))]
     return evaluate.Scores(
         model=classifier.name,
@@ -81,7 +92,8 @@ def evaluate_shipped(haart_folder: Path, weights: Path, command: str) -> evaluat
             for seed in map(Classifier.load, seeds)
         },
         test=evaluate.evaluate([(classifier, test)]),
-        left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(haart_folder))),
+        left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(folders.haart))),
+        second_study=evaluate.evaluate(second),
     )
 
 
@@ -105,8 +117,17 @@ def seed_path(weights: Path, seed: int) -> Path:
 
 
 def _export(
-    saved: Checkpoint, name: str, temperatures: dict[int, float], accuracies: dict[str, float], path: Path
+    saved: Checkpoint,
+    name: str,
+    scored: Mapping[Study, Sequence[Recording]],
+    temperatures: Mapping[int, float],
+    accuracies: dict[str, float],
+    path: Path,
 ) -> None:
+    learnt_from = {
+        study: sorted({each.participant for each in haart.without(recordings, saved.settings.left_out)})
+        for study, recordings in scored.items()
+    }
     metadata = ModelMetadata(
         name=name,
         labels=saved.labels,
@@ -115,7 +136,7 @@ def _export(
         lengths=LENGTHS,
         max_length=MAX_LENGTH,
         temperatures={str(length): round(value, 4) for length, value in temperatures.items()},
-        training=msgspec.to_builtins(saved.settings),
+        training=msgspec.to_builtins(saved.settings) | {"learnt_from": learnt_from},
         code_version=saved.code_version,
         data_sha256=saved.data_sha256,
         scores={"left_out_accuracy": accuracies},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from model.tgc import TGC
 from model.training import checkpoint, haart
 from model.training.augment import begin_from_rest, crop, mix, vary
 from model.training.checkpoint import Checkpoint, CheckpointError
+from model.training.studies import Folders
 
 CHECKPOINT_NAME = "checkpoint.pt"
 GRADIENT_LIMIT = 1.0
@@ -36,18 +38,22 @@ class Training:
         self.counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
         self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
         self.participants = [recording.participant for recording in recordings]
+        people = Counter(self.participants)
+        self.weights = torch.tensor([1.0 / people[participant] for participant in self.participants])
         self.resting = {
             participant: [
                 i
                 for i, recording in enumerate(recordings)
                 if (recording.participant, recording.gesture) == (participant, NO_TOUCH)
             ]
-            for participant in self.participants
+            for participant in people
         }
         self.teachers = [checkpoint.load(Path(path)).build().to(device) for path in settings.teachers]
         torch.manual_seed(settings.seed)
         self.rng = torch.Generator().manual_seed(settings.seed)
         self.network = TGC(settings.network, len(self.labels)).to(device)
+        if settings.begins_from:
+            self.network.load_state_dict(checkpoint.load(Path(settings.begins_from)).network)
         self.average = copy.deepcopy(self.network)
         self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
         self.epoch = 0
@@ -60,10 +66,7 @@ class Training:
     def run_epoch(self) -> float:
         """Train one epoch; return the mean loss."""
         settings = self.settings
-        passes = [
-            torch.randperm(len(self.counts), generator=self.rng) for _ in range(settings.crops_per_recording)
-        ]
-        order = torch.cat(passes)
+        order = self._order()
         total = 0.0
         for batch in range(self.steps_per_epoch):
             chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
@@ -76,6 +79,15 @@ class Training:
             total += self._step(windows.to(self.device), targets.to(self.device), step)
         self.epoch += 1
         return total / self.steps_per_epoch
+
+    def _order(self) -> Tensor:
+        """Return which recordings an epoch's windows are cut from."""
+        passes = self.settings.crops_per_recording
+        if self.settings.balance_people:
+            return torch.multinomial(
+                self.weights, passes * len(self.counts), replacement=True, generator=self.rng
+            )
+        return torch.cat([torch.randperm(len(self.counts), generator=self.rng) for _ in range(passes)])
 
     def _window(self, recording: int) -> Tensor:
         settings = self.settings
@@ -102,7 +114,8 @@ class Training:
                 step, settings.epochs * self.steps_per_epoch, settings.learning_rate
             )
         self.network.train()
-        logits = self.network.at_lengths(windows, settings.lengths).flatten(0, 1)
+        with torch.autocast(self.device, torch.bfloat16, enabled=settings.bfloat16):
+            logits = self.network.at_lengths(windows, settings.lengths).flatten(0, 1).float()
         expected = targets.repeat_interleave(len(settings.lengths), dim=0)
         loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
         if self.teachers:
@@ -182,9 +195,9 @@ def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path
     return training.snapshot()
 
 
-def train_haart(haart_folder: Path, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
-    """Train on the HAART training participants that `settings` does not leave out."""
+def train_studies(folders: Folders, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
+    """Train on the people of the studies in `settings` whom it does not leave out."""
     torch.set_num_threads(threads)
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    recordings = haart.without(haart.read_training(haart_folder), settings.left_out)
-    return train(haart.realigned(recordings), settings, folder, device)
+    recordings = haart.without(folders.to_train_on(settings.studies), settings.left_out)
+    return train(recordings, settings, folder, device)

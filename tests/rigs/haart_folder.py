@@ -1,4 +1,4 @@
-"""The folder of HAART recordings, where there is one: TOUCHD_HAART names it; without it tests are skipped."""
+"""The folders of recordings, where there are any; tests that need one are skipped without its variable."""
 
 from __future__ import annotations
 
@@ -8,3 +8,7 @@ import pytest
 
 HAART = os.environ.get("TOUCHD_HAART")
 needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
+SECOND_STUDY = os.environ.get("TOUCHD_SECOND_STUDY")
+needs_second_study = pytest.mark.skipif(
+    SECOND_STUDY is None, reason="TOUCHD_SECOND_STUDY names no folder of the second study's recordings"
+)

@@ -1,0 +1,98 @@
+"""What training varies and what robustness is measured with: what a pad can send, and what the name says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+import torch
+
+from model.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
+from model.checks.hard_cases import checkerboard, hand
+from model.settings import AugmentationSettings
+from model.training.augment import vary
+
+OFF = AugmentationSettings(
+    gain=0.0,
+    gamma=0.0,
+    taxel_gain=0.0,
+    turn=0.0,
+    shift=0.0,
+    offset=0.0,
+    noise_counts=0.0,
+    dead_row=0.0,
+)
+PRESSED = torch.full((32, 54, 8, 8), 100.0)
+
+
+def varied(**settings: float) -> torch.Tensor:
+    """What one kind of variation does to an even pressure."""
+    own = AugmentationSettings(**{**{name: getattr(OFF, name) for name in OFF.__struct_fields__}, **settings})
+    return vary(PRESSED, own, torch.Generator().manual_seed(0))
+
+
+def test_with_everything_off_counts_stay_as_they_are() -> None:
+    torch.testing.assert_close(varied(), PRESSED)
+
+
+def test_another_rest_is_constant_over_a_window_and_bounded() -> None:
+    moved = varied(rest=1.0, rest_counts=8.0) - PRESSED
+    assert 6.0 < float(moved.abs().max()) <= 8.001
+    assert float((moved - moved[:, :1]).abs().max()) < 1e-3
+
+
+def test_a_hum_is_the_same_on_all_taxels() -> None:
+    moved = varied(hum=1.0, hum_counts=2.0) - PRESSED
+    assert float(moved.var(dim=(2, 3)).max()) < 1e-6
+    assert 1.5 < float(moved.abs().max()) <= 2.001
+
+
+def test_a_body_that_sways_moves_the_pad_slowly() -> None:
+    moved = varied(sway=1.0, sway_counts=4.0) - PRESSED
+    assert float(moved.abs().max()) > 2.0
+    assert float(moved.diff(dim=1).abs().max()) < 2.0
+
+
+@pytest.mark.parametrize("name", ["warp", "gain_field"])
+def test_a_bent_pad_neither_loses_nor_moves_even_pressure_in_time(name: str) -> None:
+    bent = varied(**{name: 0.5})
+    assert float((bent - bent[:, :1]).abs().max()) < 1e-3
+    if name == "warp":
+        torch.testing.assert_close(bent, PRESSED)
+
+
+@pytest.mark.parametrize("name", DISTURBANCES)
+def test_a_disturbed_window_is_one_that_a_pad_can_send(name: str) -> None:
+    windows = np.stack([hand(54), checkerboard(54)])
+    disturbed = DISTURBANCES[name](windows)
+    assert disturbed.shape == windows.shape
+    assert disturbed.dtype == np.float32
+    assert 0 <= disturbed.min() <= disturbed.max() <= 1023
+
+
+def test_half_the_pressure_leaves_the_rest_alone() -> None:
+    counts = np.array([0.0, 1.0, 2.0, 102.0], dtype=np.float32)
+    np.testing.assert_allclose(half_pressure(counts), [0.0, 1.0, 2.0, 52.0])
+
+
+def test_the_rest_shifts_where_the_touch_before_pressed() -> None:
+    windows = np.zeros((2, 9, 8, 8), dtype=np.float32)
+    windows[0, :, :4] = 50.0
+    shifted = rest_shifted(windows)
+    assert (shifted[1, :, :4] == 5).all()
+    assert (shifted[1, :, 4:] == 0).all()
+
+
+def test_a_breathing_pad_rises_and_falls_every_two_seconds() -> None:
+    breathed = breathing(np.full((1, 216, 8, 8), 50.0, dtype=np.float32))[0, :, 0, 0] - 50
+    assert np.abs(np.fft.rfft(breathed)).argmax() == 2
+    assert breathed.max() == pytest.approx(4, abs=0.1)
+
+
+def test_a_curved_pad_feels_less_at_its_edges() -> None:
+    bent = curved(np.full((1, 1, 8, 8), 100.0, dtype=np.float32))[0, 0, 0]
+    assert bent[0] == pytest.approx(62, abs=1)
+    assert bent[3] == pytest.approx(99, abs=1)
+    np.testing.assert_allclose(bent, bent[::-1], rtol=1e-4)

@@ -1,0 +1,48 @@
+"""The shipped recipe: who is left out of what, and what each network begins from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+from drivers.recording import Recording, ideal_clock_ms
+from model.training import second_study
+from model.training.recipe import HAART_RECIPE, fold_jobs, plan, read_recipe
+
+
+def test_every_network_is_trained_after_the_one_it_begins_from() -> None:
+    done: set[str] = set()
+    for job in plan(read_recipe(), Path("runs")):
+        begins_from = job.settings.begins_from
+        assert not begins_from or Path(begins_from).parent.name in done
+        done.add(job.name)
+    assert len(done) == 2 * len(read_recipe().folds) + 1 + len(read_recipe().seeds)
+
+
+def test_a_fold_begins_from_a_network_that_never_saw_its_people() -> None:
+    bases = {job.name: job.settings for job in fold_jobs(read_recipe(HAART_RECIPE), Path("runs"))}
+    for job in fold_jobs(read_recipe(), Path("runs")):
+        base = bases[Path(job.settings.begins_from).parent.name]
+        assert base.studies == ("haart",)
+        assert set(base.left_out) == {name for name in job.settings.left_out if name.startswith("P")}
+
+
+def made(takes: int) -> Recording:
+    counts = np.arange(540 * takes, dtype=np.uint16)[:, None, None] % 1000 + np.zeros((8, 8), np.uint16)
+    return Recording("R02", "static", "none", "rub", counts, ideal_clock_ms(len(counts)), "live")
+
+
+def test_each_take_is_learnt_from_without_its_edges() -> None:
+    takes = second_study.takes([made(1), made(2)])
+    assert [len(take.counts) for take in takes] == [486] * 3
+    assert [int(take.counts[0, 0, 0]) for take in takes] == [27, 27, 567]
+
+
+def test_eight_seconds_of_the_first_take_are_scored() -> None:
+    (scored,) = second_study.scored([made(2)])
+    assert [int(scored.counts[i, 0, 0]) for i in (0, -1)] == [54, 485]
+    assert len(scored.sensor_ms) == 432
