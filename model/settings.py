@@ -25,6 +25,11 @@ class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     feed_forward: int = 192
     dense: int = 96
     dropout: float = 0.2
+    smooth_frames: int = 0
+    """Frames over which the stem also sees each taxel's mean, and its change since as many frames before.
+
+    A noisy pad's light touches hardly show in a single frame. 0: the stem sees single frames alone.
+    """
 
 
 class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -52,6 +57,9 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     offset: float = 0.4
     offset_counts: float = 12.0
     noise_counts: float = 1.5
+    line_noise: float = 0.0
+    """All taxels of a column, or all of a row, share a noise, as a multiplexer's do."""
+    line_noise_counts: float = 1.5
     dead_row: float = 0.1
     gain_field: float = 0.0
     """Standard deviation of the log of a factor that varies smoothly over the pad, as where it is worn."""

@@ -37,7 +37,7 @@ class State(NamedTuple):
     """What the network keeps of the frames so far; bounded, whatever their number.
 
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
-    level: (B, 1, 8, 8) log counts of the last frame. motion: (B, past, width) last inputs of the gated
+    level: (B, past, 8, 8) log counts of the last frames that the stem sees. motion: (B, past, width) last inputs of the gated
     convolutions, one after another. memory: keys and values of each encoder block, (B, 2 * heads, M, width /
     heads), M at most MEMORY_FRAMES. pooled: (B, 3, width) float64, each feature's mean, sum of squared
     deviations and maximum. frames: (1,) float64, their number.
@@ -68,10 +68,12 @@ class FeatureDropout(nn.Module):
 class FrameStem(nn.Module):
     """Embed each frame and its change since the one before: (B, T, 8, 8) counts to (B, T, width)."""
 
-    def __init__(self, stem_width: int, width: int, dropout: float) -> None:
+    def __init__(self, stem_width: int, width: int, dropout: float, smooth_frames: int) -> None:
         super().__init__()
+        self.smooth_frames = smooth_frames
+        self.past = max(1, 2 * smooth_frames - 1)
         self.convolutions = nn.Sequential(
-            nn.Conv2d(2, stem_width, 3, padding=1),
+            nn.Conv2d(4 if smooth_frames else 2, stem_width, 3, padding=1),
             nn.ReLU(),
             nn.AvgPool2d(2),
             nn.Conv2d(stem_width, 2 * stem_width, 3, padding=1),
@@ -85,19 +87,26 @@ class FrameStem(nn.Module):
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) counts."""
         level = self.level(counts)
-        return self.embed_level(level, level[:, :1])
+        return self.embed_level(level, self.before(level))
 
     def level(self, counts: Tensor) -> Tensor:
         """Return counts on the scale on which the network sees them."""
         return torch.log1p(counts / KNEE_COUNTS)
 
+    def before(self, level: Tensor) -> Tensor:
+        """Return the levels (B, past, 8, 8) that stand for those before a touch: its first, repeated."""
+        return level[:, :1].expand(-1, self.past, -1, -1)
+
     def embed_level(self, level: Tensor, last: Tensor) -> Tensor:
-        """Return (B, T, width) from (B, T, 8, 8) levels and the level before them, (B, 1, 8, 8)."""
+        """Return (B, T, width) from (B, T, 8, 8) levels and those before them, (B, past, 8, 8)."""
         B, T = level.shape[:2]
-        before = torch.cat([last, level[:, :-1]], dim=1)
-        change = (level - before) / CHANGE_SPREAD
-        level = (level - LEVEL_MEAN) / LEVEL_SPREAD
-        pixels = torch.stack([level, change], dim=2).reshape(-1, 2, ROWS, COLUMNS)
+        n = self.smooth_frames
+        seen = torch.cat([last.expand(B, -1, -1, -1), level], dim=1)
+        planes = [(level - LEVEL_MEAN) / LEVEL_SPREAD, (level - seen[:, self.past - 1 : -1]) / CHANGE_SPREAD]
+        if n:
+            mean = torch.stack([seen[:, i : i + T + n] for i in range(n)]).mean(dim=0)  # (B, T + n, 8, 8)
+            planes += [(mean[:, n:] - LEVEL_MEAN) / LEVEL_SPREAD, (mean[:, n:] - mean[:, :T]) / CHANGE_SPREAD]
+        pixels = torch.stack(planes, dim=2).reshape(-1, len(planes), ROWS, COLUMNS)
         features = self.convolutions(pixels).reshape(B, T, -1)
         embedded: Tensor = self.norm(self.dropout(self.embed(features)))
         return embedded
@@ -180,7 +189,9 @@ class TGC(nn.Module):
     def __init__(self, settings: NetworkSettings, classes: int) -> None:
         super().__init__()
         self.settings = settings
-        self.stem = FrameStem(settings.stem_width, settings.width, settings.dropout)
+        self.stem = FrameStem(
+            settings.stem_width, settings.width, settings.dropout, settings.smooth_frames
+        )
         self.motion = nn.Sequential(
             *(GatedConvolution(settings.width, dilation, settings.dropout) for dilation in settings.dilations)
         )
@@ -234,7 +245,7 @@ class TGC(nn.Module):
         pooled[:, 2] = torch.finfo(torch.float32).min
         memory = torch.zeros(1, 2 * heads, 0, width // heads)
         return State(
-            level=torch.zeros(1, 1, ROWS, COLUMNS),
+            level=torch.zeros(1, self.stem.past, ROWS, COLUMNS),
             motion=torch.zeros(1, past, width),
             memory=(memory,) * self.settings.blocks,
             pooled=pooled,
@@ -244,7 +255,7 @@ class TGC(nn.Module):
     def step(self, counts: Tensor, state: State) -> tuple[Tensor, State]:
         """Return (B, classes) logits over all frames up to now, and the state after (B, T, 8, 8) counts."""
         levels = self.stem.level(counts)
-        last = torch.where(state.frames > 0, state.level, levels[:, :1])
+        last = torch.where(state.frames > 0, state.level, self.stem.before(levels))
         x = self.stem.embed_level(levels, last)
         pasts = []
         layers = self._motion()
@@ -265,7 +276,8 @@ class TGC(nn.Module):
         mean, squares, highest = pooled.to(x.dtype).chunk(3, dim=1)
         summary = self._summary(mean, squares / frames.to(x.dtype), highest)
         logits: Tensor = self.dense(summary[:, 0])
-        return logits, State(levels[:, -1:], torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
+        seen = torch.cat([last, levels], dim=1)[:, -self.stem.past :]
+        return logits, State(seen, torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
 
     @staticmethod
     def _summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:

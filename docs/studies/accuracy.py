@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from docs.studies.marked import fill
 from model.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
 from model.settings import LENGTHS
 
@@ -19,7 +19,6 @@ PAPER_ACCURACY = {9: 57.0, 27: 66.6, 54: 70.8, 72: 71.1, 108: 72.3, 144: 72.8, 2
 """Table 3 of Ren, Hou and Belpaeme (HRI 2023), percent; its "1.5 seconds" are 72 frames."""
 
 
-MARK = re.compile(r"(<!-- table: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 TITLES = {
     "test": "HAART, test participants",
     "left_out": "HAART, training participants left out",
@@ -36,17 +35,17 @@ def main(arguments: Sequence[str]) -> int:
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")
     draw_confusion(scores.labels, scores.second_study, figures / "confusion-second-study.png")
-    page.write_text(filled(page.read_text(encoding="utf-8"), scores, haart), encoding="utf-8")
+    fill(page, tables(scores, haart))
     return 0
 
 
-def filled(page: str, scores: Scores, haart: Scores) -> str:
-    """Return the page with its marked places filled; haart: of the network that learnt from HAART alone."""
-    tables = {"model": _model_lines(scores, haart), "summary": _summary_table(scores, haart)}
-    tables["seeds"] = _seed_table(scores)
+def tables(scores: Scores, haart: Scores) -> dict[str, str]:
+    """Return the page's tables by name; haart: of the network that learnt from HAART alone."""
+    lines = {"model": _model_lines(scores, haart), "summary": _summary_table(scores, haart)}
+    lines["seeds"] = _seed_table(scores)
     for name in TITLES:
-        tables[name] = _evaluation_tables(getattr(scores, name))
-    return MARK.sub(lambda mark: f"{mark[1]}{chr(10).join(tables[mark[2]])}{mark[3]}", page)
+        lines[name] = _evaluation_tables(getattr(scores, name))
+    return {name: "\n".join(each) for name, each in lines.items()}
 
 
 def draw_accuracy(scores: Scores, path: Path) -> None:

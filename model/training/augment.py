@@ -67,6 +67,10 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
     x = x * (1.0 - chosen(settings.dead_row) * dead)
     x = x + chosen(settings.offset) * settings.offset_counts * torch.rand(B, 1, 1, 1, generator=rng)
     x = x + settings.noise_counts * torch.rand(B, 1, 1, 1, generator=rng) * normal(*x.shape)
+    lines = (normal(B, x.shape[1], ROWS, 1), normal(B, x.shape[1], 1, COLUMNS))
+    line = torch.where(torch.rand(B, 1, 1, 1, generator=rng) < 0.5, *lines)
+    depth = settings.line_noise_counts * torch.rand(B, 1, 1, 1, generator=rng)
+    x = x + chosen(settings.line_noise) * depth * line
     return x.clamp(0.0, MAX_COUNT)
 
 
@@ -126,14 +130,16 @@ def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     seconds = (torch.arange(T) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
     rate, phase, depth, drift = torch.rand(4, B, 1, 1, 1, generator=rng)
     breath = depth * counts * torch.sin(2.0 * math.pi * ((0.2 + 0.8 * rate) * seconds + phase))
-    return breath * _smooth(B, rng) + (2.0 * drift - 1.0) * seconds * _smooth(B, rng)
+    sway: Tensor = breath * _smooth(B, rng) + (2.0 * drift - 1.0) * seconds * _smooth(B, rng)
+    return sway
 
 
 def _hum(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 1, 1) of a tone that all taxels share."""
     seconds = (torch.arange(T) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
     rate, phase, depth = torch.rand(3, B, 1, 1, 1, generator=rng)
-    return depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * seconds + phase))
+    tone: Tensor = depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * seconds + phase))
+    return tone
 
 
 def _smooth(B: int, rng: torch.Generator) -> Tensor:

@@ -43,12 +43,14 @@ def test_the_scores_are_those_of_the_file_beside_them(model: Path) -> None:
     assert scores_of(model).model_sha256 == hashlib.sha256(model.read_bytes()).hexdigest()
 
 
-def test_the_accuracy_page_says_what_the_scores_say(scores: evaluate.Scores) -> None:
-    from docs.studies.accuracy import filled
+def test_the_accuracy_page_says_what_the_scores_say(scores: evaluate.Scores, tmp_path: Path) -> None:
+    from docs.studies.accuracy import tables
+    from docs.studies.marked import fill
 
-    page = PAGE.read_text(encoding="utf-8")
-    assert filled(page, scores, scores_of(HAART_MODEL)) == page
-    assert scores.model_sha256[:16] in page
+    page = tmp_path / PAGE.name
+    page.write_bytes(PAGE.read_bytes())
+    fill(page, tables(scores, scores_of(HAART_MODEL)))
+    assert page.read_bytes() == PAGE.read_bytes()
 
 
 @pytest.mark.parametrize(

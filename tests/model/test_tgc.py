@@ -25,7 +25,7 @@ from model.training.export import CalibratedTGC, export  # noqa: E402
 from model.training.threads import one_torch_thread  # noqa: E402
 
 SMALL = NetworkSettings(
-    stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12
+    stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12, smooth_frames=2
 )
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 TEMPERATURES = {54: 1.5, 81: 1.2, 144: 0.6}
