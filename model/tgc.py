@@ -37,10 +37,10 @@ class State(NamedTuple):
     """What the network keeps of the frames so far; bounded, whatever their number.
 
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
-    level: (B, past, 8, 8) log counts of the last frames that the stem sees. motion: (B, past, width) last inputs of the gated
-    convolutions, one after another. memory: keys and values of each encoder block, (B, 2 * heads, M, width /
-    heads), M at most MEMORY_FRAMES. pooled: (B, 3, width) float64, each feature's mean, sum of squared
-    deviations and maximum. frames: (1,) float64, their number.
+    level: (B, past, 8, 8) log counts of the last frames that the stem sees. motion: (B, past, width) last
+    inputs of the gated convolutions, one after another. memory: keys and values of each encoder block,
+    (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. pooled: (B, 3, width) float64, each feature's
+    mean, sum of squared deviations and maximum. frames: (1,) float64, their number.
     """
 
     level: Tensor
@@ -189,9 +189,7 @@ class TGC(nn.Module):
     def __init__(self, settings: NetworkSettings, classes: int) -> None:
         super().__init__()
         self.settings = settings
-        self.stem = FrameStem(
-            settings.stem_width, settings.width, settings.dropout, settings.smooth_frames
-        )
+        self.stem = FrameStem(settings.stem_width, settings.width, settings.dropout, settings.smooth_frames)
         self.motion = nn.Sequential(
             *(GatedConvolution(settings.width, dilation, settings.dropout) for dilation in settings.dilations)
         )
