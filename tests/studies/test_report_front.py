@@ -23,10 +23,11 @@ from docs.studies.report.peak import idle_bytes, peak_bytes  # noqa: E402
 from docs.studies.report.results import Results  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.checks.hard_cases import hand  # noqa: E402
-from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
+from model.classifier import Classifier  # noqa: E402
 from model.settings import LENGTHS  # noqa: E402
 from model.training import haart  # noqa: E402
-from model.training.recipe import final_jobs, read_recipe  # noqa: E402
+from model.training.recipe import HAART_RECIPE, final_jobs, read_recipe  # noqa: E402
+from model.training.ship import HAART_MODEL  # noqa: E402
 
 measured_front = pytest.mark.skipif(not RESULTS.keys("front/"), reason="the front is not measured yet")
 TOLERANCE = 0.004
@@ -57,8 +58,8 @@ def recordings() -> list[Recording]:
 
 @pytest.mark.parametrize("frames", [1, 54, 144])
 def test_multiply_adds_of_the_shipped_file_match_by_hand(frames: int) -> None:
-    assert multiply_adds(SHIPPED_MODEL, frames) == shipped_by_hand(frames)
-    assert multiply_adds(SHIPPED_MODEL, frames, windows=3) == 3 * shipped_by_hand(frames)
+    assert multiply_adds(HAART_MODEL, frames) == shipped_by_hand(frames)
+    assert multiply_adds(HAART_MODEL, frames, windows=3) == 3 * shipped_by_hand(frames)
 
 
 def test_multiply_adds_of_other_layers_match_by_hand(
@@ -123,14 +124,14 @@ def test_the_papers_printed_errors_are_those_of_its_tables() -> None:
 def test_a_batch_takes_more_memory_than_a_window() -> None:
     none, window, batch = (
         idle_bytes(),
-        peak_bytes(SHIPPED_MODEL, 144),
-        peak_bytes(SHIPPED_MODEL, 144, windows=16),
+        peak_bytes(HAART_MODEL, 144),
+        peak_bytes(HAART_MODEL, 144, windows=16),
     )
     assert 10e6 < none < window < batch
 
 
 def test_every_size_differs_in_widths_only(tmp_path: Path) -> None:
-    recipe = read_recipe()
+    recipe = read_recipe(HAART_RECIPE)
     shipped = final_jobs(recipe, tmp_path)[0].settings
     for job in sizes.jobs(recipe, tmp_path):
         same = sizes.widened(
@@ -153,9 +154,11 @@ def test_a_size_that_is_stored_is_not_trained_again(tmp_path: Path) -> None:
 def test_a_missing_size_is_trained_and_exported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shape = {"stem_width": 2, "width": 8, "feed_forward": 8, "dense": 8}
     monkeypatch.setattr(sizes, "SHAPES", {"touchd-8-wide": shape})
-    quick = msgspec.structs.replace(read_recipe().settings, epochs=1, crops_per_recording=1, batch=7)
-    recipe = msgspec.structs.replace(read_recipe(), settings=quick)
-    monkeypatch.setattr(sizes, "read_recipe", lambda: recipe)
+    quick = msgspec.structs.replace(
+        read_recipe(HAART_RECIPE).settings, epochs=1, crops_per_recording=1, batch=7
+    )
+    recipe = msgspec.structs.replace(read_recipe(HAART_RECIPE), settings=quick)
+    monkeypatch.setattr(sizes, "read_recipe", lambda path: recipe)
     write_recordings(tmp_path / "training.csv", recordings(), {})
     files = sizes.ready(tmp_path, tmp_path / "runs", threads=1, stored=tmp_path / "stored")
     classifier = Classifier.load(files["touchd-8-wide"])
@@ -182,7 +185,7 @@ def test_ours_and_the_papers_are_timed_weighed_and_ours_scored(tmp_path: Path) -
     crnn = measured["front/hughes-crnn-54-frames/float32"]["at"]["54"]
     assert crnn["multiply_adds"] == filters + recurrence + 6 * 64 * 7
     shipped = measured["front/touchd/float32"]
-    assert shipped["file_bytes"] == SHIPPED_MODEL.stat().st_size
+    assert shipped["file_bytes"] == HAART_MODEL.stat().st_size
     assert shipped["peak_bytes"] > shipped["idle_bytes"]
     assert shipped["at"]["54"]["multiply_adds"] == shipped_by_hand(54)
     assert shipped["at"]["54"]["accuracy"] == pytest.approx(1 / 7, abs=1e-4)
@@ -210,7 +213,7 @@ def test_pads_are_answered_in_a_batch_and_one_by_one() -> None:
 
 @measured_front
 def test_stored_files_have_the_reported_size_and_work() -> None:
-    files = {networks.SHIPPED: SHIPPED_MODEL, **{p.stem: p for p in sizes.SIZES_FOLDER.glob("*.onnx")}}
+    files = {networks.SHIPPED: HAART_MODEL, **{p.stem: p for p in sizes.SIZES_FOLDER.glob("*.onnx")}}
     for name, path in files.items():
         cell = RESULTS.get(f"front/{name}/float32")
         assert cell["file_bytes"] == path.stat().st_size
@@ -224,7 +227,7 @@ def test_a_sample_of_stored_errors_holds_again() -> None:
     assert HAART is not None
     test = haart.read_test(Path(HAART))
     for name, path in (
-        (networks.SHIPPED, SHIPPED_MODEL),
+        (networks.SHIPPED, HAART_MODEL),
         ("touchd-24-wide", sizes.SIZES_FOLDER / "touchd-24-wide.onnx"),
     ):
         cell = RESULTS.get(f"front/{name}/float32")

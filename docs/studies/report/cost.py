@@ -27,9 +27,10 @@ from docs.studies.report.results import Results, Study, timing_values
 from drivers.frame import FRAME_RATE_HZ
 from model.checks.hard_cases import hand
 from model.checks.timing import time_in_turn
-from model.classifier import SHIPPED_MODEL, Classifier
+from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training.haart import GESTURES
+from model.training.ship import HAART_MODEL
 
 WINDOWS = (9, 27, 54, 81, 108, 144, 216, 432)
 PADS = (1, 2, 4, 8, 16, 32, 64)
@@ -98,10 +99,10 @@ def windows(folder: Path) -> list[Timed]:
 
     The paper's have random weights and one network a length; their files are written into `folder`.
     """
-    classifier = Classifier.load(SHIPPED_MODEL)
+    classifier = Classifier.load(HAART_MODEL)
     timed = []
     for frames in WINDOWS:
-        work = {"multiply_adds": multiply_adds(SHIPPED_MODEL, frames)}
+        work = {"multiply_adds": multiply_adds(HAART_MODEL, frames)}
         answer = _answering(classifier, hand(frames)[np.newaxis])
         timed.append(Timed(f"cost/window/{frames}/{SHIPPED}", work, answer))
         timed += [_paper(PaperSettings(variant, frames), folder) for variant in VARIANTS]
@@ -110,12 +111,12 @@ def windows(folder: Path) -> list[Timed]:
 
 def pads(numbers: Sequence[int] = PADS) -> list[Timed]:
     """Return the answers of pads whose windows are due at one moment: in one batch, and one after another."""
-    classifier = Classifier.load(SHIPPED_MODEL)
+    classifier = Classifier.load(HAART_MODEL)
     window = hand(PAD_FRAMES)[np.newaxis]
-    alone = {"peak_bytes": peak_bytes(SHIPPED_MODEL, PAD_FRAMES)}
+    alone = {"peak_bytes": peak_bytes(HAART_MODEL, PAD_FRAMES)}
     timed = []
     for number in numbers:
-        together = {"peak_bytes": peak_bytes(SHIPPED_MODEL, PAD_FRAMES, number)}
+        together = {"peak_bytes": peak_bytes(HAART_MODEL, PAD_FRAMES, number)}
         batch = _answering(classifier, np.repeat(window, number, axis=0))
         timed.append(Timed(f"cost/pads/{number}/batched", together, batch))
         timed.append(Timed(f"cost/pads/{number}/single", alone, _answering(classifier, window, number)))

@@ -21,10 +21,11 @@ from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
 from drivers.frame import COLUMNS, ROWS
 from drivers.recording import Recording
-from model.classifier import SHIPPED_MODEL, Classifier
+from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training.export import OPSET
 from model.training.haart import GESTURES
+from model.training.ship import HAART_MODEL
 
 INT8 = "int8"
 SHIPPED = "touchd"
@@ -92,7 +93,7 @@ def hughes_name(system: str, frames: int) -> str:
 def ours(sizes: Mapping[str, Path], calibration: Sequence[Recording], folder: Path) -> list[Network]:
     """Return the shipped network and its sizes, float32 and int8 with scales from the recordings."""
     networks = []
-    for name, path in {SHIPPED: SHIPPED_MODEL, **sizes}.items():
+    for name, path in {SHIPPED: HAART_MODEL, **sizes}.items():
         shape = Classifier.load(path).metadata.training["network"]
         small = quantize.convert(path, "int8 static", calibration, folder)
         for arithmetic, file in ((FLOAT32, path), (INT8, small)):

@@ -35,9 +35,9 @@ from docs.studies.report.paper_cells import (
 )
 from docs.studies.report.results import Results, Study, percent
 from docs.studies.report.tables23 import our_key
-from model.classifier import SHIPPED_MODEL
 from model.training import checkpoint, haart, metrics
 from model.training.haart import GESTURES, Windows
+from model.training.ship import HAART_MODEL
 
 log = logging.getLogger(__name__)
 
@@ -115,7 +115,7 @@ def name(cell: PaperCell) -> str:
 
 def our_representation() -> nn.Module:
     """Return the shipped network up to its last layer: (B, T, 8, 8) counts to (B, dense)."""
-    network = checkpoint.load(SHIPPED_MODEL.with_suffix(".pt")).build()
+    network = checkpoint.load(HAART_MODEL.with_suffix(".pt")).build()
     network.dense[-1] = nn.Identity()
     return network
 

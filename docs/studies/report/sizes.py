@@ -16,12 +16,13 @@ from model.classifier import ModelMetadata
 from model.settings import LENGTHS, NetworkSettings
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
-from model.training.recipe import Job, Recipe, final_jobs, read_recipe
+from model.training.recipe import HAART_RECIPE, Job, Recipe, final_jobs, read_recipe
 from model.training.ship import MAX_LENGTH
-from model.training.train import train_haart
+from model.training.studies import Folders
+from model.training.train import train_studies
 
 # The small ones, kept with the code; a large one is trained anew where it is wanted.
-SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "sizes"
+SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "haart" / "sizes"
 # The shipped network is 96 wide, with a stem of 16.
 SHAPES: Mapping[str, Mapping[str, int]] = {
     "touchd-24-wide": {"stem_width": 8, "width": 24, "feed_forward": 48, "dense": 24},
@@ -51,13 +52,13 @@ def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOL
     A training goes on from its last checkpoint.
     """
     files = {}
-    for job in jobs(read_recipe(), runs):
+    for job in jobs(read_recipe(HAART_RECIPE), runs):
         name = f"{job.name}.onnx"
         path = stored / name
         if not path.exists():
             path = runs / job.name / name
         if not path.exists():
-            export_size(train_haart(haart_folder, job.settings, runs / job.name, threads), path)
+            export_size(train_studies(Folders(haart_folder), job.settings, runs / job.name, threads), path)
         files[job.name] = path
     return files
 
