@@ -39,11 +39,10 @@ from model.adapt.adapt import Pretrained, adapt, learnable, logits, prepare
 from model.adapt.backbone import CropFeatures, WindowFeatures, windows
 from model.adapt.head import AdaptSettings, fit, rebuilt
 from model.checks.disturb import DISTURBANCES, Disturb
-from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
 from model.training import checkpoint, haart, metrics
-from model.training.recipe import Recipe, fold_jobs, read_recipe
-from model.training.ship import fold_path
+from model.training.recipe import HAART_RECIPE, Recipe, fold_jobs, read_recipe
+from model.training.ship import HAART_MODEL, fold_path
 from model.training.threads import one_torch_thread
 from model.training.train import CHECKPOINT_NAME
 
@@ -146,12 +145,13 @@ def people(
     for job in fold_jobs(recipe, runs):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
-        pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out))
+        pretrained = Pretrained.of(saved, fold_path(HAART_MODEL.parent, left_out))
         for name in left_out:
             yield pretrained, name, haart.only(training, left_out)
     test = haart.realigned(haart.read_test(haart_folder))
+    whole = Pretrained.of(checkpoint.load(HAART_MODEL.with_suffix(".pt")), HAART_MODEL)
     for name in TEST_PARTICIPANTS:
-        yield Pretrained.shipped(), name, test
+        yield whole, name, test
 
 
 def measure(haart_folder: Path, runs: Path, path: Path) -> Measured:
@@ -161,7 +161,7 @@ def measure(haart_folder: Path, runs: Path, path: Path) -> Measured:
     if study.settings != settings:
         study = Measured(settings=settings)
     training = haart.realigned(haart.read_training(haart_folder))
-    for pretrained, name, unseen in people(read_recipe(), haart_folder, runs):
+    for pretrained, name, unseen in people(read_recipe(HAART_RECIPE), haart_folder, runs):
         if name not in TEST_PARTICIPANTS and not any(pad.participant == name for pad in study.pads):
             study.pads += other_pads(pretrained, name, unseen, settings)
             write(study, path)
