@@ -39,7 +39,7 @@ def windows(seed: int) -> Windows:
     rng = np.random.default_rng(seed)
     labels = np.repeat(np.arange(len(GESTURES)), 2)
     counts = rng.integers(0, 8 * (labels[:, None, None, None] + 1), size=(len(labels), 9, 8, 8))
-    return Windows(counts.astype(np.uint16), labels, np.repeat("P3", len(labels)))
+    return Windows(counts.astype(np.uint16), labels, np.repeat("P3", len(labels)), np.repeat("", len(labels)))
 
 
 @pytest.fixture
