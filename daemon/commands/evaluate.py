@@ -35,11 +35,11 @@ def main(arguments: Sequence[str]) -> int:
         )
 
     from model.checks.evaluate import write_scores
-    from model.training.ship import SCORES_NAME, evaluate_weights
+    from model.training.ship import SCORES_NAME, evaluate_shipped
     from model.training.studies import Folders
 
     folders = Folders(options.haart, options.second_study)
-    scores = evaluate_weights(folders, options.weights, f"touchd evaluate --weights {options.weights}")
+    scores = evaluate_shipped(folders, options.weights, "touchd evaluate")
     write_scores(scores, options.weights / SCORES_NAME)
     for row, left_out, second in zip(
         scores.test.realigned, scores.left_out.realigned, scores.second_study.realigned, strict=True

@@ -29,19 +29,19 @@ TITLES = {
 def main(arguments: Sequence[str]) -> int:
     """Write the page's tables and figures from the stored scores; returns 0."""
     weights, page = map(Path, (*arguments, *("model/weights", "docs/accuracy.md")[len(arguments) :]))
-    scores, haart = read_scores(weights / "scores.json"), read_scores(weights / "haart" / "scores.json")
+    scores = read_scores(weights / "scores.json")
     figures = page.parent / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")
     draw_confusion(scores.labels, scores.second_study, figures / "confusion-second-study.png")
-    fill(page, tables(scores, haart))
+    fill(page, tables(scores))
     return 0
 
 
-def tables(scores: Scores, haart: Scores) -> dict[str, str]:
-    """Return the page's tables by name; haart: of the network that learnt from HAART alone."""
-    lines = {"model": _model_lines(scores, haart), "summary": _summary_table(scores, haart)}
+def tables(scores: Scores) -> dict[str, str]:
+    """Return the page's tables by name."""
+    lines = {"model": _model_lines(scores), "summary": _summary_table(scores)}
     lines["seeds"] = _seed_table(scores)
     for name in TITLES:
         lines[name] = _evaluation_tables(getattr(scores, name))
@@ -83,20 +83,19 @@ def draw_confusion(labels: Sequence[str], evaluation: Evaluation, path: Path) ->
     plt.close(figure)
 
 
-def _model_lines(scores: Scores, haart: Scores) -> Iterable[str]:
-    yield f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), scored by `{scores.command}`;"
-    yield f"from HAART alone: `{haart.model}` (sha256 {haart.model_sha256[:16]}…), scored by"
-    yield f"`{haart.command}`; on {scores.machine}."
+def _model_lines(scores: Scores) -> Iterable[str]:
+    yield f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), scored by `{scores.command}` on"
+    yield f"{scores.machine}."
     yield ""
 
 
-def _summary_table(scores: Scores, haart: Scores) -> Iterable[str]:
+def _summary_table(scores: Scores) -> Iterable[str]:
     lengths = " | ".join(f"{length / 54:.2f} s ({length} frames)" for length in LENGTHS)
     yield f"| | {lengths} | calibration error |"
     yield f"|---{'|---' * (len(LENGTHS) + 1)}|"
     for title, evaluation in (
-        *((f"`{scores.model}`, {title}", getattr(scores, name)) for name, title in TITLES.items()),
-        (f"`{haart.model}`, from HAART alone to the second study", haart.second_study),
+        *((title, getattr(scores, name)) for name, title in TITLES.items()),
+        ("from HAART alone to the second study", scores.cross_study),
     ):
         rows = [_at(evaluation, length) for length in LENGTHS]
         shares = " | ".join(f"**{_percent(row.accuracy)}**" for row in rows)

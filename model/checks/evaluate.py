@@ -72,6 +72,8 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     test: Evaluation
     left_out: Evaluation
     second_study: Evaluation
+    cross_study: Evaluation
+    """The second study's people, answered by the network that learnt from HAART alone, varied widely."""
 
 
 Split = Sequence[tuple[Classifier, Sequence[Recording]]]

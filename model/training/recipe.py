@@ -20,6 +20,8 @@ from model.settings import SettingsError, TrainSettings
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Of the network that learnt from HAART alone: for the comparison with the paper, and to begin from."""
+WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
+"""Of the network that learnt from HAART alone, varied widely: for the figure from one study to the other."""
 MAX_BYTES = 64 * 1024
 
 
@@ -80,7 +82,7 @@ def fold_jobs(recipe: Recipe, runs: Path) -> list[Job]:
 def plan(recipe: Recipe, runs: Path) -> Iterator[Job]:
     """Yield every job, each after the networks that it begins from and the teachers that it needs."""
     if recipe.base:
-        yield from (_base_job(recipe.base, runs, fold) for fold in ((), *recipe.folds))
+        yield from plan(recipe.base, runs)
     for jobs, left_outs in ((fold_jobs(recipe, runs), recipe.folds), (final_jobs(recipe, runs), ((),))):
         for left_out in left_outs:
             yield from (_teacher(recipe, seed, left_out) for seed in recipe.teacher_seeds)
