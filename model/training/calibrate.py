@@ -6,7 +6,7 @@ training recording is answered by the network that was trained without its parti
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,7 @@ class LeftOut:
 
 
 def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> LeftOut:
-    """Ask a network about the participants that its training left out, at every length that is answered.
+    """Ask a network about a study's people whom its training left out, at every length that is answered.
 
     recordings: as they are scored, whole scans.
     """
@@ -57,6 +57,12 @@ def fit_temperatures(answers: Sequence[LeftOut]) -> dict[int, float]:
         )
         for length in LENGTHS
     }
+
+
+def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
+    """Return the highest temperature of any study at each length: better unsure than wrong."""
+    fitted = list(studies)
+    return {length: max(temperatures[length] for temperatures in fitted) for length in LENGTHS}
 
 
 def accuracies(answers: Sequence[LeftOut]) -> dict[str, float]:

@@ -46,22 +46,22 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
     Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
     """
     scored = folders.to_score_on(recipe.settings.studies)
-    recordings = [recording for study in scored.values() for recording in study]
     folds = [_load(job, runs) for job in fold_jobs(recipe, runs)]
-    answers = [calibrate.ask_left_out(fold, recordings) for fold in folds]
+    answers = [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds]
     written: list[Path] = []
     for fold, own in zip(folds, answers, strict=True):
-        temperatures = calibrate.fit_temperatures([answer for answer in answers if answer is not own])
-        path = fold_path(weights, own.participants)
-        name = f"{recipe.name}-{fold_name(own.participants)}"
-        _export(fold, name, scored, temperatures, calibrate.accuracies([own]), path)
+        path = fold_path(weights, fold.settings.left_out)
+        name = f"{recipe.name}-{fold_name(fold.settings.left_out)}"
+        temperatures = _temperatures([answer for answer in answers if answer is not own])
+        _export(fold, name, scored, temperatures, calibrate.accuracies(own), path)
         written.append(path)
-    temperatures = calibrate.fit_temperatures(answers)
+    temperatures = _temperatures(answers)
+    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold])
     for job in final_jobs(recipe, runs):
         saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
         path = weights / SHIPPED_MODEL.name if shipped else seed_path(weights, job.settings.seed)
-        _export(saved, recipe.name, scored, temperatures, calibrate.accuracies(answers), path)
+        _export(saved, recipe.name, scored, temperatures, accuracies, path)
         written.append(path)
         if shipped:
             beside = path.with_suffix(".pt")
@@ -111,6 +111,11 @@ def fold_path(weights: Path, participants: Sequence[str]) -> Path:
 def seed_path(weights: Path, seed: int) -> Path:
     """Return where the network of a further seed lies."""
     return weights / SEEDS_FOLDER / f"seed{seed}.onnx"
+
+
+def _temperatures(answers: Sequence[Sequence[calibrate.LeftOut]]) -> dict[int, float]:
+    """Return temperatures from each fold's answers, one entry a study."""
+    return calibrate.modest(calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))
 
 
 def _export(
