@@ -116,8 +116,10 @@ def _seed_table(scores: Scores) -> Iterable[str]:
     yield f"|---{'|---' * len(LENGTHS)}|"
     for seed, accuracies in scores.seeds.items():
         yield f"| {seed} | {' | '.join(_percent(accuracies[str(length)]) for length in LENGTHS)} |"
-    columns = [[100 * row[str(length)] for row in scores.seeds.values()] for length in LENGTHS]
-    yield f"| **mean ± sd** | {' | '.join(f'{np.mean(c):.1f} ± {np.std(c, ddof=1):.1f}' for c in columns)} |"
+    if len(scores.seeds) > 1:
+        columns = [[100 * row[str(length)] for row in scores.seeds.values()] for length in LENGTHS]
+        spread = " | ".join(f"{np.mean(c):.1f} ± {np.std(c, ddof=1):.1f}" for c in columns)
+        yield f"| **mean ± sd** | {spread} |"
     yield ""
 
 
