@@ -57,7 +57,9 @@ def propose(data: bytes) -> PadFormat | None:
     for guess in sorted(guesses, key=_plausibility, reverse=True):
         parser = parser_of(guess)
         frames = parser.feed(data, 0.0)
-        if len(frames) + parser.counts.duplicates >= LEAST_FRAMES - 1:
+        count = len(frames) + parser.counts.duplicates
+        is_most = guess.framing != "binary" or count * guess.frame_bytes > len(data) / 2
+        if count >= LEAST_FRAMES - 1 and is_most:
             level = np.median([frame.pressure for frame in frames]) if frames else 0
             return _as_preset(msgspec.structs.replace(guess, invert=bool(level > MAX_COUNT / 2)))
     return None
@@ -177,7 +179,7 @@ def _fitting(windows: list[bytes], header: bytes, fields: dict[str, Any]) -> Ite
         yield msgspec.structs.replace(loose, full_scale=_full_scale(top))
 
 
-def _headers_of(data: bytes) -> set[bytes]:
+def _headers_of(data: bytes) -> list[bytes]:
     """Return what may be the header: those of the presets, and bytes that come again at one distance."""
     places: defaultdict[bytes, list[int]] = defaultdict(list)
     for length, at in product(GRAMS, range(len(data))):
@@ -199,4 +201,4 @@ def _headers_of(data: bytes) -> set[bytes]:
         after = Counter(data[at : at + len(gram) + 1] for at in places[gram]).most_common(1)[0]
         if after[1] >= COMMONLY * len(places[gram]):
             found.add(after[0])
-    return found
+    return sorted(found)

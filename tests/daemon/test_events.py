@@ -62,6 +62,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "model": "tgc",
             "time": TIME,
             "pad": "pad",
+            "age_ms": 0.0,
             "feel": None,
         },
     ),
