@@ -133,7 +133,7 @@ def test_the_example_configuration_runs_without_the_service(
     assert journal is not None
     journal.append(b'{"type":""}')
     journal.close()
-    assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes().strip() == b"{}"
+    assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes().strip() == b'{"type":""}'
 
 
 def test_the_service_keeps_its_journal_in_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:
