@@ -1,0 +1,316 @@
+"""Stopping rules on the same streams of probabilities: how early one can tell, and what it costs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings
+from daemon.pipeline import STAGES
+from docs.studies.decision.measure import Told
+from docs.studies.decision.streams import FRAMES, Streams
+from docs.studies.marked import table
+from drivers.frame import FRAME_RATE_HZ
+from drivers.recording import NO_TOUCH
+
+Frames = NDArray[np.int64]
+Rule = Callable[[Streams], Frames]
+# Errors that a second of waiting is worth.
+PRICES = (0.02, 0.05, 0.1)
+# The paper's table 3: test accuracy in per cent by seconds.
+PAPER = {9: 57.0, 27: 66.6, 54: 70.8, 81: 71.1, 108: 72.3, 144: 72.8, 216: 71.6}
+LEARN_EVERY = 9
+MARKS = DecisionSettings().answer_at_frames
+
+
+class Score(msgspec.Struct, frozen=True, kw_only=True):
+    """One setting of one rule. error: of the first answer told. harmed: touches in which a mark undoes it."""
+
+    rule: str
+    setting: str
+    error: float
+    mean_s: float
+    median_s: float
+    harmonic: float
+    costs: tuple[float, ...]
+    harmed: float
+
+
+def score(rule: str, setting: str, streams: Streams, frames: Frames) -> Score:
+    """Score answers told after so many frames each, (N,)."""
+    named = _named(streams)
+    rows = np.arange(len(frames))
+    told = named[rows, frames - 1].argmax(axis=1)
+    error = float((told != streams.truth).mean())
+    seconds = frames / FRAME_RATE_HZ
+    earliness = 1 - float(frames.mean()) / FRAMES
+    heard, harmed = told.copy(), np.zeros(len(told), bool)
+    settings = DecisionSettings()
+    for mark in (length for length in MARKS if length > EARLIEST_FRAMES):
+        now = named[:, mark - 1]
+        best, lead = now.argmax(axis=1), now.max(axis=1) - now[rows, heard]
+        sure = now.max(axis=1) >= (0.0 if mark == MARKS[-1] else settings.speak_above)
+        changes = (frames < mark) & (lead >= settings.revise_margin) & sure
+        harmed |= changes & (heard == streams.truth) & (best != streams.truth)
+        heard = np.where(changes, best, heard)
+    return Score(
+        rule=rule,
+        setting=setting,
+        error=error,
+        mean_s=float(seconds.mean()),
+        median_s=float(np.median(seconds)),
+        harmonic=2 * (1 - error) * earliness / (1 - error + earliness),
+        costs=tuple(error + price * float(seconds.mean()) for price in PRICES),
+        harmed=float(harmed.mean()),
+    )
+
+
+def compare(streams: Streams) -> list[Score]:
+    """Return every rule at every setting; what learns, learns from the other people."""
+    rules: dict[str, Mapping[str, Rule]] = {
+        "fixed time": {f"{length}": _fixed(length) for length in (9, 27, 54, 72, 81, 108, 144)},
+        "confidence": {f"{p:.2f}": _confidence(p, 1) for p in np.arange(0.4, 0.96, 0.05)},
+        "confidence for 5 frames": {f"{p:.2f}": _confidence(p, 5) for p in np.arange(0.4, 0.96, 0.05)},
+        "margin": {f"{p:.2f}": _margin(p) for p in np.arange(0.1, 0.96, 0.1)},
+        "sequential test": {f"{limit:g}": _sequential(limit) for limit in (1, 2, 4, 8, 16, 32, 64)},
+        "learnt trigger": {f"{price:g}": _learnt(price) for price in (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)},
+        "two tiers": {f"{patience}": _two_tiers(patience) for patience in (1, 2, 3, 4, 5)},
+        "oracle": {"": _oracle},
+    }
+    return [
+        score(name, setting, streams, rule(streams))
+        for name, settings in rules.items()
+        for setting, rule in settings.items()
+    ]
+
+
+def heard(streams: Streams, settings: DecisionSettings) -> list[Told]:
+    """Return what the robot would have heard of each touch, by the daemon's own decision."""
+    told = []
+    for said, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
+        decision = Decision(settings, streams.labels)
+        due = dict(zip(settings.answer_at_frames, STAGES, strict=True))
+        row = []
+        for frames in range(int(noticed) + 1, FRAMES + 1):
+            probabilities = said[frames - 1].astype(np.float64)
+            stage = due.get(frames)
+            may = decision.may_be_early and "early" in due.values()
+            if may and decision.is_sure(probabilities, frames):
+                stage = "early"
+            if stage is None:
+                continue
+            due = {length: name for length, name in due.items() if name != stage}
+            answer = decision.answer(stage, probabilities)
+            if answer.told:
+                row.append((stage, frames / FRAME_RATE_HZ, answer.gesture == streams.labels[truth]))
+        told.append(Told(*(tuple(part) for part in zip(*row, strict=True))) if row else Told((), (), ()))
+    return told
+
+
+def sure_table(streams: Streams) -> str:
+    """Return what each of the scene's choices costs, as a table for docs/decision.md."""
+    rows = []
+    choices = [("at_mark", "", DecisionSettings())]
+    choices += [("when_sure", sure, DecisionSettings(early="when_sure", sure=sure)) for sure in SURE]
+    for early, sure, settings in choices:
+        told = heard(streams, settings)
+        first = [(t.elapsed_s[0], t.right[0]) for t in told if t.right]
+        settled = [t.settled_s for t in told if t.settled_s is not None]
+        rows.append(
+            (
+                f"`{early}`" + (f", `{sure}`" if sure else ""),
+                f"{np.mean([s for s, _ in first]):.2f} / {np.median([s for s, _ in first]):.2f} s",
+                f"{100 * np.mean([right for _, right in first]):.1f} %",
+                f"{100 * len(settled) / len(told):.1f} %",
+                f"{np.mean(settled):.2f} s",
+                f"{100 * np.mean([t.harmed for t in told]):.1f} %",
+            )
+        )
+    headings = ("scene", "first told after, mean / median", "then right", "right at the end")
+    return table((*headings, "right for good after, mean", "harmful changes"), rows)
+
+
+def rules_table(scores: Sequence[Score]) -> str:
+    """Return each rule's settings that are cheapest at a price of waiting."""
+    rows = []
+    for name in dict.fromkeys(entry.rule for entry in scores):
+        own = [entry for entry in scores if entry.rule == name]
+        best = [min(own, key=lambda entry, i=i: entry.costs[i]) for i in range(len(PRICES))]
+        for entry in dict.fromkeys(best):
+            rows.append(
+                (
+                    entry.rule,
+                    entry.setting,
+                    f"{100 * entry.error:.1f} %",
+                    f"{entry.mean_s:.2f} / {entry.median_s:.2f} s",
+                    f"{entry.harmonic:.3f}",
+                    " / ".join(f"{cost:.3f}" for cost in entry.costs),
+                    f"{100 * entry.harmed:.1f} %",
+                )
+            )
+    costs = "cost at " + " / ".join(f"{price:g}" for price in PRICES) + " a second"
+    headings = ("rule", "setting", "wrong", "told after, mean / median", "harmonic mean", costs)
+    return table((*headings, "harmful changes"), rows)
+
+
+def draw(studies: Mapping[str, tuple[Streams, Sequence[Score]]], path: Path) -> None:
+    """Draw error over mean time: rules as curves, the paper's table 3 and `scene.sure` as dots."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, panels = plt.subplots(
+        1, len(studies), figsize=(5.6 * len(studies), 4.4), layout="constrained", sharey=True, squeeze=False
+    )
+    for axes, (title, (streams, scores)) in zip(panels[0], studies.items(), strict=True):
+        for name in dict.fromkeys(entry.rule for entry in scores):
+            own = sorted((entry.mean_s, 100 * entry.error) for entry in scores if entry.rule == name)
+            axes.plot(*zip(*own, strict=True), marker="*" if name == "oracle" else ".", label=name)
+        axes.plot(
+            [n / FRAME_RATE_HZ for n in PAPER], [100 - p for p in PAPER.values()], "ks", label="the paper"
+        )
+        for sure in SURE:
+            first = heard(streams, DecisionSettings(early="when_sure", sure=sure))
+            told = [(t.elapsed_s[0], t.right[0]) for t in first if t.right]
+            at = float(np.mean([s for s, _ in told])), 100 * float(np.mean([not right for _, right in told]))
+            axes.plot(*at, "rD")
+            axes.annotate(sure, at, textcoords="offset points", xytext=(5, 5), fontsize=8)
+        axes.set(title=title, xlabel="mean time to the told answer, s", xlim=(0, 3))
+    panels[0][0].set_ylabel("told wrong, %")
+    panels[0][0].legend(fontsize=7)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _named(streams: Streams) -> NDArray[np.float32]:
+    """Return the probabilities with "notouch", which is never told, at nothing."""
+    named: NDArray[np.float32] = streams.probabilities.copy()
+    named[:, :, streams.labels.index(NO_TOUCH)] = 0.0
+    return named
+
+
+def _first(streams: Streams, stops: NDArray[np.bool_]) -> Frames:
+    """Return after how many frames each touch is told, (N,), from where a rule may stop, (N, FRAMES)."""
+    stops = stops.copy()
+    earliest = np.maximum(EARLIEST_FRAMES, streams.noticed + 1)
+    stops[np.arange(FRAMES) < earliest[:, None] - 1] = False
+    stops[:, -1] = True
+    frames: Frames = stops.argmax(axis=1) + 1
+    return frames
+
+
+def _fixed(length: int) -> Rule:
+    def rule(streams: Streams) -> Frames:
+        return _first(streams, np.broadcast_to(np.arange(FRAMES) >= length - 1, _shape(streams)))
+
+    return rule
+
+
+def _confidence(limit: float, patience: int) -> Rule:
+    def rule(streams: Streams) -> Frames:
+        named = _named(streams)
+        best = np.where(named.max(axis=2) >= limit, named.argmax(axis=2), -1)
+        stops = best >= 0
+        for back in range(1, patience):
+            stops[:, back:] &= best[:, back:] == best[:, :-back]
+            stops[:, :back] = False
+        return _first(streams, stops)
+
+    return rule
+
+
+def _margin(limit: float) -> Rule:
+    def rule(streams: Streams) -> Frames:
+        top = np.sort(_named(streams), axis=2)
+        return _first(streams, top[:, :, -1] - top[:, :, -2] >= limit)
+
+    return rule
+
+
+def _sequential(limit: float) -> Rule:
+    """Wald's test on the log odds of the two likeliest gestures, summed every sixth of a second."""
+
+    def rule(streams: Streams) -> Frames:
+        logs = np.log(np.maximum(_named(streams), 1e-6))
+        sums = np.sort((logs / LEARN_EVERY).cumsum(axis=1), axis=2)
+        return _first(streams, sums[:, :, -1] - sums[:, :, -2] >= limit)
+
+    return rule
+
+
+def _learnt(price: float) -> Rule:
+    """Stop where waiting is not worth it, as learnt from other people (as CALIMERA, Bilski 2023)."""
+
+    def rule(streams: Streams) -> Frames:
+        from sklearn.linear_model import Ridge
+
+        wrong = _named(streams).argmax(axis=2) != streams.truth[:, None]
+        stops = np.zeros(_shape(streams), bool)
+        for learnt, held in _folds(streams):
+            to_come = wrong[learnt, -1].astype(float)
+            for frame in range(FRAMES - 1 - LEARN_EVERY, EARLIEST_FRAMES - 2, -LEARN_EVERY):
+                now = wrong[learnt, frame].astype(float)
+                waiting = price * LEARN_EVERY / FRAME_RATE_HZ + to_come
+                model = Ridge(alpha=1.0).fit(_features(streams, frame)[learnt], waiting - now)
+                stops[held, frame] = model.predict(_features(streams, frame)[held]) >= 0
+                own = model.predict(_features(streams, frame)[learnt]) >= 0
+                to_come = np.where(own, now, waiting)
+        return _first(streams, stops)
+
+    return rule
+
+
+def _two_tiers(patience: int) -> Rule:
+    """A one-class machine judges each answer; agreeing ones in a row are told (TEASER, Schäfer 2020)."""
+
+    def rule(streams: Streams) -> Frames:
+        from sklearn.svm import OneClassSVM
+
+        best = _named(streams).argmax(axis=2)
+        frames = range(EARLIEST_FRAMES - 1, FRAMES, LEARN_EVERY)
+        accepted = np.full(_shape(streams), -1)
+        for learnt, held in _folds(streams):
+            for frame in frames:
+                features = _features(streams, frame)
+                right = learnt & (best[:, frame] == streams.truth)
+                judge = OneClassSVM(nu=0.05, gamma="scale").fit(features[right])
+                accepted[held, frame] = np.where(judge.predict(features[held]) > 0, best[held, frame], -1)
+        stops = accepted >= 0
+        for place, frame in enumerate(frames):
+            for back in range(1, patience):
+                stops[:, frame] &= (
+                    place >= back and accepted[:, frame] == accepted[:, frame - back * LEARN_EVERY]
+                )
+        return _first(streams, stops)
+
+    return rule
+
+
+def _oracle(streams: Streams) -> Frames:
+    """Stop at the first frame from which on the answer is right for good, at once where it never is."""
+    right = _named(streams).argmax(axis=2) == streams.truth[:, None]
+    for_good = np.logical_and.accumulate(right[:, ::-1], axis=1)[:, ::-1]
+    return _first(streams, for_good | ~right[:, -1:])
+
+
+def _features(streams: Streams, frame: int) -> NDArray[np.float32]:
+    said = np.sort(_named(streams)[:, frame], axis=1)[:, ::-1]
+    return np.column_stack([said, said[:, 0] ** 2, said[:, 0] - said[:, 1]])
+
+
+def _folds(streams: Streams) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+    """Yield who is learnt from and who is told, each person once."""
+    people = sorted(set(streams.participants))
+    for start in range(min(4, len(people))):
+        held = np.isin(streams.participants, people[start::4])
+        yield ~held, held
+
+
+def _shape(streams: Streams) -> tuple[int, int]:
+    return streams.probabilities.shape[:2]
