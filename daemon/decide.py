@@ -29,12 +29,12 @@ class Sureness:
     frames: int
 
 
-Sure: TypeAlias = Literal["eager", "quick", "careful"]
+Sure: TypeAlias = Literal["eager", "balanced", "careful"]
 
 SURE: dict[Sure, Sureness] = {
-    "eager": Sureness(0.75, 1),
-    "quick": Sureness(0.85, 1),
-    "careful": Sureness(0.9, 5),
+    "eager": Sureness(0.65, 1),
+    "balanced": Sureness(0.75, 5),
+    "careful": Sureness(0.85, 5),
 }
 
 
@@ -75,7 +75,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     gestures: tuple[str, ...] = ()
     answer_at_frames: tuple[FrameCount, FrameCount, FrameCount] = (54, 81, 144)
     early: Literal["at_mark", "when_sure"] = "at_mark"
-    sure: Sure = "quick"
+    sure: Sure = "balanced"
     speak_above: Probability = 0.65
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 2.0

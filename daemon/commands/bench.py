@@ -9,7 +9,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from daemon.commands.classify import play
 from daemon.commands.numbers import within
-from daemon.config import LiveSettings, SensorSettings, Settings
+from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
 from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, epoch_s
 from daemon.parts import load_model
@@ -28,7 +28,7 @@ from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
-from drivers.frame import FRAME_RATE_HZ
+from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ
 from drivers.recording import Stream, splice
 
 QUIET_S = 20.0
@@ -90,6 +90,12 @@ def parser() -> argparse.ArgumentParser:
         default=120.0,
         help="how long to touch the pad (default 120)",
     )
+    parser.add_argument(
+        "--pads",
+        type=within(int, 1, MAX_PADS),
+        default=1,
+        help="how many pads, all touched at once (default 1)",
+    )
     parser.add_argument("--json", action="store_true", help="figures as JSON instead of a table")
     return parser
 
@@ -97,7 +103,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Measure and print; returns 0 whatever the figures are."""
     options = parser().parse_args(arguments)
-    figures = measure(options.seconds)
+    figures = measure(options.seconds, pads=options.pads)
     sys.stdout.write(msgspec.json.encode(figures).decode() + "\n" if options.json else table(figures))
     return 0
 
@@ -113,8 +119,8 @@ def table(figures: Figures) -> str:
     return "".join(lines)
 
 
-def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
-    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; live: with a page."""
+def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> Figures:
+    """Run the daemon on pads that rest for 20 s and are then touched for `touch_s`; live: with a page."""
     stream = touched(touch_s)
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
@@ -122,8 +128,12 @@ def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
         ready = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         ready.bind(str(folder / "notify"))
         ready.settimeout(START_S)
-        port = closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
-        settings = Settings(sensor=SensorSettings(port=port.path), live=live)
+        ports = {
+            f"pad{number}": closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
+            for number in range(1, pads + 1)
+        }
+        sensors = {name: PadSettings(port=port.path) for name, port in ports.items()}
+        settings = Settings(sensors=sensors, live=live)
         started_s = time.monotonic()
         daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
         closing.callback(daemon.stop)
@@ -136,13 +146,15 @@ def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
         idle_percent = _cpu_percent(daemon.process.pid, QUIET_S - 2.0)
         time.sleep(2.0)
         touching_percent = _cpu_percent(daemon.process.pid, touch_s)
-        port.wait(START_S)
+        for port in ports.values():
+            port.wait(START_S)
         memory_mb = _peak_memory_mb(daemon.process.pid)
         daemon.stop()
         reader.join()
-    latencies_ms = _latencies_ms(port.sent_s, received)
+    latencies_ms = _latencies_ms({name: port.sent_s for name, port in ports.items()}, received)
     events = [arrived.event for arrived in received]
-    inner_ms = [event.latency_ms for event in events if isinstance(event, Prediction)]
+    answers = [event for event in events if isinstance(event, Prediction)]
+    inner_ms = [event.latency_ms for event in answers]
     speed, classified = _classify(stream)
     return Figures(
         answers=len(inner_ms),
@@ -155,7 +167,7 @@ def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
         memory_mb=memory_mb,
         start_to_ready_s=start_to_ready_s,
         classify_times_real_time=speed,
-        same_predictions=outline(events) == outline(classified),
+        same_predictions=all(_stages(answers, name) == _stages(classified, DEFAULT_PAD) for name in ports),
     )
 
 
@@ -173,19 +185,26 @@ def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
         received.append(Received(event, time.monotonic(), time.time()))
 
 
-def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
+def _stages(events: Sequence[Event], pad: str) -> list[dict[str, object]]:
+    """Return what was said of a pad's touches; their numbers are the daemon's, over all pads."""
+    answers = [event for event in events if isinstance(event, Prediction) and event.pad == pad]
+    return [{**line, "touch": None} for line in outline(answers)]
+
+
+def _latencies_ms(sent_s: Mapping[str, NDArray[np.float64]], received: Sequence[Received]) -> list[float]:
     """Return, for each answer, the time from writing the frame that made it due to reading its line.
 
-    sent_s: (T,) when each frame was written. Which frame it was follows from the event: it says when it was
-    handed over and how long after its frame.
+    sent_s: (T,) when each frame was written, of each pad. Which frame it was follows from the event: it says
+    when it was handed over and how long after its frame.
     """
     latencies_ms = []
     for arrived in received:
         if isinstance(arrived.event, Prediction):
             since_hand_over_s = arrived.epoch_s - epoch_s(arrived.event.time)
             frame_s = arrived.monotonic_s - since_hand_over_s - arrived.event.latency_ms / 1000
-            frame = int(np.searchsorted(sent_s, frame_s + STAMP_S)) - 1
-            latencies_ms.append(1000 * (arrived.monotonic_s - float(sent_s[frame])))
+            sent = sent_s[arrived.event.pad]
+            frame = int(np.searchsorted(sent, frame_s + STAMP_S)) - 1
+            latencies_ms.append(1000 * (arrived.monotonic_s - float(sent[frame])))
     return latencies_ms
 
 

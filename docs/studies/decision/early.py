@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings
 from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Told
-from docs.studies.decision.streams import FRAMES, Streams
-from docs.studies.marked import table
+from docs.studies.decision.streams import FRAMES, Streams, collect
+from docs.studies.marked import fill, table
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import NO_TOUCH
+from drivers.recording import NO_TOUCH, read_recordings
 
 Frames = NDArray[np.int64]
 Rule = Callable[[Streams], Frames]
@@ -67,6 +67,16 @@ def score(rule: str, setting: str, streams: Streams, frames: Frames) -> Score:
         costs=tuple(error + price * float(seconds.mean()) for price in PRICES),
         harmed=float(harmed.mean()),
     )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Compare the rules on recordings FILE, asked of models MODEL…, and fill docs/early.md."""
+    page, recordings, *models = map(Path, arguments)
+    streams = collect(read_recordings(recordings), models)
+    scores = compare(streams)
+    fill(page, {"sure": sure_table(streams), "rules": rules_table(scores)})
+    draw({recordings.stem: (streams, scores)}, page.parent / "figures" / "early.png")
+    return 0
 
 
 def compare(streams: Streams) -> list[Score]:
@@ -139,7 +149,7 @@ def rules_table(scores: Sequence[Score]) -> str:
     rows = []
     for name in dict.fromkeys(entry.rule for entry in scores):
         own = [entry for entry in scores if entry.rule == name]
-        best = [min(own, key=lambda entry, i=i: entry.costs[i]) for i in range(len(PRICES))]
+        best = [own[place] for place in np.argmin([entry.costs for entry in own], axis=0)]
         for entry in dict.fromkeys(best):
             rows.append(
                 (

@@ -188,6 +188,8 @@ def _lines(figures: StreamReport) -> Iterable[str]:
     yield "`python -m docs.studies decision FOLDER`, FOLDER being HAART's. notouch is no touch and so not"
     yield "counted here; [accuracy.md](accuracy.md) has it."
     yield ""
+    yield "What `scene.early` and `scene.sure` cost: [early.md](early.md)."
+    yield ""
     yield "## What the network thinks"
     yield ""
     yield "| stage | touches | right | calibration error |"
