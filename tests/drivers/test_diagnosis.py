@@ -53,7 +53,7 @@ DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
         (b"\xff" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
         (b"x", pad("csv", 10, 10), "noise", "noise"),
         (
-            binary(10, 10).replace(b"\x03", b""),
+            DAMAGED,
             pad("fabric-grid", 10, 10),
             "damage",
             "none of fabric-grid 10x10",
