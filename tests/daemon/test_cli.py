@@ -80,7 +80,7 @@ def test_no_command_shows_the_help_and_is_a_mistake(capsys: pytest.CaptureFixtur
 
 
 def test_an_unknown_command_is_named(refusal: Refusal) -> None:
-    assert "xyz is no command; there are run," in refusal("xyz")
+    assert "xyz is no command; there are init, run," in refusal("xyz")
 
 
 def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
