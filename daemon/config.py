@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import os
 import re
 import reprlib
@@ -27,6 +28,8 @@ from drivers.robot.actions import ActionRule, Words
 from drivers.robot.settings import RobotSettings
 
 T = TypeVar("T", bound=msgspec.Struct)
+log = logging.getLogger(__name__)
+RENAMED_TOUCH_KEYS = {"onset_level": "onset_threshold", "release_level": "release_threshold"}
 Keys = tuple[str, ...]
 
 PLAIN_WORDS = {
@@ -292,10 +295,22 @@ def convert(text: bytes | str, struct: type[T]) -> T:
         raise StrictYamlError(_plain_syntax(error)) from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise StrictYamlError(f"not YAML: {' '.join(str(error).split())}") from error
+    _rename(raw)
     try:
         return msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
         raise StrictYamlError(_plainly(str(error), raw, struct)) from error
+
+
+def _rename(raw: object) -> None:
+    """Take keys by their names of the release before, with a warning each."""
+    touch = raw.get("touch") if isinstance(raw, dict) else None
+    if not isinstance(touch, dict):
+        return
+    for old, new in RENAMED_TOUCH_KEYS.items():
+        if old in touch and new not in touch:
+            log.warning("touch.%s is now called touch.%s; rename it, the next release refuses it", old, new)
+            touch[new] = touch.pop(old)
 
 
 def _plain_syntax(error: yaml.MarkedYAMLError) -> str:

@@ -68,6 +68,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
+    ongoing: whether another gesture is told after the final answer, when the hand goes on with one.
     revise_margin: an answer the robot has heard is replaced only by one more probable than it by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
     """
@@ -79,6 +80,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     speak_above: Probability = 0.65
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 2.0
+    ongoing: bool = True
 
     def __post_init__(self) -> None:
         early, revised, final = self.answer_at_frames

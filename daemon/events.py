@@ -11,7 +11,8 @@ from daemon.feel import Feel
 from drivers.frame import DEFAULT_PAD
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
-EndReason: TypeAlias = Literal["released", "settled", "gap", "sensor", "stopped"]
+EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]
+PadState: TypeAlias = Literal["up", "down", "degraded", "disturbed"]
 
 UNCERTAIN = "uncertain"
 MAX_REASON_BYTES = 400
@@ -85,7 +86,8 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
     gesture: what the robot was last told, else "uncertain".
     frames: from first to last contact, on the 54 Hz grid.
-    reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "gap" (more
+    reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "longest"
+    (it went on for longer than a touch may); "gap" (more
     frames lost than can be bridged, or the sensor restarted); "sensor" (gone); "stopped" (the stream ended).
     sensor_ms: the sensor's clock at the last contact. feel: what the touch was like. Both are None in older
     journals.
@@ -102,12 +104,12 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
-    """The pad came, went, or delivers frames on which no touch can be felt ("degraded").
+    """The pad came, went, feels no touch ("degraded"), or no light touch for all its noise ("disturbed").
 
     reason: one line for people, empty when there is nothing to add.
     """
 
-    state: Literal["up", "down", "degraded"]
+    state: PadState
     time: str
     reason: str = ""
     pad: str = DEFAULT_PAD

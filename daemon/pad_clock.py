@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from daemon.touch import LEARN_FRAMES
+from daemon.touch import CALIBRATION_FRAMES
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame
 
@@ -55,7 +55,7 @@ class Feeling:
 
     def __init__(self, max_gap_s: float) -> None:
         self._max_gap_s = max_gap_s
-        self._frames: deque[Frame] = deque(maxlen=LEARN_FRAMES)
+        self._frames: deque[Frame] = deque(maxlen=CALIBRATION_FRAMES)
         self._without_gap = 0
         self._since_s: float | None = None
         self._is_degraded = False
@@ -69,7 +69,7 @@ class Feeling:
         self._without_gap = 0 if restarted else self._without_gap + 1
         if self._since_s is None:
             self._since_s = frame.host_s
-        if self._without_gap >= LEARN_FRAMES:
+        if self._without_gap >= CALIBRATION_FRAMES:
             self._since_s = frame.host_s
             if self._is_degraded:
                 self._is_degraded = False

@@ -6,18 +6,18 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import Answer, Decision, DecisionSettings, ProbabilityModel
+from daemon.decide import NO_TOUCH, Answer, Decision, DecisionSettings, ProbabilityModel
 from daemon.events import (
     UNCERTAIN,
     EndReason,
     Event,
     LivePrediction,
+    PadState,
     Prediction,
     SensorEvent,
     Stage,
@@ -28,7 +28,7 @@ from daemon.events import (
 )
 from daemon.feel import FeelMeter
 from daemon.pad_clock import Age, Feeling
-from daemon.touch import LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
@@ -36,9 +36,17 @@ from model.classifier import State
 
 log = logging.getLogger(__name__)
 
+DISTURBED: tuple[PadState, str] = (
+    "disturbed",
+    "the pad is noisy though nobody touches it, and feels no light touch: a motor, mains hum, a loose wire?",
+)
+CALM: tuple[PadState, str] = ("up", "the pad is calm again")
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# Two inferences a second while a long touch goes on: a change is seen within half a second, at little cost.
+# After the final answer the last second is asked about on its own, twice a second. Another gesture is told
+# when two such stretches are this sure of it: docs/touch.md.
 ONGOING_STRIDE_FRAMES = 27
+ONGOING_FRAMES = 54
+ONGOING_CONFIDENCE = 0.9
 # An answer due in a quiet longer than a pat's lift-off waits until it is clear what the quiet is: a pause,
 # best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
 # with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
@@ -71,7 +79,8 @@ class Touch:
     """The touch that goes on.
 
     due: the stages still to come, with the length at which each is asked. heard: the model's answers so far,
-    by length. state: the model's, after the touch's first `given` frames.
+    by length. state: the model's, after the touch's first `given` frames. next_gesture: what the last stretch
+    after the final answer was, if it was surely another gesture.
     """
 
     number: int
@@ -83,6 +92,7 @@ class Touch:
     heard: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     state: State | None = None
     given: int = 0
+    next_gesture: str | None = None
 
     @property
     def waits_until_sure(self) -> bool:
@@ -118,10 +128,16 @@ class Pipeline:
         # At the end of a touch its last frames lie behind by the quiet in which the end was known.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker: TouchTracker = TouchTracker(settings.touch, before._tracker if before else None)
+        self._tracker: TouchTracker = TouchTracker(
+            settings.touch, self._no_touch, before._tracker if before else None
+        )
         self._ring: Ring = Ring(settings.ring, _history_frames(settings), before._ring if before else None)
         self._touches: int = before._touches if before else 0
+<<<<<<< HEAD
         self._size_mm = settings.size_mm
+=======
+        self._is_disturbed: bool = before._is_disturbed if before else False
+>>>>>>> bd79d8f (Close a touch when the pad shows that nobody touches it)
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
         self._feeling = Feeling(settings.ring.max_gap_s)
@@ -148,13 +164,16 @@ class Pipeline:
             self._stop("sensor")
             self._age.forget()
             self._feeling.forget()
+            self._is_disturbed = False
+        else:
+            log.info("leave the pad alone for half a second: its rest is measured")
         self._tell_sensor(state.state, state.reason)
 
     def flush(self) -> None:
         """End the touch that goes on, if any: no frame will come any more."""
         self._stop("stopped")
 
-    def _tell_sensor(self, state: Literal["up", "down", "degraded"], reason: str) -> None:
+    def _tell_sensor(self, state: PadState, reason: str) -> None:
         self._emit(SensorEvent(state=state, time=self._now(), reason=one_line(reason), pad=self._pad))
 
     def _advance(self, frame: GridFrame) -> None:
@@ -163,11 +182,28 @@ class Pipeline:
                 self._begin(first_index, frame)
             case Release() as release:
                 self._end(release, frame.host_s)
-        if self._touch is not None:
+        if self._touch is None:
+            self._watch_for_disturbance()
+        else:
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(frame.pressure)
             self._follow(self._touch, frame)
             self._ask_what_is_due(self._touch, frame)
+
+    def _watch_for_disturbance(self) -> None:
+        """Say once when the untouched pad has become too noisy to feel light touches, and when it calms."""
+        if self._tracker.is_disturbed == self._is_disturbed:
+            return
+        self._is_disturbed = not self._is_disturbed
+        state, reason = DISTURBED if self._is_disturbed else CALM
+        log.log(logging.WARNING if self._is_disturbed else logging.INFO, "%s", reason)
+        self._tell_sensor(state, reason)
+
+    def _no_touch(self, window: NDArray[np.float32]) -> float:
+        """Return the probability that nothing touches the pad in these frames."""
+        if NO_TOUCH not in self._model.labels:
+            return 0.0
+        return float(self._model.probabilities(window)[self._model.labels.index(NO_TOUCH)])
 
     def _stop(self, reason: EndReason) -> None:
         since_s = self._clock.monotonic_s()
@@ -220,8 +256,9 @@ class Pipeline:
             due_length, stage = overdue[-1]
             self._ask(touch, stage, due_length, frame.host_s)
         over = length - self._final_frames
-        if over > 0 and over % ONGOING_STRIDE_FRAMES == 0:
-            self._ask(touch, "ongoing", length, frame.host_s)
+        is_due = over > 0 and over % ONGOING_STRIDE_FRAMES == 0 and not self._tracker.may_be_over
+        if is_due and self._decision_settings.ongoing:
+            self._ask_what_goes_on(touch, length, frame.host_s)
 
     def _end(self, release: Release, since_s: float) -> None:
         touch = self._touch
@@ -253,6 +290,32 @@ class Pipeline:
         probabilities = touch.heard.get(length)
         if probabilities is None:
             probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
+        self._answer(touch, stage, probabilities, (frames, length), since_s)
+
+    def _ask_what_goes_on(self, touch: Touch, length: int, since_s: float) -> None:
+        """Tell another gesture once it has lasted: two stretches in a row are surely that one."""
+        frames = min(ONGOING_FRAMES, self._final_frames)
+        probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
+        scene = touch.decision.weigh(probabilities)
+        best = max(scene, key=lambda label: scene[label])
+        if best in (NO_TOUCH, touch.decision.told) or scene[best] < ONGOING_CONFIDENCE:
+            touch.next_gesture = None
+        elif best != touch.next_gesture:
+        """Decide on what the model said of a touch's frames; window: how many of its first how many."""
+        else:
+            touch.next_gesture = None
+            self._answer(touch, "ongoing", probabilities, (frames, length), since_s)
+
+    def _answer(
+        self,
+        touch: Touch,
+        stage: Stage,
+        probabilities: NDArray[np.float64],
+        window: tuple[int, int],
+        since_s: float,
+    ) -> None:
+        """Decide on what the model said of the last of a touch's first frames; window: how many of how many."""
+        frames, length = window
         last = touch.first_index + length - 1
         age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
         answer = touch.decision.answer(stage, probabilities, may_tell=age_s <= self._stale_s)
@@ -294,5 +357,5 @@ def _as_sent(frame: GridFrame) -> int:
 
 def _history_frames(settings: PipelineSettings) -> int:
     """The longest window, and how far from the newest frame it may end: in a quiet, and in a bridged gap."""
-    spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s) * FRAME_RATE_HZ)
-    return settings.decision.answer_at_frames[-1] + LEARN_FRAMES + spare_frames
+    spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s + 2) * FRAME_RATE_HZ)
+    return settings.decision.answer_at_frames[-1] + CALIBRATION_FRAMES + spare_frames

@@ -270,7 +270,7 @@ class RobotSink:
             else:
                 self._link.settle(message)
         elif isinstance(event, SensorEvent):
-            self._link.set_status(event.state, event.pad)
+            self._link.set_status("up" if event.state == "disturbed" else event.state, event.pad)
 
     def stop(self, timeout_s: float) -> None:
         """Say goodbye to the robot."""

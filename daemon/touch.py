@@ -1,17 +1,22 @@
 """When a touch begins and when it ends.
 
-Rest is learned per taxel and followed while nothing touches. Contact is pressure above rest and above the
-taxel's own noise, summed over the pad: a light stroke is hardly above noise in any one taxel, but in many at
-once. A loose wire lifts a whole row by a few counts, as a light touch does; a touch lifts other rows too, or
-that one by more, so it begins on the contact beyond one row's or column's first counts. It ends when all
-contact has been gone for `quiet_s`. A load that keeps still for `settled_s` is no hand, for a resting hand
-trembles: it becomes the new rest. So does what lies below rest for half a second, as when a hand lifts that
-lay on the pad while rest was learned. The figures behind the numbers are in docs/touch.md.
+Contact is pressure above the baseline and above each taxel's noise floor, summed over the pad: a light
+stroke is hardly above noise in any one taxel, but in many at once. A loose wire lifts a whole row by a few
+counts, as a light touch does; a touch lifts other rows too, or that one by more, so it begins on the contact
+beyond one row's or column's first counts. Firm contact begins a touch at once. Light contact may also be a
+baseline that shifted or a pad that wobbles: it begins a touch when it moves on and the network sees one.
+
+A touch ends when contact has been gone for `quiet_s`. A fabric rarely comes back to where it was, and noise
+may have begun meanwhile, so a touch also ends when the pad shows that nobody touches it, whatever it reads:
+it keeps still far below the touch's own level; or it has become far calmer than the touch was; or the network
+sees no touch, several times running. What it reads then is its baseline. A load that keeps still at the
+touch's level for `settled_s` is no hand, for a resting hand trembles. The figures behind the numbers are in
+docs/touch.md.
 """
 
 from __future__ import annotations
 
-from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -19,48 +24,78 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
 from daemon.events import EndReason
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from drivers.pad.grid import GridFrame
 
-TAXELS = ROWS * COLUMNS
-Taxels = NDArray[np.float32]
+NoTouch = Callable[[NDArray[np.float32]], float]
 
 # A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
 SMOOTH_FRAMES = 3
-LEARN_FRAMES = 27
-FOLLOW_FRAMES = 3.0 * FRAME_RATE_HZ
-# Rest follows no faster than this many counts per FOLLOW_FRAMES, so that a light touch does not become rest.
-FOLLOW_COUNTS = 1.0
-FLOOR_COUNTS = 1.6
-FLOOR_DEVIATIONS = 2.0
-MAX_DEVIATION_COUNTS = 4.0
+CALIBRATION_FRAMES = 27
 WIRE_COUNTS = 25.0
 BACKDATE_COUNTS = 1.0
-# A taxel keeps still within this many times its floor, 3.2 counts on a quiet pad.
-STILL_FLOORS = 2.0
-# A pad silent for longer, or restarted, may have been moved or changed: its rest is learned anew.
+# A pad silent for longer, or restarted, may have been moved or changed: it is calibrated anew.
 CHANGED_AFTER_MS = 2000.0
+
+# Contact so firm that nothing but a hand makes it, or this many times what the untouched pad lately made.
+FIRM_COUNTS = 60.0
+FIRM_RESTLESS = 3.0
+# A baseline's shift is over after two frames; a hand goes on moving, by so many counts summed over the pad.
+STEP_FRAMES = 2
+MOVED_COUNTS = 6.0
+SURE_MOVEMENT = 4.0
+LEAST_ASKED_FRAMES = 18
+ASK_LIGHT_FRAMES = 9
+NO_TOUCH_MOVING = 0.7
+NO_TOUCH_STILL = 0.3
+# What the untouched pad's contact reached lately has to be exceeded by half, and is forgotten in 20 seconds.
+RESTLESS_FACTOR = 1.5
+RESTLESS_KEPT = 0.999
+
+# The end is looked for nine times a second.
+END_STRIDE_FRAMES = 6
+# Far below the touch's level: a share of its highest half second, or less contact than a resting hand makes.
+LOW_SHARE = 0.35
+LOW_COUNTS = 80.0
+# A taxel keeps still when its half seconds differ by less than this, its sway, or what its noise explains.
+STILL_COUNTS = 0.9
+STILL_SWAYS = 1.2
+STILL_SPREADS = 0.8
+MAX_SPREAD_COUNTS = 4.0
+LOAD_NOISE = 0.03
+STILL_FRAMES = 36
+CALM_FRAMES = 90
+ASK_FRAMES = 24
+NO_TOUCH = 0.5
+NO_TOUCH_FRAMES = 72
+# The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.
+DISTURBED_FLOOR = 2.2
 
 
 class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How a touch is told from a pad at rest. The defaults were chosen by measurement: docs/touch.md.
 
-    onset_level: contact that begins a touch, in counts summed over the pad above each taxel's noise; lower
-        notices lighter touches and raises more false alarms.
-    release_level: contact below which the pad is quiet, in the same counts.
+    onset_threshold: contact that begins a touch, in counts summed over the pad above each taxel's noise
+        floor; lower notices lighter touches and raises more false alarms.
+    release_threshold: contact below which the pad is quiet, in the same counts.
     quiet_s: a touch ends after this much quiet; longer than the lift-off between two strokes. Seconds.
     settled_s: a load that has kept still for this long is taken for the pad's new rest. Seconds.
+    longest_s: a touch that goes on for longer is ended, and what lies on the pad is its new rest. Seconds.
     """
 
-    onset_level: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 4.0
-    release_level: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 4.0
+    onset_threshold: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 4.0
+    release_threshold: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 4.0
     quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
     settled_s: Annotated[float, msgspec.Meta(ge=5, le=3600)] = 10.0
+    longest_s: Annotated[float, msgspec.Meta(ge=5, le=86_400)] = 600.0
 
     def __post_init__(self) -> None:
-        if self.release_level > self.onset_level:
-            raise ValueError(f"release_level {self.release_level} is above onset_level {self.onset_level}")
+        if self.release_threshold > self.onset_threshold:
+            raise ValueError(
+                f"release_threshold {self.release_threshold} is above onset_threshold {self.onset_threshold}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,56 +114,64 @@ class Release:
     reason: EndReason
 
 
-class Rest:
-    """What each taxel reads, and how much it strays, while nothing touches the pad."""
+@dataclass
+class _Light:
+    """Light contact of which it is not clear yet whether it is a touch.
 
-    def __init__(self) -> None:
-        self.known = False
-        self.counts = np.zeros(TAXELS, np.float32)
-        self._deviation = np.zeros(TAXELS, np.float32)
-        self.floor = np.full(TAXELS, FLOOR_COUNTS, np.float32)
+    since: its first frame. last: its latest frame above the threshold, with the taxels touched in it. before:
+    the pad after the first step, to see whether it goes on moving. moved, highest: most movement and contact.
+    """
 
-    def learn(self, frames: NDArray[np.float32]) -> None:
-        """Take (T, 64) counts for the pad at rest."""
-        self.known = True
-        # The median of an odd number; np.median would first import numpy.ma, which stalls the loop for 20 ms.
-        self.counts = np.sort(frames, axis=0)[len(frames) // 2]
-        self._deviation = np.abs(frames - self.counts).mean(axis=0, dtype=np.float32)
-        self._set_floor()
+    since: int
+    last: int
+    touched: NDArray[np.bool_]
+    before: Taxels
+    moved: float = 0.0
+    highest: float = 0.0
 
-    def follow(self, pressure: Taxels) -> None:
-        """Drift a little towards (64,) counts of a pad that nothing touches."""
-        off = pressure - self.counts
-        self.counts += np.maximum(np.minimum(off, FOLLOW_COUNTS), -FOLLOW_COUNTS) / FOLLOW_FRAMES
-        self._deviation += (np.abs(off) - self._deviation) / FOLLOW_FRAMES
-        self._set_floor()
 
-    def _set_floor(self) -> None:
-        np.minimum(self._deviation, MAX_DEVIATION_COUNTS, out=self._deviation)
-        self.floor = np.maximum(self._deviation * FLOOR_DEVIATIONS, FLOOR_COUNTS)
+@dataclass
+class _Held:
+    """A touch that goes on: its frames, its highest level and activity, how long it has seemed over."""
+
+    first: int
+    last: int
+    level: float = 0.0
+    activity: float = 0.0
+    still_frames: int = 0
+    calm_frames: int = 0
+    untouched_frames: int = 0
 
 
 class TouchTracker:
     """Follows the pad frame by frame and says when a touch begins and ends.
 
-    before: a tracker that this one goes on from between two touches, by other settings.
+    no_touch: the network's probability that nothing touches the pad in (T, 8, 8) counts. before: a tracker
+    that this one goes on from between two touches, by other settings.
     """
 
-    def __init__(self, settings: TouchSettings, before: TouchTracker | None = None) -> None:
-        self._rest = Rest()
-        self._recent: deque[Taxels] = deque(maxlen=LEARN_FRAMES)
+    def __init__(
+        self,
+        settings: TouchSettings,
+        no_touch: NoTouch | None = None,
+        before: TouchTracker | None = None,
+    ) -> None:
+        self._baseline = Baseline()
+        self._recent = LastSecond()
         self._index = -1
         self._sensor_ms = 0.0
         self._sunken_frames = 0
-        self._first_index: int | None = None
-        self._last_index = 0
-        self._still = self._rest.counts
-        self._still_since = 0
+        self._unsteady_index = 0
+        self._restless = 0.0
+        self._light: _Light | None = None
+        self._held: _Held | None = None
         if before is not None:
             vars(self).update(vars(before))
+        self._no_touch = no_touch
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
         self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)
+        self._longest_frames = round(settings.longest_s * FRAME_RATE_HZ)
 
     @property
     def rest(self) -> Rest:
@@ -138,88 +181,200 @@ class TouchTracker:
     @property
     def last_contact_index(self) -> int:
         """The last grid frame with contact of the touch that goes on; the median shows its end late."""
-        if self._last_index == self._index or self._first_index is None:
-            return self._last_index
-        return max(self._first_index, self._last_index - SMOOTH_FRAMES // 2)
+        if self._held is None or self._held.last == self._index:
+            return self._index
+        return max(self._held.first, self._held.last - SMOOTH_FRAMES // 2)
+
+    @property
+    def may_be_over(self) -> bool:
+        """Whether the touch that goes on has lately looked like an untouched pad."""
+        held = self._held
+        return held is not None and bool(held.still_frames or held.calm_frames or held.untouched_frames)
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether the untouched pad is so noisy that light touches go unnoticed."""
+        return float(self._baseline.noise_floor.mean()) >= DISTURBED_FLOOR
 
     def update(self, frame: GridFrame) -> Onset | Release | None:
-        """Take the next grid frame; return what it changed. The first half second is learned as rest."""
+        """Take the next grid frame; return what it changed. The first half second calibrates the baseline."""
         release = None
         if frame.restarted:
             release = self._end("gap")
-            self._recent.clear()
-            self._sunken_frames = 0
+            self._clear()
             if not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS:
-                self._rest = Rest()
+                self._baseline = Baseline()
         self._index, self._sensor_ms = frame.index, frame.sensor_ms
-        self._recent.append(frame.pressure.reshape(TAXELS))
-        if not self._rest.known:
-            if len(self._recent) == LEARN_FRAMES:
-                self._learn_rest()
+        self._recent.push(frame.pressure.reshape(TAXELS))
+        if not self._baseline.is_known:
+            if len(self._recent) == CALIBRATION_FRAMES:
+                self._calibrate()
             return release
         if len(self._recent) < SMOOTH_FRAMES:
             return release
-        smooth = _median(self._recent[-1], self._recent[-2], self._recent[-3])
-        if self._first_index is None:
-            return self._watch(smooth)
-        return self._hold(smooth)
+        smooth = _median(*self._recent.last(SMOOTH_FRAMES))
+        return self._watch(smooth) if self._held is None else self._hold(smooth, self._held)
 
     def forget(self, reason: EndReason) -> Release | None:
-        """End the touch, if one goes on, and learn rest anew from what comes: it may be another pad."""
+        """End the touch, if one goes on, and calibrate anew from what comes: it may be another pad."""
         release = self._end(reason)
-        self._rest = Rest()
-        self._recent.clear()
+        self._baseline = Baseline()
+        self._clear()
         return release
 
     def _watch(self, smooth: Taxels) -> Onset | None:
-        rise = smooth - self._rest.counts
-        above = np.maximum(rise - self._rest.floor, 0)
-        if _beyond_one_wire(above) >= self._settings.onset_level:
-            self._first_index = self._backdate(above > 0)
-            self._last_index = self._index
-            self._still, self._still_since = smooth, self._index
-            return Onset(self._first_index)
-        self._rest.follow(self._recent[-1])
-        below = np.maximum(-rise - self._rest.floor, 0)
-        sunken = _beyond_one_wire(below) >= self._settings.onset_level
-        self._sunken_frames = self._sunken_frames + 1 if sunken else 0
-        if self._sunken_frames >= LEARN_FRAMES:
-            # Pressure does not go below rest: rest was learned under a hand or an object that is now gone.
-            self._learn_rest()
+        rise = smooth - self._baseline.counts
+        above = np.maximum(rise - self._baseline.noise_floor, 0)
+        contact = _beyond_one_wire(above)
+        if contact >= self._onset_counts or self._light is not None:
+            return self._weigh_light(smooth, above, contact)
+        self._restless = max(self._restless * RESTLESS_KEPT, contact)
+        self._baseline.track(self._recent.last(1)[0])
+        below = np.maximum(-rise - self._baseline.noise_floor, 0)
+        is_sunken = _beyond_one_wire(below) >= self._settings.onset_threshold
+        self._sunken_frames = self._sunken_frames + 1 if is_sunken else 0
+        if is_sunken:
+            self._unsteady_index = self._index
+        if self._sunken_frames >= CALIBRATION_FRAMES:
+            # Pressure does not go below rest: it was calibrated under a hand or an object that is now gone.
+            self._calibrate()
+        elif self._is_time_to_look and self._index - self._unsteady_index >= SECOND_FRAMES:
+            older, newer = self._recent.halves()
+            self._baseline.track_sway(np.abs(newer - older))
         return None
 
-    def _hold(self, smooth: Taxels) -> Release | None:
-        contact = float(np.maximum(smooth - self._rest.counts - self._rest.floor, 0).sum())
-        if contact >= self._settings.release_level:
-            self._last_index = self._index
-        elif self._index - self._last_index >= self._quiet_frames:
+    @property
+    def _is_time_to_look(self) -> bool:
+        return self._index % END_STRIDE_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
+
+    @property
+    def _onset_counts(self) -> float:
+        return max(self._settings.onset_threshold, RESTLESS_FACTOR * self._restless)
+
+    def _weigh_light(self, smooth: Taxels, above: Taxels, contact: float) -> Onset | None:
+        """Tell a touch from a shifted baseline, which stands still, and a wobble, which the network knows."""
+        light = self._light
+        if light is None:
+            light = self._light = _Light(self._index, self._index, above > 0, smooth)
+        waited = self._index - light.since
+        if waited <= STEP_FRAMES:
+            light.before = smooth
+        if contact >= self._onset_counts:
+            light.last, light.touched = self._index, above > 0
+        light.highest = max(light.highest, contact)
+        moved = np.maximum(np.abs(smooth - light.before) - self._baseline.noise_floor, 0)
+        light.moved = max(light.moved, float(moved.sum()))
+        movement = light.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
+        is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
+        if is_firm or movement >= SURE_MOVEMENT or self._is_light_touch(waited, movement):
+            self._light = None
+            self._held = _Held(self._backdate(light), self._index)
+            return Onset(self._held.first)
+        if self._index - light.last >= CALIBRATION_FRAMES:
+            self._restless = max(self._restless, light.highest)
+            self._light = None
+        elif waited >= SECOND_FRAMES:
+            self._calibrate()
+        return None
+
+    def _is_light_touch(self, waited: int, movement: float) -> bool:
+        """Ask the network about light contact, sooner if it moves; on a disturbed pad it cannot tell."""
+        if movement >= 1.0 and waited >= LEAST_ASKED_FRAMES:
+            is_due, least = self._index % ASK_LIGHT_FRAMES == 0, NO_TOUCH_MOVING
+        else:
+            is_due, least = waited == SECOND_FRAMES and self._no_touch is not None, NO_TOUCH_STILL
+        return is_due and (self.is_disturbed or self._ask(waited - STEP_FRAMES) < least)
+
+    def _ask(self, frames: int) -> float:
+        """Return the network's probability that nothing touches the pad; without a network, a hand does."""
+        if self._no_touch is None:
+            return 0.0
+        return self._no_touch(self._recent.last(frames).reshape(-1, ROWS, COLUMNS))
+
+    def _hold(self, smooth: Taxels, held: _Held) -> Release | None:
+        above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
+        if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
+            held.last = self._index
+        elif self._index - held.last >= self._quiet_frames:
             return self._end("released")
-        if (np.abs(smooth - self._still) > STILL_FLOORS * self._rest.floor).any():
-            self._still, self._still_since = smooth, self._index
-        elif self._index - self._still_since >= self._settled_frames:
-            self._learn_rest()
-            return self._end("settled")
+        if self._index - held.first >= self._longest_frames:
+            return self._take_for_rest(held, "longest")
+        if self._is_time_to_look and self._index - held.first >= SECOND_FRAMES:
+            return self._look_for_end(held)
         return None
 
-    def _backdate(self, touched: NDArray[np.bool_]) -> int:
-        """Return the first frame of the unbroken run up to now in which these taxels were above rest."""
-        rest = self._rest.counts[touched].mean()
-        frames = 1
-        for pressure in list(self._recent)[-2::-1]:
-            if pressure[touched].mean() - rest < BACKDATE_COUNTS:
-                break
-            frames += 1
-        return self._index - frames + 1
+    def _look_for_end(self, held: _Held) -> Release | None:
+        """End the touch when the pad shows that nobody touches it, whatever it reads."""
+        older, newer = self._recent.halves()
+        change, spread = np.abs(newer - older), self._recent.spread()
+        rise = newer - self._baseline.counts
+        level = float(np.maximum(rise - self._baseline.noise_floor, 0).sum())
+        activity = float(change.sum() + spread.sum())
+        held.level, held.activity = max(held.level, level), max(held.activity, activity)
+        is_far_below = level <= LOW_SHARE * held.level
+        is_low = is_far_below or level <= LOW_COUNTS
+        is_calm = is_far_below and activity <= LOW_SHARE * held.activity
+        held.calm_frames = held.calm_frames + END_STRIDE_FRAMES if is_calm else 0
+        held.still_frames = (
+            held.still_frames + END_STRIDE_FRAMES if self._is_still(change, spread, rise) else 0
+        )
+        if not (is_far_below or held.still_frames or (is_low and not self.is_disturbed)):
+            held.untouched_frames = 0
+        elif self._index % ASK_FRAMES == 0 and self._index - held.last <= END_STRIDE_FRAMES:
+            held.untouched_frames = (
+                held.untouched_frames + ASK_FRAMES if self._ask(SECOND_FRAMES) >= NO_TOUCH else 0
+            )
+        if (
+            (is_low and held.still_frames >= STILL_FRAMES)
+            or held.calm_frames >= CALM_FRAMES
+            or held.untouched_frames >= NO_TOUCH_FRAMES
+        ):
+            return self._take_for_rest(held, "released")
+        return self._take_for_rest(held, "settled") if held.still_frames >= self._settled_frames else None
 
-    def _learn_rest(self) -> None:
-        self._rest.learn(np.stack(self._recent))
+    def _is_still(self, change: Taxels, spread: Taxels, rise: Taxels) -> bool:
+        allowed = np.maximum(STILL_SWAYS * self._baseline.sway, STILL_SPREADS * spread)
+        noise = np.maximum(LOAD_NOISE * rise, MAX_SPREAD_COUNTS)
+        return bool((change <= np.maximum(allowed, STILL_COUNTS)).all() and (spread <= noise).all())
+
+    def _take_for_rest(self, held: _Held, reason: EndReason) -> Release | None:
+        """End the touch, and take what the pad reads now for its rest."""
+        if reason == "released":
+            over_frames = max(held.still_frames, held.calm_frames, held.untouched_frames) + SECOND_FRAMES // 2
+            held.last = max(held.first, min(held.last, self._index - over_frames))
+        release = self._end(reason)
+        self._calibrate(SECOND_FRAMES)
+        older, newer = self._recent.halves()
+        self._baseline.track_sway(np.abs(newer - older))
+        frames = self._recent.last(SECOND_FRAMES)
+        smooth = _median(frames[2:], frames[1:-1], frames[:-2])
+        above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
+        self._restless = max(_beyond_one_wire(one) for one in above)
+        return release
+
+    def _backdate(self, light: _Light) -> int:
+        """Return the first frame of the unbroken run up to the contact with its taxels above rest."""
+        rest = self._baseline.counts[light.touched].mean()
+        before = self._recent.last(SECOND_FRAMES)[: light.since - self._index - 1, light.touched]
+        above = before.mean(axis=1) - rest >= BACKDATE_COUNTS
+        return light.since - (len(above) if above.all() else int(above[::-1].argmin()))
+
+    def _calibrate(self, frames: int = CALIBRATION_FRAMES) -> None:
+        self._baseline.calibrate(self._recent.last(frames))
         self._sunken_frames = 0
+        self._unsteady_index = self._index
+        self._light = None
+
+    def _clear(self) -> None:
+        self._recent.clear()
+        self._sunken_frames = 0
+        self._light = None
 
     def _end(self, reason: EndReason) -> Release | None:
-        if self._first_index is None:
+        if self._held is None:
             return None
-        release = Release(self._first_index, self.last_contact_index, reason)
-        self._first_index = None
+        release = Release(self._held.first, self.last_contact_index, reason)
+        self._held = None
         return release
 
 

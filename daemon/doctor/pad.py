@@ -7,10 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.baseline import MAX_DEVIATION_COUNTS
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard
-from daemon.touch import MAX_DEVIATION_COUNTS, Onset, TouchTracker
+from daemon.touch import Onset, TouchTracker
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from drivers.pad.grid import Ring
 from drivers.pad.health import Finding, Kind, PadHealth
@@ -55,7 +56,8 @@ def check_quiet(heard: Heard, settings: Settings) -> Check:
     if touches == 0:
         return Check("quiet", "ok", "no touch was felt while the pad was left alone", "", figures)
     advice = (
-        "if you did not touch it: look for a loose wire with touchd run --view, or raise touch.onset_level"
+        "if you did not touch it: look for a loose wire with touchd run --view, "
+        "or raise touch.onset_threshold"
     )
     return Check("quiet", "to do", f"{_times(touches)} felt while listening", advice, figures)
 

@@ -9,6 +9,7 @@ from drivers.frame import FRAME_RATE_HZ
 ENDINGS = {
     "released": "",
     "settled": ", taken for the pad's new rest",
+    "longest": ", longer than a touch may last",
     "gap": ", too many frames were lost",
     "sensor": ", the pad went away",
     "stopped": ", the stream ended",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from daemon.config import MAX_BYTES, ConfigError, Settings, load
+from daemon.config import MAX_BYTES, ConfigError, Settings, convert, load
 
 EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
 
@@ -21,6 +21,13 @@ def refusal(tmp_path: Path, text: str) -> str:
     assert message.startswith(f"{path}: ")
     assert "\n" not in message
     return message.removeprefix(f"{path}: ")
+
+
+def test_a_renamed_key_is_taken_with_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+    settings = convert("touch: {onset_level: 6.0}", Settings)
+    assert settings.touch.onset_threshold == 6.0
+    (record,) = caplog.records
+    assert "touch.onset_level is now called touch.onset_threshold" in record.message
 
 
 def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
@@ -76,7 +83,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("sensor: {format: {framing: binary}}", "needs a header, a footer or a poll"),
         ("sensor: {format: {headr: aa}}", "sensor.format.headr is not a setting; did you mean header?"),
         ("sensor:", "sensor must be a section of settings, not None"),
-        ("touch: {onset_level: .nan}", "touch.onset_level must be a number > 0.0, not nan"),
+        ("touch: {onset_threshold: .nan}", "touch.onset_threshold must be a number > 0.0, not nan"),
         ("scene: {speak_above: 1.5}", "scene.speak_above must be a number <= 1.0, not 1.5"),
         ("scene: {gestures: [3]}", "scene.gestures must be text, not [3]"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),

@@ -20,7 +20,7 @@ from drivers.frame import MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings
 from drivers.pad.sensor_state import SensorState
 from drivers.recording import ideal_clock_ms
-from model.classifier import Classifier
+from model.classifier import Classifier, State
 
 STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
 LEAD_FRAMES = 108
@@ -227,23 +227,53 @@ def test_a_careful_scene_waits_until_the_answer_stays() -> None:
     assert predictions(when_sure(wavers, 0.99, "eager"))[0].frames == 9
 
 
-def test_a_long_touch_speaks_again_only_when_its_gesture_changes() -> None:
+def test_a_gesture_that_lasted_is_told_again() -> None:
     bench = Bench(Scripted(lambda asked: "stroke" if asked <= 3 else "rub"))
-    events = bench.feel(palm(8.0), nothing(2.0))
+    events = bench.feel(palm(8.0, counts=60.0), nothing(2.0))
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
     assert [event.stage for event in predictions(events)] == ["early", "revised", "final", "ongoing"]
     ongoing = predictions(events)[-1]
-    assert (ongoing.frames, ongoing.elapsed_s) == (144, 4.667)
-    assert len(bench.model.asked) == (432 + 13 - 144) // 27
+    assert (ongoing.frames, ongoing.elapsed_s) == (54, 4.167)
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
     assert ended.gesture == "rub"
 
 
+class Wavering(Scripted):
+    """Sure of a stroke up to the final answer; after it, every other stretch is a rub."""
+
+    def __init__(self) -> None:
+        super().__init__(lambda asked: "rub" if asked % 2 else "stroke")
+
+    def step(self, frames: NDArray[np.float32], state: State | None) -> tuple[NDArray[np.float64], State]:
+        return Scripted().answer(), super().step(frames, state)[1]
+
+
+def test_a_gesture_of_one_stretch_alone_is_not_told() -> None:
+    bench = Bench(Wavering())
+    assert told(bench.feel(pat(8.0, counts=90.0), nothing(2.0))) == [("early", "stroke")]
+    assert len(bench.model.asked) > 5
+
+
+def test_a_scene_can_keep_to_the_final_answer() -> None:
+    scene = PipelineSettings(decision=DecisionSettings(ongoing=False))
+    bench = Bench(Scripted(), scene)
+    assert told(bench.feel(pat(8.0, counts=90.0))) == [("early", "stroke")]
+    assert bench.model.asked == []
+
+
+def test_a_disturbed_pad_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    bench = Bench()
+    noise = np.random.default_rng(3).normal(0, 1.5, (540, 8, 8)).astype(np.float32)
+    states = [event.state for event in bench.feel(noise, nothing(20.0)) if isinstance(event, SensorEvent)]
+    assert states == ["disturbed", "up"]
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
 def test_a_touch_taken_for_notouch_ends_uncertain_and_untold() -> None:
     bench = Bench(Scripted(lambda asked: "notouch"))
     for seconds, stages in ((4.0, ["early", "revised", "final", "uncertain"]), (1.2, ["early", "uncertain"])):
-        events = bench.feel(palm(seconds), nothing(2.0))
+        events = bench.feel(palm(seconds, counts=60.0), nothing(2.0))
         assert [event.stage for event in predictions(events)] == stages
         assert told(events) == []
         ended = events[-1]

@@ -67,7 +67,7 @@ def test_the_committed_figures_hold_for_a_participant(
     committed: TouchReport, recordings: list[Recording]
 ) -> None:
     (row,) = [row for row in committed.held_out["rest levelled"] if row.participant == SAMPLE]
-    level = row.figures.onset_level
+    level = row.figures.onset_threshold
     cases = spliced(recordings, level_rest=True)
     noticed = at_level(level, SAMPLE, cases, recordings, committed.settings)
     assert point(level, [noticed]) == row.figures

@@ -156,8 +156,8 @@ export function showVitals(store, link, age) {
 
 function padState(sensor) {
   if (!sensor) return ["–", "none"];
-  if (sensor.state === "degraded") return ["not felt", "bad"];
-  return sensor.state === "up" ? ["up", "good"] : ["away", "bad"];
+  const states = { up: ["up", "good"], degraded: ["not felt", "bad"], disturbed: ["noisy", "bad"] };
+  return states[sensor.state] ?? ["away", "bad"];
 }
 
 function robotState(isLive, scene, robot) {

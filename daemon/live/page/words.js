@@ -36,6 +36,7 @@ export function visitorWord(key) {
 
 const ENDINGS = {
   settled: "taken for the pad's new rest",
+  longest: "longer than a touch may last",
   gap: "too many frames were lost",
   sensor: "the pad went away",
   stopped: "touchd ended",

@@ -31,7 +31,7 @@ FRAME_MS = 1000.0 / FRAME_RATE_HZ
 class OnsetPoint(msgspec.Struct, frozen=True, kw_only=True):
     """What one onset level costs. late: noticed over a second after the first visible pressure."""
 
-    onset_level: float
+    onset_threshold: float
     touches: int
     missed: int
     late: int
@@ -146,7 +146,7 @@ def choose_level(points: Sequence[OnsetPoint]) -> float:
     has that to spare, those that just meet the targets count; raises ValueError when none does.
     """
     for strictness in (2.0, 1.0):
-        fit = [point.onset_level for point in points if point.meets(strictness)]
+        fit = [point.onset_threshold for point in points if point.meets(strictness)]
         if fit:
             middle = np.sqrt(fit[0] * fit[-1])
             return min(fit, key=lambda level: abs(float(np.log(level / middle))))
@@ -162,7 +162,7 @@ def at_level(
 ) -> Noticed:
     """Run one participant's cases and notouch recordings at an onset level."""
     settings = msgspec.structs.replace(
-        default, onset_level=level, release_level=min(level, default.release_level)
+        default, onset_threshold=level, release_threshold=min(level, default.release_threshold)
     )
     quiet = _quiet(recordings, participant)
     return Noticed(
@@ -177,7 +177,7 @@ def point(level: float, people: Sequence[Noticed]) -> OnsetPoint:
     delays = [delay for person in people for delay in person.delays]
     felt_ms = np.array([delay for delay in delays if delay is not None]) * FRAME_MS
     return OnsetPoint(
-        onset_level=level,
+        onset_threshold=level,
         touches=len(delays),
         missed=len(delays) - len(felt_ms),
         late=int((felt_ms > 1000.0).sum()),
@@ -203,7 +203,7 @@ def _cases(recordings: Sequence[Recording]) -> dict[str, list[Case]]:
 
 
 def _together(cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings) -> OnsetPoint:
-    level = default.onset_level
+    level = default.onset_threshold
     people = [at_level(level, name, cases, recordings, default) for name in _participants(recordings)]
     return point(level, people)
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.touch import FLOOR_COUNTS, LEARN_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from daemon.baseline import MIN_NOISE_FLOOR
+from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.grid import GridFrame
 from drivers.recording import NO_TOUCH, Recording, set_up
@@ -85,7 +86,8 @@ def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
             rest = (rest + own_rest - np.median(rest, axis=0)).astype(np.float32)
         scans = np.concatenate([rest[:LEAD_FRAMES], gesture, rest[LEAD_FRAMES:]])
         start, stop = LEAD_FRAMES, LEAD_FRAMES + len(gesture)
-        above = np.maximum(scans - np.median(rest[:LEAD_FRAMES], axis=0) - FLOOR_COUNTS, 0).sum(axis=(1, 2))
+        rise = scans - np.median(rest[:LEAD_FRAMES], axis=0)
+        above = np.maximum(rise - MIN_NOISE_FLOOR, 0).sum(axis=(1, 2))
         visible = above >= VISIBLE_COUNTS
         visible[:start] = visible[stop:] = False
         cases.append(Case(recording.participant, recording.gesture, scans, start, stop, visible))
@@ -149,5 +151,5 @@ def join_touches(recordings: Sequence[Recording], settings: TouchSettings) -> tu
     joins = np.cumsum([len(recording.counts) for recording in recordings])[:-1]
     scans = np.concatenate([recording.counts for recording in recordings]).astype(np.float32)
     noticed = np.array([felt.noticed for felt in feel(scans, settings) if felt.ended is None])
-    near = [((noticed >= join) & (noticed < join + LEARN_FRAMES)).any() for join in joins]
+    near = [((noticed >= join) & (noticed < join + CALIBRATION_FRAMES)).any() for join in joins]
     return len(joins), int(sum(near))

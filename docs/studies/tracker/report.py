@@ -124,7 +124,7 @@ def markdown(figures: TouchReport) -> str:
     ]
     for splice, rows in figures.held_out.items():
         parts += [_heading(splice), _held_out(rows, figures.unseen[splice])]
-    parts.append(LEVELS.format(level=settings.onset_level))
+    parts.append(LEVELS.format(level=settings.onset_threshold))
     for splice, points in figures.curve.items():
         parts += [_heading(splice), _table(POINT_HEADER, [_point_cells(point) for point in points])]
     parts.append(GESTURES)
@@ -164,7 +164,7 @@ def _held_out(rows: Sequence[HeldOut], unseen: OnsetPoint) -> str:
 
 def _point_cells(point: OnsetPoint) -> tuple[object, ...]:
     return (
-        f"{point.onset_level:g}",
+        f"{point.onset_threshold:g}",
         point.touches,
         _share(point.missed, point.touches),
         point.late,

@@ -1,0 +1,101 @@
+"""What the pad reads while nothing touches it, and its last second."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+
+TAXELS = ROWS * COLUMNS
+Taxels = NDArray[np.float32]
+SECOND_FRAMES = 54
+
+TRACK_FRAMES = 3.0 * FRAME_RATE_HZ
+# The baseline moves no faster than this per TRACK_FRAMES, so that a light touch does not become it.
+TRACK_COUNTS = 1.0
+MIN_NOISE_FLOOR = 1.6
+NOISE_DEVIATIONS = 2.0
+MAX_DEVIATION_COUNTS = 4.0
+# A pad on a robot that breathes moves slowly by more than its noise, and more at some times than at others.
+SWAY_FLOOR = 1.3
+MAX_SWAY_COUNTS = 4.0
+SWAY_KEPT = 0.995
+
+
+class Baseline:
+    """What each taxel reads while nothing touches the pad, and how much it strays.
+
+    counts: (64,) what it reads. noise_floor: (64,) counts above it that mean nothing. sway: (64,) the most
+    that it lately moved from one half second to the next.
+    """
+
+    def __init__(self) -> None:
+        self.is_known = False
+        self.counts = np.zeros(TAXELS, np.float32)
+        self.noise_floor = np.full(TAXELS, MIN_NOISE_FLOOR, np.float32)
+        self.sway = np.zeros(TAXELS, np.float32)
+        self._deviation = np.zeros(TAXELS, np.float32)
+
+    def calibrate(self, frames: NDArray[np.float32]) -> None:
+        """Take (T, 64) counts for an untouched pad."""
+        self.is_known = True
+        # The median of an odd number; np.median would first import numpy.ma, which stalls the loop for 20 ms.
+        self.counts = np.sort(frames, axis=0)[len(frames) // 2]
+        self._deviation = np.abs(frames - self.counts).mean(axis=0, dtype=np.float32)
+        self._set_noise_floor()
+
+    def track(self, pressure: Taxels) -> None:
+        """Drift a little towards (64,) counts of an untouched pad."""
+        off = pressure - self.counts
+        self.counts += np.maximum(np.minimum(off, TRACK_COUNTS), -TRACK_COUNTS) / TRACK_FRAMES
+        self._deviation += (np.abs(off) - self._deviation) / TRACK_FRAMES
+        self._set_noise_floor()
+
+    def track_sway(self, change: Taxels) -> None:
+        """Note by how much (64,) counts an untouched pad moved from one half second to the next."""
+        self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_SWAY_COUNTS))
+
+    def _set_noise_floor(self) -> None:
+        np.minimum(self._deviation, MAX_DEVIATION_COUNTS, out=self._deviation)
+        self.noise_floor = np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR)
+        np.maximum(self.noise_floor, self.sway * SWAY_FLOOR, out=self.noise_floor)
+
+
+class LastSecond:
+    """The newest frames, (64,) counts each, at most a second of them."""
+
+    def __init__(self) -> None:
+        self._frames = np.zeros((2 * SECOND_FRAMES, TAXELS), np.float32)
+        self._pushed = 0
+
+    def __len__(self) -> int:
+        return min(self._pushed, SECOND_FRAMES)
+
+    def push(self, pressure: Taxels) -> None:
+        """Add the newest frame."""
+        place = self._pushed % SECOND_FRAMES
+        # Written twice, so that the newest frames always lie side by side.
+        self._frames[place] = self._frames[place + SECOND_FRAMES] = pressure
+        self._pushed += 1
+
+    def clear(self) -> None:
+        """Forget all frames."""
+        self._pushed = 0
+
+    def last(self, frames: int) -> NDArray[np.float32]:
+        """Return the newest frames, oldest first, as a view (frames, 64); at most as many as there are."""
+        stop = (self._pushed - 1) % SECOND_FRAMES + SECOND_FRAMES + 1
+        return self._frames[stop - min(frames, len(self)) : stop]
+
+    def halves(self) -> tuple[Taxels, Taxels]:
+        """Return what each taxel read on average in the older and in the newer half second."""
+        frames = self.last(SECOND_FRAMES).reshape(2, -1, TAXELS)
+        older, newer = frames.mean(axis=1)
+        return older, newer
+
+    def spread(self) -> Taxels:
+        """Return the standard deviation of each taxel within the two halves."""
+        frames = self.last(SECOND_FRAMES).reshape(2, -1, TAXELS)
+        deviation: Taxels = np.sqrt(frames.var(axis=1).mean(axis=0))
+        return deviation

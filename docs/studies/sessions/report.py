@@ -1,0 +1,61 @@
+"""Sessions of all people, played flat out through the daemon's own pipeline.
+
+`python -m docs.studies sessions FILE... [--people P3,P4] [--substrate static] [--model FOLD.onnx]
+[--seconds 3] [--as-recorded] [--noise 1.5] [--hum 2] [--motor 2] [--breathing 2]` prints a line a file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from daemon.pipeline import PipelineSettings
+from docs.studies.sessions.plan import SessionSettings, sessions
+from docs.studies.sessions.score import Score, judge, play, score
+from drivers.recording import Recording, Selection, read_recordings, realign
+from model.classifier import SHIPPED_MODEL, Classifier
+
+
+def measure(recordings: Sequence[Recording], settings: SessionSettings, model: Classifier) -> Score:
+    """Play a session a person and condition, and score all of them together."""
+    return score(
+        [
+            judge(session, play(session, model, PipelineSettings()))
+            for session in sessions(recordings, settings)
+        ]
+    )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the scores; returns 0."""
+    parser = argparse.ArgumentParser(prog="python -m docs.studies sessions")
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--people", default="", help="only these, with commas between")
+    parser.add_argument("--substrate", default="", help="only this one")
+    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL)
+    parser.add_argument("--seconds", type=float, default=6.0)
+    parser.add_argument("--as-recorded", action="store_true")
+    for name in ("noise", "hum", "motor", "breathing"):
+        parser.add_argument(f"--{name}", type=float, default=0.0, help="counts")
+    chosen = parser.parse_args(arguments)
+    settings = SessionSettings(
+        seconds=chosen.seconds,
+        rest_shifts=not chosen.as_recorded,
+        noise=chosen.noise,
+        hum=chosen.hum,
+        motor=chosen.motor,
+        breathing=chosen.breathing,
+    )
+    select = Selection(
+        participants=tuple(chosen.people.split(",")) if chosen.people else (),
+        substrates=(chosen.substrate,) if chosen.substrate else (),
+    )
+    for path in chosen.files:
+        recordings = [realign(recording) for recording in read_recordings(path, select)]
+        result = measure(recordings, settings, Classifier.load(chosen.model))
+        sys.stdout.write(f"{path.name} {msgspec.json.encode(result).decode()}\n")
+    return 0

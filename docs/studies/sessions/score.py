@@ -1,0 +1,180 @@
+"""What the robot was told over a session, scored touch by touch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+
+from daemon.decide import ProbabilityModel
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from daemon.pipeline import Pipeline, PipelineSettings
+from docs.studies.sessions.plan import Session, Stretch
+from drivers.frame import FRAME_RATE_HZ, Frame
+from drivers.recording import ideal_clock_ms
+
+# A touch counts for a stretch that it overlaps by more than this.
+OVERLAP_MS = 100.0
+FRAME_MS = 1000.0 / FRAME_RATE_HZ
+
+
+class Score(msgspec.Struct, frozen=True, kw_only=True):
+    """Percent of the touches made, where nothing else is said.
+
+    missed: in no touch. merged: in a touch that swallowed another. split: felt as several.
+    early, revised, final: right at that stage. last, first: right in what the robot was told last, first.
+    harmful: told right, then wrong. late: told again after final. false: touches in ten minutes of quiet.
+    t_first: mean seconds until the robot was first told. n: touches made.
+    """
+
+    missed: float
+    merged: float
+    split: float
+    early: float
+    revised: float
+    final: float
+    last: float
+    first: float
+    harmful: float
+    late: float
+    false: float
+    t_first: float
+    n: int
+
+
+@dataclass(frozen=True)
+class Felt:
+    """A touch as the daemon had it; stop_ms is infinite when it never ended."""
+
+    start_ms: float
+    stop_ms: float
+    answers: tuple[Prediction, ...]
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What became of one touch that was made; answers are those of the touch that it began."""
+
+    gesture: str
+    missed: bool
+    merged: bool
+    split: bool
+    answers: tuple[Prediction, ...]
+
+    @property
+    def told(self) -> list[str]:
+        """What the robot was told, in order."""
+        return [answer.gesture for answer in self.answers if answer.told]
+
+    @property
+    def harmed(self) -> bool:
+        """Whether a right answer was replaced by a wrong one."""
+        told = self.told
+        return any(a == self.gesture != b for a, b in pairwise(told))
+
+    @property
+    def told_late(self) -> bool:
+        """Whether the robot was told something else after the final answer."""
+        return any(answer.told and answer.stage == "ongoing" for answer in self.answers)
+
+
+@dataclass(frozen=True)
+class Played:
+    """One session's touches, its quiet time and the touches felt in it."""
+
+    fates: tuple[Fate, ...]
+    quiet_min: float
+    false: int
+
+
+def play(session: Session, model: ProbabilityModel, settings: PipelineSettings) -> list[Event]:
+    """Return what the daemon's own pipeline says to a session."""
+    events: list[Event] = []
+    pipeline = Pipeline(settings, model, events.append)
+    for number, ms in enumerate(ideal_clock_ms(len(session.counts)).tolist()):
+        pipeline.on_frame(Frame(number, ms, 0.0, session.counts[number]))
+    return events
+
+
+def judge(session: Session, events: Iterable[Event]) -> Played:
+    """Compare what was said with what was done."""
+    felt = _felt(events)
+    made = [stretch for stretch in session.stretches if stretch.gesture is not None]
+    inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in felt]
+    quiet = sum(stretch.stop - stretch.start for stretch in session.stretches if stretch.gesture is None)
+    return Played(
+        tuple(_fate(i, stretch.gesture or "", felt, inside) for i, stretch in enumerate(made)),
+        quiet / FRAME_RATE_HZ / 60.0,
+        sum(not among for among in inside),
+    )
+
+
+def score(played: Sequence[Played]) -> Score:
+    """Return the figures of these sessions together."""
+    fates = [fate for one in played for fate in one.fates]
+
+    def percent(true: Iterable[bool]) -> float:
+        return round(100.0 * sum(true) / len(fates), 1)
+
+    def at(stage: str) -> float:
+        return percent(
+            any(answer.stage == stage and answer.gesture == fate.gesture for answer in fate.answers)
+            for fate in fates
+        )
+
+    first_s = [next(a.elapsed_s for a in fate.answers if a.told) for fate in fates if fate.told]
+    return Score(
+        missed=percent(fate.missed for fate in fates),
+        merged=percent(fate.merged for fate in fates),
+        split=percent(fate.split for fate in fates),
+        early=at("early"),
+        revised=at("revised"),
+        final=at("final"),
+        last=percent(fate.told[-1:] == [fate.gesture] for fate in fates),
+        first=percent(fate.told[:1] == [fate.gesture] for fate in fates),
+        harmful=percent(fate.harmed for fate in fates),
+        late=percent(fate.told_late for fate in fates),
+        false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
+        t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
+        n=len(fates),
+    )
+
+
+def _felt(events: Iterable[Event]) -> list[Felt]:
+    began: dict[int, float] = {}
+    ended: dict[int, float] = {}
+    answers: dict[int, list[Prediction]] = {}
+    for event in events:
+        match event:
+            case TouchBegan():
+                began[event.touch] = event.sensor_ms
+            case TouchEnded():
+                ended[event.touch] = float("inf") if event.sensor_ms is None else event.sensor_ms
+            case Prediction():
+                answers.setdefault(event.touch, []).append(event)
+    return [
+        Felt(start_ms, ended.get(touch, float("inf")), tuple(answers.get(touch, ())))
+        for touch, start_ms in began.items()
+    ]
+
+
+def _overlaps(touch: Felt, stretch: Stretch) -> bool:
+    start_ms, stop_ms = stretch.start * FRAME_MS, stretch.stop * FRAME_MS
+    return touch.start_ms < stop_ms - OVERLAP_MS and touch.stop_ms > start_ms + OVERLAP_MS
+
+
+def _fate(i: int, gesture: str, felt: Sequence[Felt], inside: Sequence[Sequence[int]]) -> Fate:
+    owners = [k for k, among in enumerate(inside) if i in among]
+    if not owners:
+        return Fate(gesture, True, False, False, ())
+    owner = owners[-1] if len(inside[owners[0]]) > 1 and len(owners) > 1 else owners[0]
+    return Fate(
+        gesture=gesture,
+        missed=False,
+        merged=len(inside[owner]) > 1,
+        split=sum(len(inside[k]) == 1 for k in owners) > 1,
+        answers=felt[owner].answers if inside[owner][0] == i else (),
+    )

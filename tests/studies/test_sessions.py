@@ -1,0 +1,86 @@
+"""Sessions of a pad in use: how they are made and scored, and that the daemon keeps the touches apart."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+from rigs.scripted_model import Scripted
+
+from daemon.pipeline import PipelineSettings
+from docs.studies.sessions.plan import Session, SessionSettings, sessions
+from docs.studies.sessions.report import measure
+from docs.studies.sessions.score import judge, play, score
+from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
+from model.classifier import Classifier
+
+SECOND_STUDY = os.environ.get("TOUCHD_SECOND_STUDY")
+
+
+def recording(gesture: str, scans: Scans, shift: float = 0.0) -> Recording:
+    pad = MadePad()
+    pad.rest += shift
+    counts = pad.counts(scans)
+    return Recording("P", "foam", "none", gesture, counts, ideal_clock_ms(len(counts)), "live")
+
+
+def made(settings: SessionSettings) -> Session:
+    touches = [recording("pat", pat(8.0), shift=4.0), recording("constant", palm(8.0, counts=60.0))]
+    (session,) = sessions([recording("notouch", nothing(8.0)), *touches], settings)
+    return session
+
+
+def test_a_session_shifts_the_rest_after_a_pat() -> None:
+    session = made(SessionSettings())
+    first, *_ = session.stretches
+    before = session.counts[first.start : first.stop].mean()
+    after_pat = next(
+        quiet
+        for touch, quiet in zip(session.stretches[1::2], session.stretches[2::2], strict=False)
+        if touch.gesture == "pat"
+    )
+    after = session.counts[after_pat.start : after_pat.stop].mean()
+    assert after - before == pytest.approx(4.0, abs=1.0)
+
+
+def test_noise_begins_at_its_time_and_not_before() -> None:
+    clean, noisy = made(SessionSettings()), made(SessionSettings(noise=3.0))
+    assert (clean.counts[:540] == noisy.counts[:540]).all()
+    assert (clean.counts[540:] != noisy.counts[540:]).mean() > 0.5
+
+
+@pytest.mark.parametrize("disturbance", [{}, {"noise": 1.5}, {"hum": 2.0}, {"motor": 2.0}])
+def test_the_touches_of_a_session_stay_apart(disturbance: dict[str, float]) -> None:
+    session = made(SessionSettings(**disturbance))
+    result = score([judge(session, play(session, Scripted(), PipelineSettings()))])
+    assert (result.n, result.missed, result.merged, result.split) == (2, 0.0, 0.0, 0.0)
+
+
+def test_a_touch_that_never_closes_is_scored_as_merged() -> None:
+    session = made(SessionSettings())
+    events = play(session, Scripted(), PipelineSettings())
+    first_end = next(i for i, event in enumerate(events) if type(event).__name__ == "TouchEnded")
+    result = score([judge(session, events[:first_end])])
+    assert result.merged == 100.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.skipif(SECOND_STUDY is None, reason="TOUCHD_SECOND_STUDY names no folder of its recordings")
+def test_touches_of_the_second_study_stay_apart() -> None:
+    path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
+    recordings = read_recordings(path, Selection(participants=("R04", "R12", "R14")))
+    result = measure(recordings, SessionSettings(), Classifier.load())
+    assert result.missed <= 8.0
+    assert result.merged + result.split <= 12.0
+
+
+def test_quiet_alone_has_no_false_touch() -> None:
+    session = made(SessionSettings())
+    quiet = Session("P", "foam", "none", session.counts[:162], session.stretches[:1])
+    played = judge(quiet, play(quiet, Scripted(), PipelineSettings()))
+    assert played.false == 0
+    assert np.isclose(played.quiet_min, 0.05)
