@@ -133,11 +133,8 @@ class Pipeline:
         )
         self._ring: Ring = Ring(settings.ring, _history_frames(settings), before._ring if before else None)
         self._touches: int = before._touches if before else 0
-<<<<<<< HEAD
         self._size_mm = settings.size_mm
-=======
         self._is_disturbed: bool = before._is_disturbed if before else False
->>>>>>> bd79d8f (Close a touch when the pad shows that nobody touches it)
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
         self._feeling = Feeling(settings.ring.max_gap_s)
@@ -221,7 +218,7 @@ class Pipeline:
             decision=Decision(self._decision_settings, self._model.labels),
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
-            meter=FeelMeter(self._tracker.rest.counts, self._tracker.rest.floor, self._size_mm),
+            meter=FeelMeter(self._tracker.baseline.counts, self._tracker.baseline.noise_floor, self._size_mm),
         )
         # The newest frame is taken like those that follow.
         for earlier in so_far[:-1]:
@@ -301,7 +298,7 @@ class Pipeline:
         if best in (NO_TOUCH, touch.decision.told) or scene[best] < ONGOING_CONFIDENCE:
             touch.next_gesture = None
         elif best != touch.next_gesture:
-        """Decide on what the model said of a touch's frames; window: how many of its first how many."""
+            touch.next_gesture = best
         else:
             touch.next_gesture = None
             self._answer(touch, "ongoing", probabilities, (frames, length), since_s)
@@ -314,7 +311,7 @@ class Pipeline:
         window: tuple[int, int],
         since_s: float,
     ) -> None:
-        """Decide on what the model said of the last of a touch's first frames; window: how many of how many."""
+        """Decide on what the model said of a touch's frames; window: how many of its first how many."""
         frames, length = window
         last = touch.first_index + length - 1
         age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())

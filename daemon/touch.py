@@ -174,9 +174,9 @@ class TouchTracker:
         self._longest_frames = round(settings.longest_s * FRAME_RATE_HZ)
 
     @property
-    def rest(self) -> Rest:
-        """What is known of the pad at rest; it stays the same during a touch."""
-        return self._rest
+    def baseline(self) -> Baseline:
+        """What is known of the untouched pad; it stays the same during a touch."""
+        return self._baseline
 
     @property
     def last_contact_index(self) -> int:
