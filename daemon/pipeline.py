@@ -41,6 +41,8 @@ DISTURBED: tuple[PadState, str] = (
     "the pad is noisy though nobody touches it, and feels no light touch: a motor, mains hum, a loose wire?",
 )
 CALM: tuple[PadState, str] = ("up", "the pad is calm again")
+# The floor measured while a hand leaves is too high, and falls within three seconds.
+DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the last second is asked about on its own, twice a second. Another gesture is told
 # when two such stretches are this sure of it: docs/touch.md.
@@ -135,6 +137,7 @@ class Pipeline:
         self._touches: int = before._touches if before else 0
         self._size_mm = settings.size_mm
         self._is_disturbed: bool = before._is_disturbed if before else False
+        self._disturbance_frames = 0
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
         self._feeling = Feeling(settings.ring.max_gap_s)
@@ -190,6 +193,10 @@ class Pipeline:
     def _watch_for_disturbance(self) -> None:
         """Say once when the untouched pad has become too noisy to feel light touches, and when it calms."""
         if self._tracker.is_disturbed == self._is_disturbed:
+            self._disturbance_frames = 0
+            return
+        self._disturbance_frames += 1
+        if self._disturbance_frames < DISTURBED_FRAMES:
             return
         self._is_disturbed = not self._is_disturbed
         state, reason = DISTURBED if self._is_disturbed else CALM
