@@ -63,6 +63,9 @@ class Lab:
         for event in (touch.began, answer, ended):
             self._lines.append(encode(event))
 
+    def close(self) -> None:
+        self._lines.close()
+
     def arguments(self, *more: str) -> list[str]:
         return ["record", str(self.folder), "--from-journal", str(self.journal), *more]
 
@@ -314,11 +317,13 @@ def test_a_rotated_damaged_journal_is_read_as_far_as_possible(lab: Lab) -> None:
     touches = [felt(number) for number in range(1, 6)]
     lab.journalled(touches[4])
     newest = lab.journal.read_bytes()
+    lab.close()
     older = []
     for number in (2, 3):
         lab.journal.write_bytes(b"")
         other = Lab(lab.journal.parent)
         other.journalled(touches[number])
+        other.close()
         older.append(lab.journal.read_bytes())
     lab.journal.write_bytes(b'{"type":"pred\n' + newest + b'\xff\x00 no event\n{"type":"touch_beg')
     lab.journal.with_name("events.jsonl.1").write_bytes(older[1] + b"x" * 100_000 + b"\n")

@@ -6,6 +6,7 @@ import logging
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rigs.robots import (
@@ -148,7 +149,8 @@ def test_the_right_login_lets_in_and_never_shows_the_token(
     token.write_text(f"{LOGIN.token}\n")
     with make_robot(login=LOGIN) as robot:
         assert robot.url.startswith("tcps://")
-        with linked(robot, user="nao", token_file=str(token), actions=(SAY,)) as (link, states):
+        with linked(robot, user="nao", token_file=str(token), trust_network=True, actions=(SAY,)) as told:
+            link, states = told
             states.wait_for("up")
             link.publish(message("tickle"))
             robot.calls.wait_for_raise(GESTURE, "tickle")
@@ -163,7 +165,8 @@ def test_a_wrong_login_gives_advice_without_the_token(
 ) -> None:
     caplog.set_level(logging.DEBUG)
     monkeypatch.setenv("ROBOT_TOKEN", "wr0ng-token")
-    with make_robot(login=LOGIN) as robot, linked(robot, user="nao", token_env="ROBOT_TOKEN") as (_, states):
+    login: dict[str, Any] = {"user": "nao", "token_env": "ROBOT_TOKEN", "trust_network": True}
+    with make_robot(login=LOGIN) as robot, linked(robot, **login) as (_, states):
         assert "check user and token" in states.wait_for("down")
     assert "wr0ng-token" not in repr(states.told) + caplog.text
 
