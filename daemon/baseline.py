@@ -52,6 +52,11 @@ class Baseline:
         self._deviation += (np.abs(off) - self._deviation) / TRACK_FRAMES
         self._set_noise_floor()
 
+    @property
+    def mean_noise_floor(self) -> float:
+        """What the taxels' noise alone makes of the noise floor, on average."""
+        return float(np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR).mean())
+
     def track_sway(self, change: Taxels) -> None:
         """Note by how much (64,) counts an untouched pad moved from one half second to the next."""
         self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_SWAY_COUNTS))

@@ -194,7 +194,7 @@ class TouchTracker:
     @property
     def is_disturbed(self) -> bool:
         """Whether the untouched pad is so noisy that light touches go unnoticed."""
-        return float(self._baseline.noise_floor.mean()) >= DISTURBED_FLOOR
+        return self._baseline.mean_noise_floor >= DISTURBED_FLOOR
 
     def update(self, frame: GridFrame) -> Onset | Release | None:
         """Take the next grid frame; return what it changed. The first half second calibrates the baseline."""

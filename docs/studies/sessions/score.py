@@ -11,7 +11,7 @@ import numpy as np
 
 from daemon.decide import ProbabilityModel
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from daemon.pipeline import Pipeline, PipelineSettings
+from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from docs.studies.sessions.plan import Session, Stretch
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import ideal_clock_ms
@@ -93,9 +93,11 @@ class Played:
 def play(session: Session, model: ProbabilityModel, settings: PipelineSettings) -> list[Event]:
     """Return what the daemon's own pipeline says to a session."""
     events: list[Event] = []
-    pipeline = Pipeline(settings, model, events.append)
+    now_s = [0.0]
+    pipeline = Pipeline(settings, model, events.append, Clock(monotonic_s=lambda: now_s[0]))
     for number, ms in enumerate(ideal_clock_ms(len(session.counts)).tolist()):
-        pipeline.on_frame(Frame(number, ms, 0.0, session.counts[number]))
+        now_s[0] = ms / 1000.0
+        pipeline.on_frame(Frame(number, ms, now_s[0], session.counts[number]))
     return events
 
 
