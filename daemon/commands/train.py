@@ -44,6 +44,9 @@ def main(arguments: Sequence[str]) -> int:
         parser().error("--output is for --extra; `touchd export` writes what a recipe has trained")
     if options.extra is not None and options.recipe is not None:
         parser().error("--recipe is not for --extra, which adapts the shipped model")
+    # Before anything is read: all that follows takes torch.
+    import torch  # noqa: F401
+
     return _adapt(options) if options.extra is not None else _train(options, options.haart or default_haart())
 
 

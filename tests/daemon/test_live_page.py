@@ -24,7 +24,8 @@ from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from daemon.words import name_of, vocabulary
 from drivers.fakes.fake_port import FakePort
-from drivers.recording import Stream
+from drivers.fakes.hand import simulate
+from drivers.recording import Stream, ideal_clock_ms
 
 pytestmark = [
     pytest.mark.timeout(60),
@@ -37,9 +38,10 @@ T = TypeVar("T")
 WITHIN_S = 15.0
 NOW = "2026-11-20T10:00:00.000Z"
 SPEED = 6.0
-# Three touches: a pat, a stroke first taken for a pat, a rub first taken for scratching.
-FRAMES = 1040
-THREE_TOUCHES = Stream(stream_of(DEMO).counts[:FRAMES], stream_of(DEMO).sensor_ms[:FRAMES], ())
+# Three touches: a pat, a stroke, and a rub that is taken for scratching after 1.5 s.
+SCRIPT = tuple((gesture, 3.0) for touch in ("pat", "stroke", "rub") for gesture in ("notouch", touch))
+COUNTS = np.concatenate([part.counts for part in simulate((*SCRIPT, ("notouch", 2.5)), seed=25)])
+THREE_TOUCHES = Stream(COUNTS, ideal_clock_ms(len(COUNTS)), ())
 # A pad that reads the same in every frame, which no real one does.
 STILL = Stream(
     np.tile(stream_of(DEMO).counts[300], (2000, 1, 1)),

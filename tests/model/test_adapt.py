@@ -25,6 +25,7 @@ from daemon.config import Settings  # noqa: E402
 from daemon.doctor.machine import check_model  # noqa: E402
 from daemon.events import decode  # noqa: E402
 from daemon.terminal.view import View  # noqa: E402
+from daemon.words import vocabulary  # noqa: E402
 from drivers.fakes.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
@@ -151,7 +152,8 @@ def test_the_doctor_finds_that_the_model_fits(adapted_file: tuple[Path, str]) ->
 @pytest.mark.parametrize("gestures", [["hug", "pat"], [f"a-gesture-with-a-long-name-{i}" for i in range(12)]])
 def test_the_terminal_view_has_room_for_any_gestures(gestures: list[str]) -> None:
     screen = io.StringIO()
-    view = View("a title", Console(file=screen, width=80, height=24, color_system=None))
+    console = Console(file=screen, width=80, height=24, color_system=None)
+    view = View("a title", vocabulary("en", {}), (54, 81, 144), console)
     probabilities = {gesture: 1.0 / 2.0 ** (len(gestures) - i) for i, gesture in enumerate(gestures)}
     answer = decode(
         msgspec.json.encode(
@@ -438,7 +440,7 @@ def test_without_torch_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     assert cli.main(["train", "--extra", str(tmp_path)]) == 2
-    assert "pip install 'touchd[train]'" in capsys.readouterr().err
+    assert "torch is not installed (extra train)" in capsys.readouterr().err
 
 
 def test_options_of_the_other_training_are_refused(tmp_path: Path) -> None:

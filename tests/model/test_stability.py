@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from drivers.frame import MAX_COUNT
 from model.checks import stability
 from model.checks.hard_cases import hand, hard_cases
 from model.checks.stability import FLOAT64, LATER, TOLERANCES, Check
-from model.classifier import SHIPPED_MODEL, Classifier
+from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 
 # Every case is asked in both runtimes; a busy machine takes its time.
 pytestmark = pytest.mark.timeout(120)
@@ -38,15 +39,18 @@ def test_every_case_is_checked(checks: list[Check]) -> None:
     assert set(CASES) < {check.case for check in checks}
 
 
-def test_a_model_whose_logits_overflow_is_found_out(tmp_path: Path) -> None:
+def test_a_model_whose_logits_overflow_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="needs the extra `train`")
     from model.checks.scale_logits import steeper
 
     broken = tmp_path / "broken.onnx"
     steeper(SHIPPED_MODEL, 3e38, broken)
-    failed = [check for check in stability.run(broken) if not check.passed]
-    assert {check.measure for check in failed} >= {"sums to 1"}
-    assert "inf FAILS" in render(failed)
+    with pytest.raises(ModelError, match="no probabilities"):
+        stability.run(broken)
+
+
+def test_a_failed_check_stands_out() -> None:
+    assert "inf FAILS" in render([Check("a hand", "sums to 1", math.inf, 1e-6, passed=False)])
 
 
 def test_the_table_has_every_case_and_measure(checks: list[Check]) -> None:
