@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import metadata
 
-from daemon.own_name import own_name
+from daemon.terminal.own_name import own_name
 from drivers.errors import TouchdError
 from drivers.extras import extra_of, how_to_install
 

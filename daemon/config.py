@@ -18,8 +18,8 @@ import yaml
 from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from daemon.decide import DecisionSettings
 from daemon.pipeline import PipelineSettings
+from daemon.setup.words import Language, Vocabulary, vocabulary
 from daemon.touch import TouchSettings
-from daemon.words import Language, Vocabulary, vocabulary
 from drivers.errors import TouchdError
 from drivers.frame import DEFAULT_PAD
 from drivers.pad.format import PRESETS, PadFormat, Side

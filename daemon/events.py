@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from daemon.feel import Feel
+from daemon.pad.feel import Feel
 from drivers.frame import DEFAULT_PAD
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]

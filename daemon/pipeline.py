@@ -26,8 +26,8 @@ from daemon.events import (
     one_line,
     timestamp,
 )
-from daemon.feel import FeelMeter
-from daemon.pad_clock import Age, Feeling
+from daemon.pad.age import Age, Feeling
+from daemon.pad.feel import FeelMeter
 from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings

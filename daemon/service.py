@@ -12,10 +12,10 @@ from collections.abc import Sequence
 
 from daemon.bridges.bridges import Bridges
 from daemon.config import Settings
-from daemon.destinations import scenes_of
 from daemon.events import LivePrediction
 from daemon.health import Health
-from daemon.parts import Pad, Parts
+from daemon.setup.destinations import scenes_of
+from daemon.setup.parts import Pad, Parts
 from daemon.sinks import EventFanout, Sink
 from drivers.errors import TouchdError
 from drivers.frame import Frame

@@ -24,8 +24,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
 from daemon.events import EndReason
+from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from drivers.pad.grid import GridFrame
 

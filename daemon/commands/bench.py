@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from daemon.commands.classify import play
 from daemon.commands.numbers import within
 from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, epoch_s
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.setup.destinations import encoder_for
+from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from daemon.config import Settings, load
 from daemon.events import Event, encode
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import add_arguments, chosen_stream
 from daemon.playback.tally import Tally
+from daemon.setup.parts import load_model
 from daemon.terminal.describe import describe
 from drivers.frame import Frame
 from drivers.recording import Stream

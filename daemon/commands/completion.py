@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import shtab
 
-from daemon.own_name import PROGRAM, own_name
+from daemon.terminal.own_name import PROGRAM, own_name
 
 
 def parser() -> argparse.ArgumentParser:

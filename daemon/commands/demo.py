@@ -18,15 +18,15 @@ from pathlib import Path
 import msgspec
 
 from daemon.config import LiveSettings, SceneSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
 from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
-from daemon.own_name import own_name
 from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import DEMO_RECORDING
+from daemon.setup.destinations import encoder_for
+from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
-from daemon.words import Language, Vocabulary, name_of
+from daemon.terminal.own_name import own_name
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.fakes.services import Call

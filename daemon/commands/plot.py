@@ -10,11 +10,11 @@ from pathlib import Path
 from daemon.commands.numbers import within
 from daemon.config import Settings, load
 from daemon.kept.touches import read_journal
-from daemon.parts import load_model
 from daemon.playback.stream import add_arguments, chosen_stream
 from daemon.plot import journal as plot_journal
 from daemon.plot import recording as plot_recording
 from daemon.plot.plot import PlotError, new_figure, save
+from daemon.setup.parts import load_model
 
 RECORDING_SUFFIXES = (".csv", ".csv.gz")
 MOST_TOUCHES = 100

@@ -12,9 +12,9 @@ import msgspec
 
 from daemon.commands.numbers import within
 from daemon.config import SensorSettings, load
-from daemon.destinations import encoder_for
-from daemon.own_name import own_name
 from daemon.playback.stream import add_arguments, chosen_stream
+from daemon.setup.destinations import encoder_for
+from daemon.terminal.own_name import own_name
 from drivers.fakes.fake_port import FakePort
 from drivers.pad.format import PRESETS
 

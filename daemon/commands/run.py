@@ -19,8 +19,8 @@ from daemon.config import Settings, load, only_pad
 from daemon.events import Event, RobotEvent, encode
 from daemon.health import Health, Notifier
 from daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
-from daemon.reread import Reloader, rereading
 from daemon.service import Service
+from daemon.setup.reread import Reloader, rereading
 from daemon.sinks import LinesSink, LogHandler, LogSink
 
 # How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from daemon.config import Settings
-from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.line import (
     check_damage,
@@ -27,6 +26,7 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
+from daemon.setup.destinations import parser_for
 from drivers.pad.port import Line, open_port
 from drivers.pad.sensor import SensorError, check_port
 

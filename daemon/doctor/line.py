@@ -8,9 +8,9 @@ import numpy as np
 from serial.tools.list_ports import comports
 
 from daemon.config import SensorSettings
-from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
+from daemon.setup.destinations import parser_for
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import as_yaml, diagnose, propose
 from drivers.pad.pace import pace_of, steps_ms

@@ -10,7 +10,7 @@ import numpy as np
 
 from daemon.config import ConfigError, Settings
 from daemon.doctor.check import Check
-from daemon.parts import load_model
+from daemon.setup.parts import load_model
 from drivers.frame import COLUMNS, ROWS
 from drivers.robot.limits import RobotLimits
 from drivers.robot.session import OpenSession, QiSession, RobotError, RobotLost, RobotRefused

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.baseline import MAX_DEVIATION_COUNTS
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard
+from daemon.pad.baseline import MAX_DEVIATION_COUNTS
 from daemon.touch import Onset, TouchTracker
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from drivers.pad.grid import Ring

@@ -18,7 +18,7 @@ from daemon.events import (
 )
 from daemon.live.messages import Felt, State
 from daemon.live.scene import Scene
-from daemon.words import name_of
+from daemon.setup.words import name_of
 from drivers.frame import FRAME_RATE_HZ
 
 TOUCHES = 12

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from daemon.decide import ProbabilityModel
 from daemon.pipeline import PipelineSettings
-from daemon.words import Language, Vocabulary
+from daemon.setup.words import Language, Vocabulary
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from daemon.events import Event, TouchBegan, TouchEnded
-from daemon.words import Vocabulary, name_of
+from daemon.setup.words import Vocabulary, name_of
 from drivers.recording import NO_TOUCH, Stream
 
 

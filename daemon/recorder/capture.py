@@ -10,7 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from daemon.config import Settings
-from daemon.destinations import parser_for
+from daemon.setup.destinations import parser_for
 from daemon.touch import Onset, Release, TouchTracker
 from drivers.frame import Frame
 from drivers.pad.framing import CLOCK_MODULUS

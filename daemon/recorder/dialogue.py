@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn
 
 from daemon.config import Settings
-from daemon.destinations import description_of
 from daemon.events import timestamp
 from daemon.recorder.capture import Capture, Contact, Pad, PadLost, complaints
 from daemon.recorder.session import Session, Take, keep
+from daemon.setup.destinations import description_of
 from daemon.terminal.ask import ask
 from drivers.frame import MAX_COUNT, Counts
 from drivers.pad.pace import pace_of

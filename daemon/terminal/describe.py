@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daemon.events import Event, Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from daemon.words import Vocabulary, name_of
+from daemon.setup.words import Vocabulary, name_of
 from drivers.frame import FRAME_RATE_HZ
 
 ENDINGS = {

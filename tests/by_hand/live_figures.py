@@ -21,8 +21,8 @@ from websockets.sync.client import connect
 from daemon.commands.bench import measure
 from daemon.commands.run import SWITCH_S
 from daemon.config import LiveSettings, Settings
-from daemon.destinations import open_live_page
-from daemon.parts import load_model
+from daemon.setup.destinations import open_live_page
+from daemon.setup.parts import load_model
 from drivers.frame import FRAME_RATE_HZ, Frame
 
 TOUCH_S = 60.0

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from daemon.commands.demo import actions_in
 from daemon.config import Settings
 from daemon.events import Event, LivePrediction, Prediction, RobotAction, TouchBegan, timestamp
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import DEMO_RECORDING
+from daemon.setup.parts import load_model
 from drivers.frame import Frame
 from drivers.recording import read_recordings, splice
 from drivers.robot.actions import spoken

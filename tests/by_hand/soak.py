@@ -31,14 +31,14 @@ from rigs.soak_audit import Audit, Viewer
 from rigs.soak_line import pad
 
 from daemon.config import LiveSettings, Settings
-from daemon.destinations import description_of, open_live_page, parser_for
 from daemon.events import Event, TouchEnded, encode
 from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_sink import TouchSink
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
+from daemon.setup.destinations import description_of, open_live_page, parser_for
+from daemon.setup.parts import load_model
 from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.fakes.fake_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ

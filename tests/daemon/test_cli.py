@@ -20,10 +20,10 @@ from daemon import cli
 from daemon.commands import demo
 from daemon.config import ConfigError, SceneSettings
 from daemon.events import RobotAction, TouchBegan, TouchEnded, decode
-from daemon.parts import check_fit
 from daemon.playback.rig import outline
+from daemon.setup.parts import check_fit
+from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
-from daemon.words import vocabulary
 from drivers.fakes.hand import record
 from drivers.recording import Selection, read_recordings
 from drivers.robot.session import qi_installed

@@ -12,10 +12,10 @@ from rigs.doctor_rig import SETTINGS, heard, noise, resting
 from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import Encode
 
-from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
+from daemon.setup.destinations import parser_for
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.line_faults import Faults
 from drivers.frame import Counts, Frame

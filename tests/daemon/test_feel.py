@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rigs.scripted_model import Scripted
 
 from daemon.events import Event, Prediction, TouchEnded
-from daemon.feel import Feel
+from daemon.pad.feel import Feel
 from daemon.pipeline import Pipeline, PipelineSettings
 from drivers.fakes.hand import simulate
 from drivers.frame import Frame

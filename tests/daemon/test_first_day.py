@@ -20,15 +20,15 @@ from rigs.terminal import Terminal
 
 from daemon import cli
 from daemon.config import JournalSettings, LiveSettings, Settings, load
-from daemon.destinations import encoder_for, open_journal
 from daemon.doctor.line import check_rate
 from daemon.doctor.listening import Heard
 from daemon.events import Prediction, TouchEnded
 from daemon.live.address import qr_code, urls_of
-from daemon.own_name import own_name
-from daemon.parts import check_pad, load_model
 from daemon.playback.stream import DEMO_RECORDING
+from daemon.setup.destinations import encoder_for, open_journal
+from daemon.setup.parts import check_pad, load_model
 from daemon.sinks import RobotSink
+from daemon.terminal.own_name import own_name
 from drivers.extras import how_to_install
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import StubRobot

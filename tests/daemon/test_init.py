@@ -9,7 +9,7 @@ from rigs.expectations import RECORDINGS, stream_of
 
 from daemon.commands.init import main
 from daemon.config import ConfigError, SensorSettings, load
-from daemon.destinations import encoder_for
+from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 
 STREAM = stream_of(next(iter(RECORDINGS)))

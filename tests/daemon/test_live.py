@@ -24,13 +24,13 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
-from daemon.destinations import encoder_for, scenes_of
 from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
 from daemon.live.scene import Scene
 from daemon.live.server import CAPACITY, LiveServer
-from daemon.parts import load_model
 from daemon.playback.rig import outline
+from daemon.setup.destinations import encoder_for, scenes_of
+from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")

@@ -9,7 +9,7 @@ from daemon.config import Settings
 from daemon.events import Prediction, TouchBegan
 from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
 from daemon.live.scene import Scene
-from daemon.parts import load_model
+from daemon.setup.parts import load_model
 
 STREAM = stream_of(next(path for path in RECORDINGS if path.name == "lengths.csv.gz"))
 NOW = "2026-11-20T10:00:00.000Z"

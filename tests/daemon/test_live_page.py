@@ -20,9 +20,9 @@ from rigs.live_rig import free_port, live_daemon, serving
 from selenium.webdriver import ActionChains, Chrome, Keys
 
 from daemon.config import SensorSettings
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
-from daemon.words import name_of, vocabulary
+from daemon.setup.destinations import encoder_for
+from daemon.setup.words import name_of, vocabulary
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.recording import Stream, ideal_clock_ms

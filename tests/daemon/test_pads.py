@@ -21,11 +21,11 @@ from daemon.config import (
     load,
     only_pad,
 )
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan
 from daemon.kept.touch_store import folder_of, kept_touches
 from daemon.kept.touches import read_journal
 from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.setup.destinations import encoder_for
 from daemon.sinks import RobotSink
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.stub_robot import StubRobot

@@ -18,11 +18,11 @@ from daemon import cli
 from daemon.config import Settings
 from daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from daemon.kept.touches import gather, read_journal
-from daemon.parts import load_model
 from daemon.plot import journal as plot_journal
 from daemon.plot import recording as plot_recording
 from daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
 from daemon.plot.recording import Felt, feel
+from daemon.setup.parts import load_model
 from drivers.fakes.hand import record, simulate
 from drivers.recording import UNLABELLED, Recording, splice
 

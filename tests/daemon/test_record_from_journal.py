@@ -19,17 +19,17 @@ from rigs.terminal import Terminal
 from daemon import cli
 from daemon.commands.classify import play
 from daemon.config import JournalSettings, SensorSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from daemon.kept.touches import read_since
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
+from daemon.setup.destinations import encoder_for
+from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, read_provenance, read_recordings
 

@@ -13,12 +13,12 @@ from rigs.running_daemon import LENGTHS, SPEED, Daemon
 
 from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.playback.rig import outline
-from daemon.reread import Reloader, rereading
+from daemon.setup.destinations import encoder_for
+from daemon.setup.parts import load_model
+from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
@@ -51,7 +51,7 @@ def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
         ["scene.speak_abov is not a setting", "tap is no gesture", "cannot be written", "not an address"],
         strict=True,
     ):
-        assert line.startswith("WARNING daemon.reread: the new configuration is refused")
+        assert line.startswith("WARNING daemon.setup.reread: the new configuration is refused")
         assert why in line
 
 

@@ -22,13 +22,13 @@ from rigs.scripted_model import Scripted
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings, load
 from daemon.decide import Decision, DecisionSettings
-from daemon.destinations import encoder_for, link_to_robot, open_journal
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode, encode
 from daemon.kept.journal import Journal, JournalError
 from daemon.kept.touch_store import TouchStore, kept_touches
 from daemon.kept.touches import read_journal, read_since
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.playback.rig import SpawnedDaemon
+from daemon.setup.destinations import encoder_for, link_to_robot, open_journal
 from daemon.sinks import JournalSink, LinesSink, LogSink
 from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort

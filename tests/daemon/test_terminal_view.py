@@ -21,9 +21,9 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.setup.words import vocabulary
 from daemon.terminal.big_words import big
 from daemon.terminal.view import View
-from daemon.words import vocabulary
 
 SIZES = [(60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
@@ -33,7 +33,7 @@ MARKS = (54, 81, 144)
 SHOWN = """
 from daemon.events import SensorEvent
 from daemon.terminal.view import View
-from daemon.words import vocabulary
+from daemon.setup.words import vocabulary
 with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
     view.put(SensorEvent(state="up", time=""))
     input()

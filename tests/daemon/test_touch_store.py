@@ -20,12 +20,12 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.destinations import open_touch_stores
 from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.touch_frames import FeltTouch, cut
 from daemon.kept.touch_sink import CAPACITY, LONGEST_FRAMES, TouchSink
 from daemon.kept.touch_store import TouchStore, file_name, kept_touches, read_frames
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from daemon.setup.destinations import open_touch_stores
 from drivers.frame import Counts, Frame
 from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
 

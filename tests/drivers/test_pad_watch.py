@@ -9,9 +9,9 @@ import pytest
 from rigs.made_pad import MadePad, nothing
 
 from daemon.config import SensorSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import SensorEvent
 from daemon.playback.rig import SpawnedDaemon
+from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ, Counts, Frame
 from drivers.pad.watch import LASTS_S, SAME_TROUBLE_S, PadWatch

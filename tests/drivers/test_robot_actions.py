@@ -9,7 +9,7 @@ import pytest
 import yaml
 from rigs.robots import message
 
-from daemon.words import Language, vocabulary
+from daemon.setup.words import Language, vocabulary
 from drivers.robot import actions as robot_actions
 from drivers.robot.actions import Action, ActionRule, Words, spoken
 from drivers.robot.reactions import Reactions

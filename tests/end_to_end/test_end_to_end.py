@@ -13,11 +13,11 @@ import pytest
 from rigs.expectations import RECORDINGS, answers, expected, stream_of
 
 from daemon.config import SensorSettings, Settings
-from daemon.destinations import encoder_for, parser_for
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.playback.stream import with_quiet
+from daemon.setup.destinations import encoder_for, parser_for
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.fakes.hand import simulate

@@ -54,7 +54,7 @@ WHAT_IS_LOADED = """
 import sys
 from daemon.commands import run
 from daemon.config import Settings
-from daemon.parts import load_model
+from daemon.setup.parts import load_model
 load_model(Settings())
 print(*sorted({name.partition(".")[0] for name in sys.modules}))
 """

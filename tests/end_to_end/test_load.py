@@ -18,9 +18,9 @@ import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
 
 from daemon.config import SensorSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import Event, Prediction, TouchBegan
 from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import read_recordings, splice

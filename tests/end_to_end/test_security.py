@@ -18,9 +18,9 @@ from rigs.expectations import RECORDINGS, stream_of
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 
 from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoader
-from daemon.destinations import encoder_for
 from daemon.events import RobotEvent, SensorEvent
 from daemon.playback.rig import SpawnedDaemon
+from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
@@ -139,7 +139,7 @@ def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
     # It sends from a database in the home folder, and is silent by itself where it takes this for a test.
     silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
-    load = "from daemon.parts import load_model, Settings; load_model(Settings())"
+    load = "from daemon.setup.parts import load_model, Settings; load_model(Settings())"
     environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
     subprocess.run([sys.executable, "-c", load], env=environment, check=True, timeout=25)
     assert list(tmp_path.rglob("*")) == []

@@ -16,10 +16,10 @@ import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
 
 from daemon.config import JournalSettings, SensorSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import SensorEvent, decode
 from daemon.health import Health, Notifier
 from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.recording import splice

@@ -24,8 +24,8 @@ from daemon import cli  # noqa: E402
 from daemon.config import Settings  # noqa: E402
 from daemon.doctor.machine import check_model  # noqa: E402
 from daemon.events import TouchBegan, decode  # noqa: E402
+from daemon.setup.words import vocabulary  # noqa: E402
 from daemon.terminal.view import View  # noqa: E402
-from daemon.words import vocabulary  # noqa: E402
 from drivers.fakes.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402

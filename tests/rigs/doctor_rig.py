@@ -12,9 +12,9 @@ from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import Encode
 
 from daemon.config import Settings
-from daemon.destinations import parser_for
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard, listen
+from daemon.setup.destinations import parser_for
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.fakes.line_faults import NO_FAULTS, Faults

@@ -16,10 +16,10 @@ from pathlib import Path
 from daemon.commands.classify import play
 from daemon.config import Settings
 from daemon.events import Event
-from daemon.parts import load_model
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
 from daemon.playback.stream import DEMO_RECORDING as DEMO
+from daemon.setup.parts import load_model
 from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, record
 from drivers.recording import Stream, read_recordings, splice
 from model.classifier import Classifier

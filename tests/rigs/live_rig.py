@@ -16,12 +16,12 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
-from daemon.destinations import open_live_page
 from daemon.events import Event
 from daemon.live.messages import encode_frame
 from daemon.live.server import LiveServer
-from daemon.parts import load_model
 from daemon.playback.rig import SpawnedDaemon
+from daemon.setup.destinations import open_live_page
+from daemon.setup.parts import load_model
 from drivers.frame import Frame
 from model.classifier import Classifier
 

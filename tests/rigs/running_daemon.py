@@ -12,9 +12,9 @@ import yaml
 from rigs.expectations import RECORDINGS, stream_of
 
 from daemon.config import SensorSettings, Settings
-from daemon.destinations import encoder_for
 from daemon.events import Event
 from daemon.playback.rig import SpawnedDaemon
+from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
@@ -52,7 +52,7 @@ class Daemon:
     def log(self) -> list[str]:
         """What it said of its configuration so far."""
         lines = (self._folder / "log").read_text().splitlines()
-        return [line for line in lines if "daemon.reread" in line]
+        return [line for line in lines if "daemon.setup.reread" in line]
 
     def await_log(self, count: int) -> None:
         while len(self.log()) < count:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.baseline import MIN_NOISE_FLOOR
+from daemon.pad.baseline import MIN_NOISE_FLOOR
 from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.grid import GridFrame

@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from daemon.config import DEFAULT_PORT, SensorSettings
-from daemon.destinations import encoder_for
+from daemon.setup.destinations import encoder_for
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import read_recordings, splice
 

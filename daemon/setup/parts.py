@@ -11,10 +11,16 @@ import numpy as np
 
 from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
-from daemon.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores, parser_for
 from daemon.events import UNCERTAIN, Event, LivePrediction
 from daemon.kept.touch_sink import TouchSink
 from daemon.pipeline import Pipeline
+from daemon.setup.destinations import (
+    link_to_robot,
+    open_journal,
+    open_live_page,
+    open_touch_stores,
+    parser_for,
+)
 from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.frame import COLUMNS, ROWS
 from drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from daemon.config import Settings
-from daemon.parts import Parts
+from daemon.setup.parts import Parts
 from drivers.errors import TouchdError
 
 log = logging.getLogger(__name__)

@@ -1,0 +1,1 @@
+"""From the settings to the parts that run, and to new ones when the settings change."""
