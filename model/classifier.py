@@ -219,6 +219,7 @@ def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.Inference
         raise ModelError(f"{path}: gives no answer for a pad at rest ({why}); export it again") from error
     finally:
         limit.cancel()
+        limit.join()
     answer = np.asarray(answer)
     if answer.shape != (1, len(metadata.labels)):
         found = (

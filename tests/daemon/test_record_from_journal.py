@@ -341,7 +341,7 @@ def test_deleted_and_damaged_touches_are_passed_over(
         lab.touched(number)
     first, second = kept_touches(folder_of(lab.journal))
     second.path.write_bytes(second.path.read_bytes()[:100])
-    lines = " ".join(listed(lab, monkeypatch, capsys))
+    lines = " ".join(" ".join(listed(lab, monkeypatch, capsys)).split())
     assert "cannot be read as a recording" in lines
     assert "2 of 2: touch 1" in lines
     monkeypatch.setattr("daemon.commands.label.kept_touches", lambda _: [first, second])
