@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -228,7 +229,10 @@ def test_a_demo_that_is_told_to_end_leaves_nothing_behind(
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     with subprocess.Popen(
-        [sys.executable, "-m", "daemon", "demo", "--plain"], stdout=subprocess.PIPE
+        [sys.executable, "-m", "daemon", "demo", "--plain"],
+        stdout=subprocess.PIPE,
+        # A suite that runs under nohup ignores the signal, and so would the demo.
+        preexec_fn=partial(signal.signal, number, signal.SIG_DFL),
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
