@@ -109,6 +109,7 @@ def test_frames_a_few_at_a_time_equal_the_window(settings: NetworkSettings) -> N
     assert start == 144
 
 
+@pytest.mark.slow
 @torch.no_grad()
 def test_attention_forgets_only_what_weighs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     network, frames = random_network(), batch(checkerboard(6000)).float()

@@ -76,6 +76,7 @@ def test_the_stored_answers_are_over_the_test_participants_windows(
         np.testing.assert_array_equal(stored["labels"], haart.cut(test_recordings, cell.frames).labels)
 
 
+@pytest.mark.slow
 @needs_haart
 @pytest.mark.timeout(120)
 def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list[Recording]) -> None:

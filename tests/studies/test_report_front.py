@@ -221,6 +221,7 @@ def test_stored_files_have_the_reported_size_and_work() -> None:
             assert cell["at"][str(frames)]["multiply_adds"] == multiply_adds(path, frames)
 
 
+@pytest.mark.slow
 @measured_front
 @needs_haart
 def test_a_sample_of_stored_errors_holds_again() -> None:

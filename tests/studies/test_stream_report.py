@@ -62,6 +62,7 @@ def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
     assert told.settled_s == 1.5
 
 
+@pytest.mark.slow
 @needs_haart
 @pytest.mark.timeout(120)
 def test_a_participant_is_answered_by_an_unseen_network() -> None:
