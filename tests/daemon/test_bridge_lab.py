@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs.made_events import PREDICTION
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of, wait_for
 
 from daemon.events import (
-    Prediction,
     RobotAction,
     RobotEvent,
     SensorEvent,
@@ -21,22 +21,6 @@ from daemon.events import (
     TouchEnded,
     decode,
     timestamp,
-)
-
-PREDICTION = Prediction(
-    touch=7,
-    stage="early",
-    frames=54,
-    elapsed_s=1.0,
-    gesture="stroke",
-    confidence=0.81,
-    probabilities={"pat": 0.19, "stroke": 0.81},
-    changed=True,
-    told=True,
-    degraded=False,
-    latency_ms=1.9,
-    model="m",
-    time="2026-11-20T10:00:01.000Z",
 )
 
 

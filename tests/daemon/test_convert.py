@@ -8,33 +8,20 @@ import json
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from rigs.expectations import RECORDINGS
+from rigs.made_events import PREDICTION
 
 from daemon.cli import main
-from daemon.events import Prediction, TouchBegan, decode, encode, epoch_s
+from daemon.events import TouchBegan, decode, encode, epoch_s
 from drivers.recording import read_recordings
 
 DEMO = next(path for path in RECORDINGS if path.name == "demo.csv.gz")
 EVENTS = [
     TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),
-    Prediction(
-        touch=1,
-        stage="early",
-        frames=54,
-        elapsed_s=1.0,
-        gesture="stroke",
-        confidence=0.81,
-        probabilities={"pat": 0.19, "stroke": 0.81},
-        changed=True,
-        told=True,
-        degraded=False,
-        latency_ms=1.9,
-        model="m",
-        time="2026-11-20T10:00:01.000Z",
-        pad="head",
-    ),
+    msgspec.structs.replace(PREDICTION, touch=1, pad="head"),
 ]
 
 
