@@ -37,11 +37,7 @@ COMMANDS = (
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
     Command("record", "daemon.commands.record", "guides through making recordings of your own"),
     Command("teach", "daemon.commands.teach", "records your gestures and adapts the model, in three minutes"),
-    Command("data", "daemon.commands.data", "fetches the HAART recordings, or checks a folder of them"),
-    Command("train", "daemon.commands.train", "trains the networks of a recipe"),
-    Command("export", "daemon.commands.export", "calibrates trained networks and writes them as ONNX files"),
-    Command("evaluate", "daemon.commands.evaluate", "scores the model, and writes the accuracy page"),
-    Command("stability", "daemon.commands.stability", "checks the model's arithmetic on hard cases"),
+    Command("train", "daemon.commands.train", "adapts the model to recordings of your own"),
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
     Command("convert", "daemon.commands.convert", "writes a journal or a recording as CSV or MCAP"),
     Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
@@ -49,8 +45,8 @@ COMMANDS = (
     Command("completion", "daemon.commands.completion", "has a shell complete commands and options"),
 )
 
-MOVED = ("report", "speed", "quantize")
-"""Studies for researchers: commands of the repository's own, not of an installed touchd."""
+MOVED = ("data", "export", "evaluate", "stability", "report", "speed", "quantize")
+"""Commands for researchers, which a clone of the repository has and an installed touchd has not."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = next((command for command in COMMANDS if command.name == words[0]), None)
     if words[0] in MOVED:
         sys.stderr.write(
-            f"touchd: {words[0]} is a study now: python -m docs.studies {words[0]}, in the repository\n"
+            f"touchd: {words[0]} is for researchers: python -m docs.studies {words[0]}, in the repository\n"
         )
         return USERS_MISTAKE
     if command is None:

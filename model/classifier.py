@@ -74,12 +74,12 @@ class Classifier:
 
     @classmethod
     def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> Classifier:
-        """Load a model file that `touchd export` wrote; raises ModelError when it does not fit."""
+        """Load a model file that an export wrote; raises ModelError when it does not fit."""
         session = _open_session(path, threads)
         stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if stored is None:
             raise ModelError(
-                f"{path}: not a touchd model (it carries no touchd metadata); make one with `touchd export`"
+                f"{path}: not a touchd model (it carries no metadata); make one with `touchd train --extra`"
             )
         try:
             metadata = msgspec.json.decode(stored, type=ModelMetadata)

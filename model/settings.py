@@ -10,6 +10,8 @@ from drivers.errors import TouchdError
 
 LENGTHS = (54, 81, 144)
 """The window lengths, in frames, at which touches are answered: 1, 1.5 and 2.67 s."""
+MAX_LENGTH = 432
+"""The longest window, in frames, that an exported file takes."""
 
 Study = Literal["haart", "second"]
 

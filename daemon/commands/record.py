@@ -13,9 +13,10 @@ from rich.console import Console
 from daemon.commands.label import label, label_of
 from daemon.commands.numbers import within
 from daemon.config import Settings, load
+from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import Pad
 from daemon.recorder.dialogue import Dialogue, Terms
-from daemon.recorder.session import NAME_RULE, Session, is_name, prepare
+from daemon.recorder.session import NAME_RULE, Session, is_name
 from daemon.terminal.ask import Stopped, ask_name
 from drivers.pad.sensor import check_port
 

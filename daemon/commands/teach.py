@@ -14,9 +14,10 @@ import msgspec
 from rich.console import Console
 
 from daemon.config import ConfigError, Settings, load
+from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import Pad
 from daemon.recorder.dialogue import Dialogue, Terms
-from daemon.recorder.session import NAME_RULE, Session, is_name, prepare
+from daemon.recorder.session import NAME_RULE, Session, is_name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
 from drivers.pad.sensor import check_port

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+from daemon.kept.recording_file import SUFFIX, keep, prepare
 from daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
-from daemon.recorder.session import SUFFIX, keep, prepare
 from drivers.frame import DEFAULT_PAD
 from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
 from drivers.whole_file import PARTIAL

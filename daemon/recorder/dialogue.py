@@ -15,8 +15,9 @@ from rich.progress import BarColumn, Progress, TextColumn
 
 from daemon.config import Settings
 from daemon.events import timestamp
+from daemon.kept.recording_file import keep
 from daemon.recorder.capture import Capture, Contact, Pad, PadLost, complaints
-from daemon.recorder.session import Session, Take, keep
+from daemon.recorder.session import Session, Take
 from daemon.setup.destinations import description_of
 from daemon.terminal.ask import ask
 from drivers.frame import MAX_COUNT, Counts

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from daemon.events import timestamp
+from daemon.kept.recording_file import SUFFIX, keep, prepare
 from daemon.kept.touch_store import KeptFrames, KeptTouch, read_frames
-from daemon.recorder.session import SUFFIX, keep, prepare
 from drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
 
 RIGHT = ".right"

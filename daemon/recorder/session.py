@@ -7,17 +7,13 @@ on where it ended.
 
 from __future__ import annotations
 
-import os
 import random
 import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.recording import Recording, RecordingError, write_recordings
-from drivers.whole_file import whole_file
+from daemon.kept.recording_file import SUFFIX
 
-SUFFIX = ".csv.gz"
 # Names are parts of file names, divided by "_", and cells of a CSV file.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
 NAME_RULE = "a name has letters, digits and - only, 32 at most"
@@ -68,32 +64,3 @@ class Session:
 def is_name(text: str) -> bool:
     """Return whether a text can name a participant, a substrate, a cover or a gesture."""
     return NAME.fullmatch(text) is not None
-
-
-def prepare(folder: Path) -> None:
-    """Make the folder, and see that recordings can be kept in it; raises RecordingError where they cannot."""
-    probe = folder / f".touchd-probe-{os.getpid()}"
-    linked = probe.with_suffix(".linked")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            probe.touch()
-            os.link(probe, linked)
-        finally:
-            probe.unlink(missing_ok=True)
-            linked.unlink(missing_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"{folder}: recordings cannot be kept there ({error.strerror}); name another folder"
-        ) from error
-
-
-def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
-    """Write recordings to their file, whole or not at all; raises RecordingError, also when it is there."""
-    try:
-        with whole_file(path, replace=False) as partial:
-            write_recordings(partial, recordings, provenance)
-    except FileExistsError as error:
-        raise RecordingError(f"{path}: is there already, and is never written over") from error
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error

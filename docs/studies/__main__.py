@@ -6,7 +6,14 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from drivers.errors import TouchdError
+
 STUDIES = {
+    "data": ("docs.studies.training.commands:data", "fetches the HAART recordings, or checks a folder"),
+    "train": ("docs.studies.training.commands:train", "trains the networks of a recipe"),
+    "export": ("docs.studies.training.commands:export", "calibrates them and writes them as ONNX files"),
+    "evaluate": ("docs.studies.training.commands:evaluate", "scores the shipped model"),
+    "stability": ("docs.studies.training.commands:stability", "checks a model's arithmetic on hard cases"),
     "accuracy": ("docs.studies.accuracy", "rewrites the accuracy page from the stored scores"),
     "report": ("docs.studies.report.page", "the paper's tables and figures beside ours"),
     "speed": ("docs.studies.speed", "times an answer against the paper's network"),
@@ -20,13 +27,18 @@ STUDIES = {
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a study; returns its exit code, 2 when there is none of that name."""
+    """Run a study; returns its exit code, 2 for the user's mistakes."""
     name = arguments[0] if arguments else ""
     if name not in STUDIES:
         listing = "\n".join(f"  {known:<10} {what}" for known, (_, what) in STUDIES.items())
         sys.stderr.write(f"usage: python -m docs.studies NAME [OPTIONS]\n\n{listing}\n")
         return 2
-    return int(importlib.import_module(STUDIES[name][0]).main(arguments[1:]) or 0)
+    module, _, function = STUDIES[name][0].partition(":")
+    try:
+        return int(getattr(importlib.import_module(module), function or "main")(arguments[1:]) or 0)
+    except TouchdError as error:
+        sys.stderr.write(f"{name}: {error}\n")
+        return 2
 
 
 if __name__ == "__main__":

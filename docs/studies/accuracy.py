@@ -11,8 +11,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from docs.studies.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
 from docs.studies.marked import fill
-from model.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
 from model.settings import LENGTHS
 
 PAPER_ACCURACY = {9: 57.0, 27: 66.6, 54: 70.8, 72: 71.1, 108: 72.3, 144: 72.8, 216: 71.6}

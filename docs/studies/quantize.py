@@ -26,15 +26,15 @@ from onnxruntime.quantization import (
 from rich.console import Console
 from rich.table import Table
 
-from daemon.commands.haart_folder import add_haart_argument
+from docs.studies.checks import evaluate
+from docs.studies.checks.hard_cases import FRAMES, hand
+from docs.studies.checks.timing import Timing, time_in_turn
+from docs.studies.folders import add_haart_argument
+from docs.studies.training.ship import LEFT_OUT_FOLDER
 from drivers.recording import Recording
-from model.checks import evaluate
-from model.checks.hard_cases import FRAMES, hand
-from model.checks.timing import Timing, time_in_turn
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 from model.settings import LENGTHS
 from model.training import haart
-from model.training.ship import LEFT_OUT_FOLDER
 
 FLOAT32 = "float32"
 Quantize = Callable[[Path, Path, Sequence[Recording]], None]
@@ -87,7 +87,7 @@ def run(model: Path, folds: Sequence[Path], training: Sequence[Recording]) -> li
     Raises ModelError.
     """
     if not folds:
-        raise ModelError(f"{model.parent}: no models of left-out participants there; run `touchd export`")
+        raise ModelError(f"{model.parent}: no models of left-out participants there; `export` writes them")
     live = haart.realigned(training)
     with tempfile.TemporaryDirectory() as folder:
         files = {name: convert(model, name, live, Path(folder)) for name in VARIANTS}

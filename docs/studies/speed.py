@@ -17,10 +17,10 @@ import msgspec
 from rich.console import Console
 from rich.table import Table
 
+from docs.studies.checks.timing import Timing, time_in_turn
 from docs.studies.report.front import ONNX_RUNTIME, PYTORCH, answers_of
 from docs.studies.report.networks import OURS, Network, papers
 from docs.studies.report.paper_tgc import PaperSettings
-from model.checks.timing import Timing, time_in_turn
 from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
 from model.training.threads import one_torch_thread

@@ -21,9 +21,9 @@ from model.classifier import SHIPPED_MODEL, Classifier
 from model.settings import LENGTHS
 from model.tgc import TGC
 from model.training import checkpoint, metrics
-from model.training.calibrate import TEMPERATURES
 from model.training.checkpoint import Checkpoint
 
+TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 # Standard deviation of the log of a temperature around the shipped one, before any left-out answer is seen.
 TEMPERATURE_SPREAD = 0.3
 

@@ -17,12 +17,11 @@ from model.adapt.adapt import Adapted, Pretrained, adapt, learnable, prepare
 from model.adapt.folder import read_folder
 from model.adapt.head import AdaptSettings
 from model.classifier import SHIPPED_MODEL, ModelMetadata
-from model.settings import LENGTHS
+from model.settings import LENGTHS, MAX_LENGTH
 from model.tgc import TGC
 from model.training import haart
 from model.training.checkpoint import code_version
 from model.training.export import export
-from model.training.ship import MAX_LENGTH
 from model.training.threads import one_torch_thread
 
 SUFFIX = ".onnx"

@@ -20,6 +20,7 @@ from model.tgc import TGC
 
 # Our widest network's, with all that resuming needs, is 17 MB.
 MAX_FILE_BYTES = 128 * 1024 * 1024
+ADVICE = "make one with `python -m docs.studies train`"
 SOURCES = ("training/haart.py", "training/augment.py", "tgc.py", "settings.py", "training/train.py")
 
 
@@ -91,9 +92,9 @@ def load(path: Path) -> Checkpoint:
     except CheckpointError:
         raise
     except FileNotFoundError as error:
-        raise CheckpointError(f"{path}: there is no checkpoint; make one with `touchd train`") from error
+        raise CheckpointError(f"{path}: there is no checkpoint; {ADVICE}") from error
     except Exception as error:  # torch raises many types for a damaged file, some with pages of advice
-        raise CheckpointError(f"{path}: not a checkpoint of touchd; make one with `touchd train`") from error
+        raise CheckpointError(f"{path}: not a checkpoint of touchd; {ADVICE}") from error
 
 
 def code_version() -> str:

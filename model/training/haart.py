@@ -1,6 +1,6 @@
 """The HAART recordings as training and test data: folder, participants, windows.
 
-Source: Human-Animal Affective Robot Touch set, RTGC 2015, UBC SPIN lab. Fetched by `download.py`.
+Source: Human-Animal Affective Robot Touch set, RTGC 2015, UBC SPIN lab.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def read_test(folder: Path) -> list[Recording]:
     return read_recordings(find(folder, TEST_FILE))
 
 
-def find(folder: Path, name: str, hint: str = "fetch them with `touchd data`") -> Path:
+def find(folder: Path, name: str, hint: str = "fetch them with `python -m docs.studies data`") -> Path:
     """Return the file `name`, or `name`.gz, in the folder; raises RecordingError when neither is there."""
     for path in (folder / name, folder / f"{name}.gz"):
         if path.is_file():

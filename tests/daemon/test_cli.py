@@ -24,6 +24,7 @@ from daemon.playback.rig import outline
 from daemon.setup.parts import check_fit
 from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
+from docs.studies.__main__ import STUDIES
 from drivers.fakes.hand import record
 from drivers.recording import Selection, read_recordings
 from drivers.robot.session import qi_installed
@@ -81,6 +82,12 @@ def test_no_command_shows_the_help_and_is_a_mistake(capsys: pytest.CaptureFixtur
 
 def test_an_unknown_command_is_named(refusal: Refusal) -> None:
     assert "xyz is no command; there are init, run," in refusal("xyz")
+
+
+@pytest.mark.parametrize("name", cli.MOVED)
+def test_a_command_for_researchers_says_where_it_is(refusal: Refusal, name: str) -> None:
+    assert name in STUDIES
+    assert f"python -m docs.studies {name}" in refusal(name)
 
 
 def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from daemon import cli
+from daemon.kept.recording_file import keep, prepare
 from daemon.recorder.capture import Capture, complaints
-from daemon.recorder.session import Session, keep, prepare
+from daemon.recorder.session import Session
 from drivers.fakes.hand import simulate
 from drivers.frame import Frame
 from drivers.recording import Recording, RecordingError, read_recordings

@@ -14,8 +14,9 @@ from rigs.terminal import Terminal
 
 from daemon import cli
 from daemon.config import SensorSettings, Settings
+from daemon.kept.recording_file import keep
 from daemon.recorder.capture import Pad, PadLost
-from daemon.recorder.session import Session, keep
+from daemon.recorder.session import Session
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
 from drivers.frame import Counts

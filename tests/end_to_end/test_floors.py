@@ -12,6 +12,18 @@ import pytest
 ROOT = Path(__file__).parents[2]
 MODEL_STANDS_ON = {"drivers.errors", "drivers.frame", "drivers.pad.grid", "drivers.recording"}
 
+WINGS = (
+    "drivers.fakes",
+    "model.training",
+    "model.adapt",
+    "daemon.recorder",
+    "daemon.doctor",
+    "daemon.plot",
+    "daemon.convert",
+    "daemon.playback",
+)
+"""What measures, reports, trains or fakes."""
+
 
 def imports(path: Path) -> set[str]:
     """The dotted names of the modules that a file imports, wherever in it."""
@@ -56,17 +68,26 @@ from daemon.commands import run
 from daemon.config import Settings
 from daemon.setup.parts import load_model
 load_model(Settings())
-print(*sorted({name.partition(".")[0] for name in sys.modules}))
+print(*sys.modules)
 """
 
 
 @pytest.fixture(scope="module")
 def loaded() -> set[str]:
-    """The top-level modules in the process of a daemon that is ready to run."""
+    """The modules in the process of a daemon that is ready to run."""
     done = subprocess.run(
         [sys.executable, "-c", WHAT_IS_LOADED], capture_output=True, text=True, check=True, timeout=30
     )
     return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("wing", WINGS)
+def test_the_running_daemon_imports_no_wing(loaded: set[str], wing: str) -> None:
+    assert not from_package(loaded, wing)
+
+
+def test_every_wing_exists() -> None:
+    assert all((ROOT / wing.replace(".", "/")).is_dir() for wing in WINGS)
 
 
 def test_the_running_daemon_never_imports_torch(loaded: set[str]) -> None:

@@ -21,11 +21,11 @@ from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoad
 from daemon.events import RobotEvent, SensorEvent
 from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
+from docs.studies.training.recipe import MAX_BYTES, read_recipe
 from drivers.fakes.fake_port import FakePort
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 from model.settings import SettingsError
-from model.training.recipe import MAX_BYTES, read_recipe
 
 ROOT = Path(__file__).parents[2]
 SOURCES = sorted(path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("*.py"))

@@ -443,11 +443,13 @@ def test_without_torch_it_says_what_to_install(
     assert "torch is not installed (extra train)" in capsys.readouterr().err
 
 
-def test_options_of_the_other_training_are_refused(tmp_path: Path) -> None:
-    for arguments in (["--output", "x.onnx"], ["--extra", str(tmp_path), "--recipe", "x.yaml"]):
-        with pytest.raises(SystemExit) as ended:
-            cli.main(["train", *arguments])
-        assert ended.value.code == 2
+def test_training_without_recordings_names_where_recipes_are_trained(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["train"])
+    assert ended.value.code == 2
+    assert "python -m docs.studies train" in capsys.readouterr().err
 
 
 def test_a_folder_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

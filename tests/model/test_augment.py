@@ -9,8 +9,8 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from model.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
-from model.checks.hard_cases import checkerboard, hand
+from docs.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
+from docs.studies.checks.hard_cases import checkerboard, hand
 from model.settings import AugmentationSettings
 from model.training.augment import vary
 

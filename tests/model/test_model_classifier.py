@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from docs.studies.checks.hard_cases import checkerboard, flat, hand
+from docs.studies.checks.stability import chunked
 from drivers.frame import FRAME_RATE_HZ
-from model.checks.hard_cases import checkerboard, flat, hand
-from model.checks.stability import chunked
 from model.classifier import (
     MAX_FILE_BYTES,
     METADATA_KEY,
@@ -242,7 +242,7 @@ class TestOtherModels:
         proto = self.onnx.load(path)
         del proto.metadata_props[:]
         self.onnx.save(proto, path)
-        assert "not a touchd model (it carries no touchd metadata)" in refusal(path)
+        assert "not a touchd model (it carries no metadata)" in refusal(path)
 
     @pytest.mark.parametrize("stored", ["{", "[]", '{"name": "x"}'])
     def test_damaged_metadata_is_refused(self, tmp_path: Path, stored: str) -> None:

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.timeout(120)
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from model.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
+from docs.studies.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
 from model.classifier import Classifier, ModelMetadata  # noqa: E402
 from model.settings import NetworkSettings  # noqa: E402
 from model.tgc import MEMORY_FRAMES, TGC, FeatureDropout  # noqa: E402

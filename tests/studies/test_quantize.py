@@ -11,10 +11,10 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 pytestmark = pytest.mark.timeout(120)
 
 from docs.studies import quantize  # noqa: E402
+from docs.studies.checks.hard_cases import hand  # noqa: E402
+from docs.studies.checks.timing import Timing  # noqa: E402
 from docs.studies.quantize import FLOAT32, Variant, decide  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
-from model.checks.hard_cases import hand  # noqa: E402
-from model.checks.timing import Timing  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError  # noqa: E402
 from model.training import haart  # noqa: E402
 
@@ -41,7 +41,7 @@ def test_an_int8_copy_is_smaller_and_answers_alike(tmp_path: Path, kind: str) ->
 
 
 def test_without_models_of_left_out_participants_nothing_is_measured() -> None:
-    with pytest.raises(ModelError, match="no models of left-out participants there; run `touchd export`"):
+    with pytest.raises(ModelError, match="no models of left-out participants there; `export` writes them"):
         quantize.run(SHIPPED_MODEL, [], [])
 
 

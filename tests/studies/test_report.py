@@ -13,11 +13,11 @@ from rigs.stored_report import DOCS, RESULTS
 pytest.importorskip("torch", reason="needs the extra train")
 pytest.importorskip("sklearn", reason="needs the extra train")
 
+from docs.studies.checks import evaluate
 from docs.studies.marked import fill
 from docs.studies.report import page, paper_cells, paper_training, representation, tables23
 from docs.studies.report.paper_cells import predictions_path, trained_cells
 from drivers.recording import Recording
-from model.checks import evaluate
 from model.classifier import Classifier
 from model.training import haart
 from model.training.threads import one_torch_thread

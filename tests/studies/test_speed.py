@@ -11,9 +11,9 @@ pytestmark = pytest.mark.timeout(120)
 from rich.console import Console  # noqa: E402
 
 from docs.studies import speed  # noqa: E402
+from docs.studies.checks.timing import Timing  # noqa: E402
 from docs.studies.report.paper_tgc import PaperSettings  # noqa: E402
 from docs.studies.speed import ONNX_RUNTIME, PYTORCH, Speed  # noqa: E402
-from model.checks.timing import Timing  # noqa: E402
 from model.classifier import SHIPPED_MODEL  # noqa: E402
 from model.settings import LENGTHS  # noqa: E402
 

@@ -67,7 +67,7 @@ def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
 @pytest.mark.timeout(120)
 def test_a_participant_is_answered_by_an_unseen_network() -> None:
     pytest.importorskip("torch", reason="needs the extra train")
-    from model.training.ship import left_out_split
+    from docs.studies.training.ship import left_out_split
 
     path = haart.find(Path(os.environ["TOUCHD_HAART"]), haart.TRAINING_FILE)
     of_one = haart.realigned(read_recordings(path, Selection(participants=("P8",))))

@@ -1,7 +1,7 @@
 """What adapting does on HAART: adapted to a person left out, evaluated on that person and on others.
 
 `python -m docs.studies adapting HAART [DOCS [RUNS]]` writes DOCS/adapt.json, the tables of adapt.md and a
-picture; run it again to resume. RUNS is `touchd train`'s folder: adapting starts from its networks that left
+picture; run it again to resume. RUNS is `train`'s folder: adapting starts from its networks that left
 participants out, and from the shipped one for the challenge's test participants. The other pad is HAART's
 with a row of taxels dead, the disturbance that costs the shipped network most.
 """
@@ -33,16 +33,16 @@ from docs.studies.adapting.cells import (
     read,
     write,
 )
+from docs.studies.checks.disturb import DISTURBANCES, Disturb
 from docs.studies.marked import fill
+from docs.studies.training.recipe import HAART_RECIPE, Recipe, fold_jobs, read_recipe
+from docs.studies.training.ship import HAART_MODEL, fold_path
 from drivers.recording import NO_TOUCH, Recording
 from model.adapt.adapt import Pretrained, adapt, learnable, logits, prepare
 from model.adapt.backbone import CropFeatures, WindowFeatures, windows
 from model.adapt.head import AdaptSettings, fit, rebuilt
-from model.checks.disturb import DISTURBANCES, Disturb
 from model.settings import LENGTHS
 from model.training import checkpoint, haart, metrics
-from model.training.recipe import HAART_RECIPE, Recipe, fold_jobs, read_recipe
-from model.training.ship import HAART_MODEL, fold_path
 from model.training.threads import one_torch_thread
 from model.training.train import CHECKPOINT_NAME
 

@@ -18,19 +18,19 @@ import torch
 from matplotlib.axes import Axes
 from scipy.optimize import nnls
 
+from docs.studies.checks.hard_cases import hand
+from docs.studies.checks.timing import time_in_turn
 from docs.studies.marked import table
 from docs.studies.report.macs import multiply_adds
 from docs.studies.report.networks import SHIPPED, VARIANTS, export
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.peak import open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values
+from docs.studies.training.ship import HAART_MODEL
 from drivers.frame import FRAME_RATE_HZ
-from model.checks.hard_cases import hand
-from model.checks.timing import time_in_turn
 from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training.haart import GESTURES
-from model.training.ship import HAART_MODEL
 
 WINDOWS = (9, 27, 54, 81, 108, 144, 216, 432)
 PADS = (1, 2, 4, 8, 16, 32, 64)

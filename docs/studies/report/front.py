@@ -26,6 +26,9 @@ import torch
 from matplotlib.axes import Axes
 
 from docs.studies.accuracy import PAPER_ACCURACY
+from docs.studies.checks import evaluate
+from docs.studies.checks.hard_cases import hand
+from docs.studies.checks.timing import time_in_turn
 from docs.studies.marked import table
 from docs.studies.quantize import FLOAT32
 from docs.studies.report import networks as every
@@ -37,9 +40,6 @@ from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values
 from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
 from drivers.recording import Recording
-from model.checks import evaluate
-from model.checks.hard_cases import hand
-from model.checks.timing import time_in_turn
 from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training import haart

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.commands.haart_folder import add_haart_argument
+from docs.studies.folders import add_haart_argument
 from docs.studies.marked import fill
 from docs.studies.report import cost, front, representation, table1, tables23
 from docs.studies.report.results import Results, Study

@@ -18,8 +18,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from docs.studies.checks.timing import Timing
 from drivers.errors import TouchdError
-from model.checks.timing import Timing
 
 LIBRARIES = ("numpy", "onnxruntime", "torch", "scikit-learn")
 

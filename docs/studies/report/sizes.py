@@ -11,13 +11,12 @@ from pathlib import Path
 
 import msgspec
 
+from docs.studies.training.recipe import HAART_RECIPE, Job, Recipe, final_jobs, read_recipe
 from drivers.frame import FRAME_RATE_HZ
 from model.classifier import ModelMetadata
-from model.settings import LENGTHS, NetworkSettings
+from model.settings import LENGTHS, MAX_LENGTH, NetworkSettings
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
-from model.training.recipe import HAART_RECIPE, Job, Recipe, final_jobs, read_recipe
-from model.training.ship import MAX_LENGTH
 from model.training.studies import Folders
 from model.training.train import train_studies
 

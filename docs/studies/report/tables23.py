@@ -15,6 +15,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import torch
 
+from docs.studies.checks import evaluate
+from docs.studies.checks.evaluate import REPORTED_LENGTHS
 from docs.studies.marked import table
 from docs.studies.report import paper_training
 from docs.studies.report.paper_cells import (
@@ -27,12 +29,10 @@ from docs.studies.report.paper_cells import (
     trained_networks,
 )
 from docs.studies.report.results import Results, Study, percent
+from docs.studies.training.ship import HAART_MODEL, SEEDS_FOLDER
 from drivers.frame import FRAME_RATE_HZ
-from model.checks import evaluate
-from model.checks.evaluate import REPORTED_LENGTHS
 from model.classifier import Classifier
 from model.training import haart
-from model.training.ship import HAART_MODEL, SEEDS_FOLDER
 
 FRAMINGS = ("published", "realigned")
 TABLE2_FRAMES = 144

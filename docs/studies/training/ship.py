@@ -10,19 +10,19 @@ from pathlib import Path
 
 import msgspec
 
+from docs.studies.checks import evaluate
+from docs.studies.training import calibrate
+from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name, plan
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording
-from model.checks import evaluate
 from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
-from model.settings import LENGTHS, Study
-from model.training import calibrate, checkpoint, haart
+from model.settings import LENGTHS, MAX_LENGTH, Study
+from model.training import checkpoint, haart
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
-from model.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name, plan
 from model.training.studies import Folders
 from model.training.train import CHECKPOINT_NAME, train_studies
 
-MAX_LENGTH = 432
 HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
 """The network that learnt from HAART's training participants alone, which the paper is compared with."""
 WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
@@ -158,6 +158,6 @@ def _load(job: Job, runs: Path) -> Checkpoint:
     saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
     if saved.epoch < job.settings.epochs:
         raise checkpoint.CheckpointError(
-            f"{runs / job.name}: stopped after epoch {saved.epoch}; run `touchd train`"
+            f"{runs / job.name}: stopped after epoch {saved.epoch}; run `train` again"
         )
     return saved

@@ -1,4 +1,4 @@
-"""`touchd data`: the published recordings in a folder, whole and checked, or one line that says why not."""
+"""`data`: the published recordings in a folder, whole and checked, or one line that says why not."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from docs.studies.training.download import ARCHIVE_NAME, Contents, obtain, unpack
+from docs.studies.training.http_file import DownloadError, fetch
 from drivers.recording import RecordingError
-from model.training.download import ARCHIVE_NAME, Contents, obtain, unpack
 from model.training.haart import PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE
-from model.training.http_file import DownloadError, fetch
 
 EXPECTED = {TRAINING_FILE: Contents(2, ("P3", "P4")), TEST_FILE: Contents(1, ("T1",))}
 CELLS = ",".join(f"cell{i}" for i in range(1, 65))

@@ -17,9 +17,9 @@ from pathlib import Path, PurePosixPath
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
+from docs.studies.training.http_file import DownloadError, fetch
 from drivers.recording import Recording, RecordingError, read_recordings
 from model.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE, find
-from model.training.http_file import DownloadError, fetch
 
 ARCHIVE_URL = "https://www.cs.ubc.ca/labs/spin/data/HAART%20DataSet.zip"
 ARCHIVE_NAME = "HAART DataSet.zip"
@@ -69,7 +69,7 @@ def check(path: Path, expected: Contents) -> Contents:
     if found != expected:
         raise RecordingError(
             f"{path}: {_describe(found)}, where the published file has {_describe(expected)}; "
-            "remove it and run `touchd data`"
+            "remove it and run `data` again"
         )
     return found
 

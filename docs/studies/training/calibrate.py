@@ -14,12 +14,12 @@ import torch
 from numpy.typing import NDArray
 
 from drivers.recording import Recording
+from model.adapt.adapt import TEMPERATURES
 from model.settings import LENGTHS
 from model.tgc import TGC
 from model.training import haart, metrics
 from model.training.checkpoint import Checkpoint
 
-TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 BATCH = 64
 
 

@@ -26,7 +26,7 @@ MAX_BYTES = 64 * 1024
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `touchd train` trains."""
+    """What `train` trains."""
 
     name: str
     folds: tuple[tuple[str, ...], ...]

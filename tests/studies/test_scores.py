@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
 
-from model.checks import evaluate
+from docs.studies.checks import evaluate
 from model.classifier import SHIPPED_MODEL, Classifier
 from model.training import haart, second_study
 
 pytest.importorskip("torch", reason="needs the extra train")
 
-from model.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
-from model.training.ship import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
+from docs.studies.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
+from docs.studies.training.ship import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
 PAGE = Path(__file__).parents[2] / "docs" / "accuracy.md"
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]

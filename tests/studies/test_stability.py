@@ -1,4 +1,4 @@
-"""`touchd stability`: the shipped model on windows that strain its arithmetic."""
+"""The shipped model on windows that strain its arithmetic."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from docs.studies.checks import stability
+from docs.studies.checks.hard_cases import hand, hard_cases
+from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, Check
 from drivers.frame import MAX_COUNT
-from model.checks import stability
-from model.checks.hard_cases import hand, hard_cases
-from model.checks.stability import FLOAT64, LATER, TOLERANCES, Check
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 
 # Every case is asked in both runtimes; a busy machine takes its time.
@@ -41,10 +41,10 @@ def test_every_case_is_checked(checks: list[Check]) -> None:
 
 def test_a_model_whose_logits_overflow_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="needs the extra `train`")
-    from model.checks.scale_logits import steeper
+    from docs.studies.checks.scale_logits import scale_logits
 
     broken = tmp_path / "broken.onnx"
-    steeper(SHIPPED_MODEL, 3e38, broken)
+    scale_logits(SHIPPED_MODEL, 3e38, broken)
     with pytest.raises(ModelError, match="no probabilities"):
         stability.run(broken)
 
@@ -97,7 +97,7 @@ def test_the_longest_window_and_the_shortest_are_there() -> None:
 @pytest.mark.timeout(1800)
 def test_an_hour_of_frames_neither_drifts_nor_grows() -> None:
     torch = pytest.importorskip("torch", reason="needs the extra `train`")
-    from model.checks import reference
+    from docs.studies.checks import reference
     from model.tgc import MEMORY_FRAMES
 
     classifier = Classifier.load()

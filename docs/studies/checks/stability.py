@@ -1,4 +1,4 @@
-"""Numerical stability of a model file, case by case: `touchd stability`.
+"""Numerical stability of a model file, case by case.
 
 Probabilities must be finite and sum to 1, agree with the same network in float64, and depend on nothing but
 the frames that they are about: not on the batch, on later frames, on threads, on the counts' type, on chance,
@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from model.checks.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
-from model.checks.timing import time_in_turn
+from docs.studies.checks.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
+from docs.studies.checks.timing import time_in_turn
 from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
 
 if TYPE_CHECKING:
-    from model.checks.reference import Reference
+    from docs.studies.checks.reference import Reference
 
 EXTREME_FACTORS = (1e4, -1e4, 1e30, -1e30)
 TIMED_ANSWERS = 60
@@ -104,7 +104,7 @@ def _reference(model: Path, classifier: Classifier) -> Reference | None:
     weights = model.with_suffix(".pt")
     if not (has_train_extra() and weights.exists()):
         return None
-    from model.checks.reference import Reference
+    from docs.studies.checks.reference import Reference
 
     return Reference.load(weights, classifier.metadata)
 
@@ -195,13 +195,13 @@ def _check_refusals(classifier: Classifier) -> Check:
 
 def _check_extreme_logits(model: Path) -> Check:
     """Ask copies of the file whose logits are multiplied until the softmax is as steep as it can be."""
-    from model.checks.scale_logits import steeper
+    from docs.studies.checks.scale_logits import scale_logits
 
     deviations: list[float] = []
     with tempfile.TemporaryDirectory() as folder:
         for factor in EXTREME_FACTORS:
             copy = Path(folder) / "extreme.onnx"
-            steeper(model, factor, copy)
+            scale_logits(model, factor, copy)
             extreme = Classifier.load(copy)
             deviations += [_off_one(extreme.probabilities(w)) for w in (hand(FRAMES), checkerboard(FRAMES))]
     return _judge("extreme logits", SUMS_TO_1, deviations)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from model.checks.timing import IN_A_ROW, time_in_turn
+from docs.studies.checks.timing import IN_A_ROW, time_in_turn
 
 
 def test_all_are_asked_in_turn_until_each_has_answered() -> None:

@@ -1,4 +1,4 @@
-"""The folders of the two studies' recordings, as several commands take them."""
+"""The folders of the two studies' recordings, as several studies take them."""
 
 from __future__ import annotations
 
@@ -10,19 +10,14 @@ HAART_VARIABLE = "TOUCHD_HAART"
 SECOND_STUDY_VARIABLE = "TOUCHD_SECOND_STUDY"
 
 
-def default_haart() -> Path:
-    """Return the folder where none is named."""
-    return Path(os.environ.get(HAART_VARIABLE, "haart"))
-
-
 def add_haart_argument(parser: argparse.ArgumentParser) -> None:
     """Add --haart FOLDER, by default the environment's TOUCHD_HAART, else ./haart."""
     parser.add_argument(
         "--haart",
         type=Path,
-        default=default_haart(),
+        default=Path(os.environ.get(HAART_VARIABLE, "haart")),
         metavar="FOLDER",
-        help=f"folder of the HAART recordings (${HAART_VARIABLE}, else haart); `touchd data` fetches them",
+        help=f"folder of the HAART recordings (${HAART_VARIABLE}, else haart); `data` fetches them",
     )
 
 

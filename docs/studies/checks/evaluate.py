@@ -15,8 +15,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from docs.studies.checks.disturb import DISTURBANCES, Disturb
 from drivers.recording import Recording
-from model.checks.disturb import DISTURBANCES, Disturb
 from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training import haart, metrics

@@ -1,0 +1,41 @@
+"""A file of a lab's own recordings: there whole or not at all, and never written over."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from drivers.recording import Recording, RecordingError, write_recordings
+from drivers.whole_file import whole_file
+
+SUFFIX = ".csv.gz"
+
+
+def prepare(folder: Path) -> None:
+    """Make the folder, and see that recordings can be kept in it; raises RecordingError where they cannot."""
+    probe = folder / f".touchd-probe-{os.getpid()}"
+    linked = probe.with_suffix(".linked")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            probe.touch()
+            os.link(probe, linked)
+        finally:
+            probe.unlink(missing_ok=True)
+            linked.unlink(missing_ok=True)
+    except OSError as error:
+        raise RecordingError(
+            f"{folder}: recordings cannot be kept there ({error.strerror}); name another folder"
+        ) from error
+
+
+def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
+    """Write recordings to their file, whole or not at all; raises RecordingError, also when it is there."""
+    try:
+        with whole_file(path, replace=False) as partial:
+            write_recordings(partial, recordings, provenance)
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: is there already, and is never written over") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error

@@ -1,0 +1,1 @@
+"""How the shipped model is made: recordings, recipe, calibration, export, scores."""
