@@ -14,7 +14,8 @@ PARTIAL = ".partial-"
 def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """Yield a path beside `path` to write to; what was written takes the place of `path` at the end.
 
-    replace: whether a file that is there is written over; otherwise FileExistsError is raised. On any error
+    replace: whether a file that is there is written over, keeping its owner and permissions; otherwise
+    FileExistsError is raised. On any error
     nothing is left behind. Raises OSError.
     """
     partial = path.with_name(f"{PARTIAL}{path.name}")
@@ -25,9 +26,20 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
         with partial.open("rb") as file:
             os.fsync(file.fileno())
         if replace:
+            _take_over(path, partial)
             os.replace(partial, path)
         else:
             # Unlike a renaming, a link fails where a file is there already.
             os.link(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _take_over(path: Path, partial: Path) -> None:
+    """Give the new file the owner and the permissions of the one that it replaces, if there is one."""
+    try:
+        before = path.stat()
+    except FileNotFoundError:
+        return
+    os.chown(partial, before.st_uid, before.st_gid)
+    partial.chmod(before.st_mode & 0o7777)

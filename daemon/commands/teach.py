@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import logging
-import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from daemon.recorder.session import NAME_RULE, Session, is_name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
 from drivers.pad.sensor import check_port
+from drivers.whole_file import whole_file
 
 GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 ROUNDS = 2
@@ -114,15 +114,12 @@ def _put_into_use(console: Console, config: Path | None, model: Path) -> None:
         return
     if ask(console, f"Enter to use it from now on (in {config}), n to leave things as they are: ", ("", "n")):
         return
-    new = config.with_name(f".{config.name}.new")
     try:
-        new.write_text(with_model(config.read_text(encoding="utf-8"), model.resolve()), encoding="utf-8")
-        load(new)
-        os.replace(new, config)
+        with whole_file(config) as new:
+            new.write_text(with_model(config.read_text(encoding="utf-8"), model.resolve()), encoding="utf-8")
+            load(new)
     except OSError as error:
         raise ConfigError(f"{config}: cannot be written ({error.strerror}); try with sudo") from error
-    finally:
-        new.unlink(missing_ok=True)
     console.print(
         f"Set. A running service takes it over with: sudo systemctl reload touchd\n"
         f"By hand: {own_name()} run -c {config}",

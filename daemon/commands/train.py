@@ -39,6 +39,9 @@ def main(arguments: Sequence[str]) -> int:
             "name your recordings: --extra FOLDER; a recipe's networks are trained by "
             "`python -m docs.studies train`, in the repository"
         )
+    # Before anything is read: all that follows takes torch.
+    import torch  # noqa: F401
+
     from model.adapt.head import AdaptSettings
     from model.adapt.report import report_lines
     from model.adapt.ship import adapt_folder

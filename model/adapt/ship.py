@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import tempfile
 from pathlib import Path
 
 import msgspec
@@ -13,6 +12,7 @@ import torch
 
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
+from drivers.whole_file import whole_file
 from model.adapt.adapt import Adapted, Pretrained, adapt, learnable, prepare
 from model.adapt.folder import read_folder
 from model.adapt.head import AdaptSettings
@@ -89,11 +89,8 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
     # It tells at length what it would do for a library that is not there.
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     try:
-        with tempfile.TemporaryDirectory(prefix=".touchd-", dir=output.parent) as folder:
-            partial = Path(folder) / output.name
+        with whole_file(output, replace=False) as partial:
             export(network.eval(), metadata, partial)
-            # Unlike a renaming, a link fails where a file is there already.
-            os.link(partial, output)
     except OSError as error:
         raise OutputError(f"{output}: cannot be written ({error.strerror})") from error
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from dataclasses import dataclass
 from importlib import metadata
@@ -15,6 +14,7 @@ import torch
 from torch import Tensor
 
 from drivers.errors import TouchdError
+from drivers.whole_file import whole_file
 from model.settings import TrainSettings
 from model.tgc import TGC
 
@@ -54,20 +54,17 @@ class Checkpoint:
 def save(checkpoint: Checkpoint, path: Path) -> None:
     """Write the checkpoint whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".partial")
-    torch.save(
-        {
-            "settings": msgspec.json.encode(checkpoint.settings).decode(),
-            "labels": list(checkpoint.labels),
-            "epoch": checkpoint.epoch,
-            "network": checkpoint.network,
-            "training": checkpoint.training,
-            "code_version": checkpoint.code_version,
-            "data_sha256": checkpoint.data_sha256,
-        },
-        partial,
-    )
-    os.replace(partial, path)
+    stored = {
+        "settings": msgspec.json.encode(checkpoint.settings).decode(),
+        "labels": list(checkpoint.labels),
+        "epoch": checkpoint.epoch,
+        "network": checkpoint.network,
+        "training": checkpoint.training,
+        "code_version": checkpoint.code_version,
+        "data_sha256": checkpoint.data_sha256,
+    }
+    with whole_file(path) as partial:
+        torch.save(stored, partial)
 
 
 def load(path: Path) -> Checkpoint:

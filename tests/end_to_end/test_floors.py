@@ -10,7 +10,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-MODEL_STANDS_ON = {"drivers.errors", "drivers.frame", "drivers.pad.grid", "drivers.recording"}
+MODEL_STANDS_ON = {
+    "drivers.errors",
+    "drivers.frame",
+    "drivers.pad.grid",
+    "drivers.recording",
+    "drivers.whole_file",
+}
 
 WINGS = (
     "drivers.fakes",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fcntl
 import logging
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +25,7 @@ from tqdm import tqdm
 from docs.studies.report.paper_cells import STORED_FOLDER, Grid, PaperCell, predictions_path
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.results import Study
+from drivers.whole_file import whole_file
 from model.training import haart, metrics
 from model.training.checkpoint import CheckpointError
 from model.training.haart import GESTURES, Windows
@@ -80,7 +80,6 @@ class PaperTraining:
     def save(self, path: Path) -> None:
         """Write everything that resuming needs, whole or not at all."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_suffix(".partial")
         state = {
             "network": self.network.state_dict(),
             "optimizer": self.optimizer.state_dict(),
@@ -90,8 +89,8 @@ class PaperTraining:
             "accuracies": self.accuracies,
             "seconds": self.seconds,
         }
-        torch.save(state, partial)
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            torch.save(state, partial)
 
     def resume(self, path: Path) -> None:
         """Go on where a saved training stopped; raises CheckpointError."""

@@ -20,6 +20,7 @@ import numpy as np
 
 from docs.studies.checks.timing import Timing
 from drivers.errors import TouchdError
+from drivers.whole_file import whole_file
 
 LIBRARIES = ("numpy", "onnxruntime", "torch", "scikit-learn")
 
@@ -78,9 +79,8 @@ class Results:
         with self._alone():
             cells = {**self._read(), key: cell}
             ordered = {name: cells[name] for name in sorted(cells)}
-            partial = self.path.with_suffix(".partial")
-            partial.write_bytes(_one_line_a_cell(ordered))
-            os.replace(partial, self.path)
+            with whole_file(self.path) as partial:
+                partial.write_bytes(_one_line_a_cell(ordered))
 
     def _read(self) -> dict[str, Cell]:
         try:

@@ -1,0 +1,35 @@
+"""Files that are written whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from drivers.whole_file import whole_file
+
+
+def test_a_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("before")
+    path.chmod(0o640)
+    with whole_file(path) as partial:
+        partial.write_text("after")
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("after", 0o640)
+
+
+def test_an_error_while_writing_leaves_the_old_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("before")
+    with pytest.raises(NotADirectoryError), whole_file(path) as partial:
+        (partial / "half").write_text("half")
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_not_to_be_replaced_stays(tmp_path: Path) -> None:
+    path = tmp_path / "recording.csv.gz"
+    path.write_text("before")
+    with pytest.raises(FileExistsError), whole_file(path, replace=False) as partial:
+        partial.write_text("after")
+    assert path.read_text() == "before"
