@@ -102,7 +102,8 @@ install-program:
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
 	@umask 022; pip='$(NEW)/bin/python -m pip install -qq --disable-pip-version-check'; \
-	  { $$pip --require-hashes -r requirements.lock && $$pip --no-deps .; } || { rm -rf $(NEW); exit 1; }
+	  { $$pip --require-hashes -r requirements.lock && $$pip --no-deps --no-build-isolation .; } || \
+	  { rm -rf $(NEW); exit 1; }
 	@rm -rf build
 	@grep -rlIF "$(NEW)" $(NEW)/bin $(NEW)/pyvenv.cfg | xargs -r sed -i 's#$(NEW)#$(PROGRAM)#g'
 	@rm -rf $(DESTDIR)$(PROGRAM)
@@ -143,11 +144,12 @@ deb:
 	dpkg-deb --root-owner-group -Zgzip -z1 --build $(PACKAGE) dist/touchd_$${version}_$$arch.deb
 	@rm -rf $(PACKAGE)
 
-# The lock holds hashes for every platform and for Python 3.10 to 3.13; the constraints hold versions alone, so
-# that a new tool in pyproject.toml needs no renewal first.
+# The lock holds hashes for every platform and for Python 3.10 to 3.13, of pip and setuptools too: venv brings old
+# ones. The constraints hold versions alone, so that a new tool in pyproject.toml needs no renewal first.
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --custom-compile-command "make lock" pyproject.toml
 lock: $(DEVELOPMENT)
-	$(LOCK) --upgrade --generate-hashes --no-annotate $(addprefix --extra ,nao live mqtt lsl ros2 rosbridge mcap) \
+	printf 'pip\nsetuptools>=77\n' | $(LOCK) - --upgrade --generate-hashes --no-annotate \
+	  $(addprefix --extra ,nao live mqtt lsl ros2 rosbridge mcap) \
 	  --output-file requirements.lock
 	$(LOCK) --upgrade --no-annotate --extra dev --constraint requirements.lock --output-file constraints.txt
 
@@ -178,7 +180,7 @@ $(BIN)/python:
 $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
 	@echo "Installing what touchd needs (once, some 220 MB; a minute or two)"
 	@$(PIP) --require-hashes -r requirements.lock
-	@$(PIP) --no-deps --editable .
+	@$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python

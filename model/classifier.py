@@ -201,6 +201,9 @@ def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.Inferen
         raise ModelError(
             f"{path}: its inputs are {inputs}, not any number of {ROWS}x{COLUMNS} taxels' counts"
         )
+    outputs = [entry.name for entry in session.get_outputs()]
+    if unknown := [name for name in outputs if name != "probabilities" and not name.startswith("next_")]:
+        raise ModelError(f"{path}: has another output than probabilities: {unknown[0]}; export it again")
     _try_out(path, metadata, session)
 
 

@@ -71,7 +71,7 @@ def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Ch
 
 def _ask_version(wanted: RobotSettings, open_session: OpenSession) -> tuple[str, float]:
     """Return what the robot says it runs, and how long it took to hear it, in seconds."""
-    login, limits = read_login(wanted), RobotLimits()
+    login, limits = read_login(wanted), RobotLimits(call_s=wanted.call_s)
     session = open_session(wanted.url, login, limits, threading.Event())
     begun_s = time.monotonic()
     try:

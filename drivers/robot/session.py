@@ -139,7 +139,8 @@ class QiSession:
         while future.wait(SLICE_MS) == self._qi.FutureState.Running:
             waited_s = time.monotonic() - started_s
             if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
-                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s (see robot.call_s)")
+                setting = " (see robot.call_s)" if limit_s == self._limits.call_s else ""
+                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s{setting}")
         try:
             return future.value()
         except RuntimeError as error:

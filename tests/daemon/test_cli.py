@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 from rigs.expectations import RECORDINGS, expected
 from rigs.made_events import PREDICTION
@@ -26,7 +27,7 @@ from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
 from docs.studies.__main__ import STUDIES
 from drivers.fakes.hand import record
-from drivers.recording import Selection, read_recordings
+from drivers.recording import Recording, Selection, read_recordings, write_recordings
 from drivers.robot.session import qi_installed
 from model.classifier import Classifier
 
@@ -147,6 +148,14 @@ def test_answers_later_than_the_model_can_take_are_refused() -> None:
 def test_a_missing_recording_is_one_line(refusal: Refusal) -> None:
     assert "nowhere.csv" in refusal("classify", "nowhere.csv")
     assert "no recording matches" in refusal("replay", str(GESTURES), "--participant", "nobody")
+
+
+def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -> None:
+    # With each row come four seconds of quiet before and after it.
+    one = Recording("p0", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
+    parts = [replace(one, participant=f"p{number % 2}") for number in range(6000)]
+    write_recordings(tmp_path / "rows.csv.gz", parts, {})
+    assert "13 hours of recordings and quiet, 12 at most" in refusal("classify", str(tmp_path / "rows.csv.gz"))
 
 
 def test_a_pace_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -93,6 +93,17 @@ def test_a_slow_robot_gets_everything_in_order(make_robot: type[Robot]) -> None:
 
 
 @every_robot
+def test_a_slow_robot_is_heard_once_call_s_allows(make_robot: type[Robot]) -> None:
+    with make_robot(call_s=0.4) as robot:
+        with linked(robot, call_s=0.2) as (_, states):
+            assert "no answer within 0.2 s" in states.wait_for("down")
+        with linked(robot, call_s=0.8) as (link, states):
+            link.publish(message("pat"))
+            robot.calls.wait_for_raise(GESTURE, "pat")
+            states.wait_for("up")
+
+
+@every_robot
 def test_a_returning_robot_gets_the_status_each_time(make_robot: type[Robot]) -> None:
     with make_robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")

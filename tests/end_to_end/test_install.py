@@ -164,13 +164,16 @@ def test_systemd_gives_the_configuration_to_the_service_and_nobody_else(make: Ma
 
 def test_the_lock_satisfies_what_the_project_asks_for() -> None:
     tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    project = pyproject["project"]
     locked: dict[str, list[str]] = {}
     for line in (ROOT / "requirements.lock").read_text().splitlines():
         if match := re.match(r"([\w.-]+)==([\w.]+)", line):
             locked.setdefault(match[1], []).append(match[2])
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *(text for extra in INSTALLED_EXTRAS for text in extras[extra])]
+    # What installs and builds is locked as well: it runs with the same rights.
+    tools = ["pip", *pyproject["build-system"]["requires"]]
+    wanted = [*tools, *project["dependencies"], *(text for extra in INSTALLED_EXTRAS for text in extras[extra])]
     for requirement in map(Requirement, wanted):
         versions = locked.get(requirement.name, [])
         assert versions, f"{requirement.name} is not locked; make lock"

@@ -231,6 +231,16 @@ class TestOtherModels:
         assert "shape ()" in self.broken(tmp_path / "scalar.onnx", [1.0], [])
         assert "shape (7,)" in self.broken(tmp_path / "rank.onnx", [1 / 7] * 7, [7])
 
+    def test_an_output_that_nobody_asked_for_is_refused(self, tmp_path: Path) -> None:
+        path = self.tiny_graph(tmp_path / "m.onnx", "counts", ["batch", "frames", 8, 8], 7)
+        proto, helper = self.onnx.load(path), self.onnx.helper
+        proto.graph.node.append(helper.make_node("Identity", ["even"], ["odd"]))
+        proto.graph.output.append(
+            helper.make_tensor_value_info("odd", self.onnx.TensorProto.FLOAT, [1, 7])
+        )
+        self.onnx.save(proto, path)
+        assert "another output than probabilities: odd" in refusal(path)
+
     def test_a_graph_without_an_end_is_refused_in_time(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

@@ -60,7 +60,7 @@ class States:
 def linked(robot: Robot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
     """A started link to a robot, and the states it tells; stopped at the end."""
     states = States()
-    limits, actions = settings.pop("limits", RobotLimits()), settings.pop("actions", ())
+    limits, actions = settings.pop("limits", None), settings.pop("actions", ())
     link = RobotLink(
         RobotSettings(url=url or robot.url, **settings),
         on_state=states,
