@@ -37,11 +37,11 @@ def main(arguments: Sequence[str]) -> int:
     settings = load(options.config) if options.config else Settings()
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
-    tally = Tally(stream, settings.vocabulary)
+    tally = Tally(stream, settings.vocabulary, settings.language)
 
     def emit(event: Event) -> None:
         tally.put(event)
-        line = describe(event, settings.vocabulary) if in_words else encode(event).decode()
+        line = describe(event, settings.vocabulary, settings.language) if in_words else encode(event).decode()
         sys.stdout.write(f"{line}\n")
 
     play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)

@@ -23,7 +23,8 @@ from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, r
 from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import DEMO_RECORDING
 from daemon.setup.destinations import encoder_for
-from daemon.setup.words import Language, Vocabulary, name_of
+from daemon.setup.terms import term
+from daemon.setup.words import Language, name_of
 from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
 from daemon.terminal.own_name import own_name
@@ -92,8 +93,8 @@ class Show(typing.Protocol):
 class PlainLines:
     """A show for where there is no terminal: one line for each thing that happens."""
 
-    def __init__(self, words: Vocabulary) -> None:
-        self._words = words
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
 
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Lines cannot show a pad that moves."""
@@ -109,7 +110,7 @@ class PlainLines:
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when nobody reads any more."""
-        self._write(describe(event, self._words))
+        self._write(describe(event, self._settings.vocabulary, self._settings.language))
 
     def _write(self, text: str) -> None:
         sys.stdout.write(f"{text}\n")
@@ -144,7 +145,7 @@ def main(arguments: Sequence[str]) -> int:
             language=options.language,
             log_level="warning",
         )
-        show = PlainLines(settings.vocabulary) if options.plain else _show(closing, settings)
+        show = PlainLines(settings) if options.plain else _show(closing, settings)
         predictions, told = _play(stream, show, closing, settings)
     hand = [name_of(settings.vocabulary, span.gesture) for span in stream.spans if span.gesture != "notouch"]
     latencies = [prediction.latency_ms for prediction in predictions]
@@ -172,7 +173,7 @@ def _show(closing: ExitStack, settings: Settings) -> Show:
 
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
-        return PlainLines(settings.vocabulary)
+        return PlainLines(settings)
     from daemon.terminal.view import View
 
     urls = urls_of(settings.live, settings.live.port) if settings.live else []
@@ -182,6 +183,7 @@ def _show(closing: ExitStack, settings: Settings) -> Show:
         settings.scene.answer_at_frames,
         console,
         qr_code(urls[0]) if urls and settings.live and settings.live.host in EVERY_ADDRESS else "",
+        language=settings.language,
     )
     return closing.enter_context(view)
 
@@ -196,7 +198,7 @@ def _play(
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
     live, words = settings.live, settings.vocabulary
-    encode = _showing(stream, encoder_for(settings.sensor), show, words)
+    encode = _showing(stream, encoder_for(settings.sensor), show, settings)
     port = closing.enter_context(FakePort(stream, encode, speed=PACE, loop=live is not None))
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
     settings = msgspec.structs.replace(settings, sensor=sensor)
@@ -252,7 +254,7 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
 
 
 def _showing(
-    stream: Stream, encode: Callable[[Counts, int], bytes], show: Show, words: Vocabulary
+    stream: Stream, encode: Callable[[Counts, int], bytes], show: Show, settings: Settings
 ) -> Callable[[Counts, int], bytes]:
     """Return `encode` such that what is sent is also shown, and what the hand does is said as it begins."""
     first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
@@ -264,7 +266,8 @@ def _showing(
         show.show_frame(counts, sensor_ms)
         gesture = begins.get((sensor_ms - first_ms) % length_ms, "notouch")
         if gesture != "notouch":
-            show.doing(f"the simulated hand: {name_of(words, gesture)}")
+            name = name_of(settings.vocabulary, gesture)
+            show.doing(term(settings.language, "hand", name=name))
         return encode(counts, sensor_ms)
 
     return shown

@@ -95,8 +95,9 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
 
             (name, first), *_ = settings.pads.items()
             where = f" · {urls_of(settings.live, settings.live.port)[0]}" if settings.live else ""
-            title = f"on {first.sensor.port}{where}"
-            view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
+            title = f"{first.sensor.port}{where}"
+            marks, language = first.scene.answer_at_frames, settings.language
+            view = View(title, settings.vocabulary, marks, pad=name, language=language)
             closing.enter_context(view)
             closing.enter_context(_logging(ViewHandler(view), settings.log_level))
             service.show_on(view)
@@ -121,7 +122,7 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
 
     def line(event: Event) -> bytes:
         pad = f"{event.pad}: " if len(settings.pads) > 1 and not isinstance(event, RobotEvent) else ""
-        return f"{pad}{describe(event, settings.vocabulary)}".encode()
+        return f"{pad}{describe(event, settings.vocabulary, settings.language)}".encode()
 
     return line
 

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections import Counter
 
 from daemon.events import Event, TouchBegan, TouchEnded
-from daemon.setup.words import Vocabulary, name_of
+from daemon.setup.terms import term
+from daemon.setup.words import Language, Vocabulary, name_of
 from drivers.recording import NO_TOUCH, Stream
 
 
 class Tally:
     """Counts touches by the recording in which they began and by what they were settled on."""
 
-    def __init__(self, stream: Stream, words: Vocabulary) -> None:
+    def __init__(self, stream: Stream, words: Vocabulary, language: Language) -> None:
+        self._language = language
         self._spans = stream.spans
         self._words = words
         self._frame = 0
@@ -36,8 +38,9 @@ class Tally:
     def summary(self) -> str:
         """Return a line for each gesture recorded, and how many touches were right."""
         name = {gesture: name_of(self._words, gesture) for pair in self._touches for gesture in pair}
-        width = max([len("recorded"), *map(len, name.values())])
-        lines = ["", f"{'recorded':<{width}}  answered"]
+        head = term(self._language, "recorded")
+        width = max([len(head), *map(len, name.values())])
+        lines = ["", f"{head:<{width}}  {term(self._language, 'answered')}"]
         for recorded in sorted({pair[0] for pair in self._touches}):
             answers = Counter({answer: n for (was, answer), n in self._touches.items() if was == recorded})
             told = ", ".join(f"{name[answer]} {n}" for answer, n in answers.most_common())
@@ -46,7 +49,7 @@ class Tally:
         right = sum(n for (recorded, answer), n in self._touches.items() if recorded == answer)
         touches = sum(self._touches.values())
         share = f" ({right / touches:.0%})" if touches else ""
-        lines.append(f"{right} of {touches} touches right{share}")
+        lines.append(term(self._language, "right", right=right, all=touches) + share)
         if missed := len(set(touched) - self._felt):
-            lines.append(f"no touch was felt in {missed} of {len(touched)} recordings of touches")
+            lines.append(term(self._language, "missed", missed=missed, all=len(touched)))
         return "\n".join([*lines, ""])

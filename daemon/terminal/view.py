@@ -26,7 +26,8 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.setup.words import Vocabulary, name_of
+from daemon.setup.terms import term
+from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.bars import bars
 from daemon.terminal.big_words import big
 from daemon.terminal.describe import describe
@@ -74,6 +75,7 @@ class View:
     """A sink of events that draws them; also takes frames and notes. Safe to use from several threads.
 
     title: what is shown, one line. words: what gestures are called. answer_at_frames: the scene's marks.
+    language: of everything but the title and notes.
     console: where, the terminal on standard output when left out. card: lines to show where there is room.
     pad: whose touches are shown.
     """
@@ -89,8 +91,10 @@ class View:
         console: Console | None = None,
         card: str = "",
         pad: str = DEFAULT_PAD,
+        language: Language = "en",
     ) -> None:
         self._title = title
+        self._language = language
         self._words = words
         self._marks_s = [frames / FRAME_RATE_HZ for frames in answer_at_frames]
         self._card = card.splitlines()
@@ -177,11 +181,11 @@ class View:
                 case RobotEvent():
                     self._robot = event.state
                 case RobotAction(action="say" | "animated_say"):
-                    self._said_by_robot = f"“{event.what}”"
+                    self._said_by_robot = self._term("quote", what=event.what)
                 case RobotAction(action="behavior"):
                     self._said_by_robot = event.what
         if isinstance(event, SensorEvent | RobotEvent):
-            self.note(describe(event, self._words), event.state != "up")
+            self.note(describe(event, self._words, self._language), event.state != "up")
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Leave the terminal as it was; never waits."""
@@ -233,13 +237,13 @@ class View:
 
     def _header(self, width: int) -> Line:
         palette = self._palette
-        states = [("pad", self._pad), *([("robot", self._robot)] if self._robot else [])]
+        states = [("pad", self._pad or "awaited"), *([("robot", self._robot)] if self._robot else [])]
         vitals: Line = []
         for name, state in states:
-            style = {"up": palette.accent, "": palette.muted}.get(state, palette.bad)
+            style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
             vitals += [
                 Segment(f"  {'●' if state == 'up' else '○'} ", style),
-                Segment(f"{name} {state or 'awaited'}", palette.muted),
+                Segment(f"{self._term(name)} {self._term(state)}", palette.muted),
             ]
         taken = sum(segment.cell_length for segment in vitals) + 1
         title: Line = [
@@ -256,7 +260,7 @@ class View:
         if self._card and height - len(lines) > len(self._card):
             lines += [[], *([Segment(line, Style.parse("#ffffff on #000000"))] for line in self._card)]
         if height - len(lines) >= 2:
-            lines.append([Segment("Last touches", palette.muted)])
+            lines.append([Segment(self._term("last touches"), palette.muted)])
             ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
             for touch in ended[: height - len(lines)]:
                 lines.append(self._last_touch(touch))
@@ -264,12 +268,13 @@ class View:
 
     def _scale_line(self, width: int) -> Line:
         palette = self._palette
-        room = width - len("light  firm")
+        light, firm = self._term("light"), self._term("firm")
+        room = width - len(f"{light}  {firm}")
         if not palette.heat or room < len(palette.heat) // 8:
-            return [Segment("light", palette.muted), Segment(" " * room), Segment("firm", palette.muted)]
+            return [Segment(light, palette.muted), Segment(" " * (room + 2)), Segment(firm, palette.muted)]
         shades = [palette.heat[at * len(palette.heat) // room] for at in range(room)]
         ramp = [Segment("▄", palette.paper + Style(color=shade)) for shade in shades]
-        return [Segment("light ", palette.muted), *ramp, Segment(" firm", palette.muted)]
+        return [Segment(f"{light} ", palette.muted), *ramp, Segment(f" {firm}", palette.muted)]
 
     def _last_touch(self, touch: Felt) -> Line:
         palette = self._palette
@@ -281,8 +286,8 @@ class View:
             Segment(f"{touch.length_s:.1f} s", palette.muted),
         ]
         if len(changes) > 1:
-            before = ", ".join(self._name(gesture) for gesture in changes[:-1])
-            line.append(Segment(f" ↻ {before} before", palette.changed))
+            names = ", ".join(self._name(gesture) for gesture in changes[:-1])
+            line.append(Segment(f" ↻ {self._term('before', names=names)}", palette.changed))
         return line
 
     def _right(self, width: int, height: int) -> list[Line]:
@@ -305,7 +310,7 @@ class View:
         if line_height >= 3:
             lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
         if is_high:
-            lines += [[], [Segment("Probabilities", palette.muted)]]
+            lines += [[], [Segment(self._term("probabilities"), palette.muted)]]
         answer = touch.said[-1] if touch and touch.said and is_touched else None
         shown = (self._now or answer) if is_touched else None
         for bar in bars(
@@ -320,13 +325,14 @@ class View:
 
     def _which(self, touch: Felt | None) -> str:
         if touch is None:
-            return "No touch yet"
-        return f"{'Touch' if touch.ended is None else 'Last touch:'} {touch.number} · {touch.length_s:.1f} s"
+            return self._term("no touch")
+        key = "touch" if touch.ended is None else "last"
+        return self._term(key, number=touch.number, length=f"{touch.length_s:.1f}")
 
     def _answer(self, touch: Felt | None) -> tuple[str, Style]:
         palette = self._palette
         if touch is None or (touch.ended is not None and not touch.said):
-            return ("no pad" if self._pad == "down" else "touch me", palette.faint)
+            return self._term("no pad" if self._pad == "down" else "touch me"), palette.faint
         if not touch.said:
             return "...", palette.faint
         word = self._name(touch.said[-1].gesture)
@@ -341,17 +347,18 @@ class View:
         answer = touch.said[-1]
         sure = [
             Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True)),
-            Segment(f" sure, after {answer.elapsed_s:.3g} s", palette.ink),
+            Segment(self._term("sure", at=f"{answer.elapsed_s:.3g}"), palette.ink),
         ]
         remark: Line = []
         if before := self._before(touch, len(touch.said) - 1):
-            remark.append(Segment(f"↻ was {before} · ", palette.changed))
+            remark.append(Segment(f"↻ {self._term('was', name=before)} · ", palette.changed))
         told = [said for said in touch.said if said.told and said.gesture == answer.gesture]
-        heard = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
+        heard = self._term("told after", at=f"{told[0].elapsed_s:.3g}") if told else self._term("unsure")
         remark.append(Segment(heard, palette.muted))
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
         if likeliest != answer.gesture and answer.gesture in answer.probabilities:
-            remark.append(Segment(f" · {self._name(likeliest)} not ahead by enough", palette.muted))
+            likelier = self._term("likelier", name=self._name(likeliest))
+            remark.append(Segment(f" · {likelier}", palette.muted))
         return [sure, remark]
 
     def _flag(self, touch: Felt, at: int) -> Flag:
@@ -372,7 +379,7 @@ class View:
         if not self._said_by_robot:
             return []
         return [
-            Segment(" Robot ", palette.muted),
+            Segment(f" {self._term('robot').capitalize()} ", palette.muted),
             Segment(self._said_by_robot, palette.robot + Style(bold=True)),
         ]
 
@@ -385,6 +392,9 @@ class View:
 
     def _name_labels(self, labels: Iterable[str]) -> None:
         self._labels = {label: name_of(self._words, label) for label in labels}
+
+    def _term(self, key: str, **values: object) -> str:
+        return term(self._language, key, **values)
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)

@@ -16,6 +16,7 @@ from rich.console import Console
 
 from daemon.config import Settings
 from daemon.events import RobotEvent, SensorEvent
+from daemon.setup.terms import term
 from daemon.terminal.view import View
 
 WIDTH, HEIGHT, FONT_SIZE = 10, 20, 16
@@ -81,11 +82,17 @@ def main() -> None:
     console = Console(
         file=io.StringIO(), width=width, height=height, color_system="truecolor", force_terminal=True
     )
-    view = View("the daemon at work", settings.vocabulary, settings.scene.answer_at_frames, console)
+    view = View(
+        "the daemon at work",
+        settings.vocabulary,
+        settings.scene.answer_at_frames,
+        console,
+        language=settings.language,
+    )
     view.put(SensorEvent(state="up", time=""))
     view.put(RobotEvent(state="up", time=""))
     play(settings, view.put, view.put_live, lambda frame: view.show_frame(frame.pressure, frame.sensor_ms))
-    view.doing("the simulated hand: rub")
+    view.doing(term(settings.language, "hand", name=settings.vocabulary["rub"].name))
     picture(console, view, options.out)
 
 

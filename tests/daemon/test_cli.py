@@ -155,7 +155,9 @@ def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -
     one = Recording("p0", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
     parts = [replace(one, participant=f"p{number % 2}") for number in range(6000)]
     write_recordings(tmp_path / "rows.csv.gz", parts, {})
-    assert "13 hours of recordings and quiet, 12 at most" in refusal("classify", str(tmp_path / "rows.csv.gz"))
+    assert "13 hours of recordings and quiet, 12 at most" in refusal(
+        "classify", str(tmp_path / "rows.csv.gz")
+    )
 
 
 def test_a_pace_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -244,7 +246,7 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
     assert -1 not in places
     assert places == sorted(places)
     assert "robot hears Gesture: " in shown.out
-    assert 'robot says "' in shown.out
+    assert "robot says “" in shown.out
 
 
 def test_events_are_told_in_words() -> None:
@@ -254,4 +256,4 @@ def test_events_are_told_in_words() -> None:
     ended = TouchEnded(touch=7, gesture="constant", frames=216, reason="gap", time="")
     assert describe(ended, words) == "touch 7 ends: still hand, 4.0 s, too many frames were lost"
     says = RobotAction(touch=7, action="say", what="Hello.", time="")
-    assert describe(says, words) == 'robot says "Hello."'
+    assert describe(says, words) == "robot says “Hello.”"

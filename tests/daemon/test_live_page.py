@@ -418,9 +418,9 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         )
         served.sink.put(RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=NOW))
         served.put_frame()
-        await_(lambda: text_of(chrome, "#says") == "“Das war <b>Tätscheln</b>.”")
+        await_(lambda: text_of(chrome, "#says") == "„Das war <b>Tätscheln</b>.“")
         assert text_of(chrome, "#gesture") == "Tätscheln"
-        why = "Tätscheln stands: Reiben leads by 5 points, 10 are needed"
+        why = "Tätscheln bleibt: Reiben führt mit 5 Punkten, 10 sind nötig"
         assert text_of(chrome, "#chances-when") == why
         assert text_of(chrome, "#bars .best") == "Tätscheln"
 

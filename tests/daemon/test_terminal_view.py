@@ -21,7 +21,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from daemon.setup.words import vocabulary
+from daemon.setup.words import Language, vocabulary
 from daemon.terminal.big_words import big
 from daemon.terminal.view import View
 
@@ -72,7 +72,7 @@ def prediction(
 
 
 def view_of(
-    width: int, height: int, colours: str | None = None, language: str = "en"
+    width: int, height: int, colours: str | None = None, language: Language = "en"
 ) -> tuple[View, Console]:
     console = Console(
         file=io.StringIO(),
@@ -81,7 +81,8 @@ def view_of(
         color_system=colours,
         force_terminal=colours is not None,
     )
-    return View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console), console
+    view = View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console, language=language)
+    return view, console
 
 
 def touch(view: View) -> None:

@@ -173,7 +173,11 @@ def test_the_lock_satisfies_what_the_project_asks_for() -> None:
     extras = project["optional-dependencies"]
     # What installs and builds is locked as well: it runs with the same rights.
     tools = ["pip", *pyproject["build-system"]["requires"]]
-    wanted = [*tools, *project["dependencies"], *(text for extra in INSTALLED_EXTRAS for text in extras[extra])]
+    wanted = [
+        *tools,
+        *project["dependencies"],
+        *(text for extra in INSTALLED_EXTRAS for text in extras[extra]),
+    ]
     for requirement in map(Requirement, wanted):
         versions = locked.get(requirement.name, [])
         assert versions, f"{requirement.name} is not locked; make lock"

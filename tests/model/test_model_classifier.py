@@ -235,9 +235,7 @@ class TestOtherModels:
         path = self.tiny_graph(tmp_path / "m.onnx", "counts", ["batch", "frames", 8, 8], 7)
         proto, helper = self.onnx.load(path), self.onnx.helper
         proto.graph.node.append(helper.make_node("Identity", ["even"], ["odd"]))
-        proto.graph.output.append(
-            helper.make_tensor_value_info("odd", self.onnx.TensorProto.FLOAT, [1, 7])
-        )
+        proto.graph.output.append(helper.make_tensor_value_info("odd", self.onnx.TensorProto.FLOAT, [1, 7]))
         self.onnx.save(proto, path)
         assert "another output than probabilities: odd" in refusal(path)
 

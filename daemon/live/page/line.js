@@ -1,6 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
 
-import { nameOf, percent, seconds } from "./words.js";
+import { nameOf, percent, seconds, word } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
@@ -104,13 +104,13 @@ function flag(prediction, before, scene) {
   item.style.setProperty("--at", Math.min(at, 1));
   const what = `${nameOf(prediction.gesture)} ${percent(prediction.confidence)}`;
   // What was said after the line's end says when.
-  const told = (at > 1 ? ` at ${seconds(prediction.elapsed_s)}` : "") + (prediction.told ? " ✓" : "");
+  const told = (at > 1 ? ` ${word("at", { at: seconds(prediction.elapsed_s) })}` : "") + (prediction.told ? " ✓" : "");
   const small = Object.assign(document.createElement("small"), { textContent: told });
-  const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";
-  const heard = prediction.told ? ", told" : "";
+  const words = isChanged ? `, ${word("changed", { name: nameOf(before.gesture) })}` : "";
+  const heard = prediction.told ? word("told") : "";
   const unseen = Object.assign(document.createElement("span"), {
     className: "unseen",
-    textContent: ` after ${seconds(prediction.elapsed_s)}${words}${heard}`,
+    textContent: ` ${word("after", { at: seconds(prediction.elapsed_s) })}${words}${heard}`,
   });
   small.setAttribute("aria-hidden", "true");
   item.append(what, small, unseen);

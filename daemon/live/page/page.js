@@ -8,7 +8,7 @@ import * as show from "./show.js";
 import { PadSwitch } from "./pads.js";
 import { padOf, Store } from "./store.js";
 import { Visitors } from "./visitors.js";
-import { nameOf, percent, useWords } from "./words.js";
+import { nameOf, percent, useWords, word } from "./words.js";
 
 // Frames come every 18 ms; without one for this long, what is seen is old.
 const STALE_AFTER_S = 0.5;
@@ -35,7 +35,7 @@ let trouble = "";
 let isDue = false;
 let hasEvent = true;
 let hasLive = false;
-const visitors = new Visitors($("visitors"), $("legend"), drawSoon);
+const visitors = new Visitors($("enter"), $("legend"), drawSoon);
 
 function draw() {
   isDue = false;
@@ -67,7 +67,7 @@ function watch() {
   if (now !== trouble) {
     trouble = now;
     show.showTrouble(trouble);
-    announcer.say("trouble", trouble || "All is well again.");
+    announcer.say("trouble", trouble || word("well"));
   }
 }
 
@@ -77,8 +77,8 @@ function announce(prediction) {
   if (said === announced) return;
   announced = said;
   const answer = `${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`;
-  const where = stores.size > 1 ? ` on ${prediction.pad}` : "";
-  announcer.say("answer", `Touch ${prediction.touch}${where}: ${answer}`);
+  const where = stores.size > 1 ? ` (${prediction.pad})` : "";
+  announcer.say("answer", `${word("touch", { number: prediction.touch })}${where}: ${answer}`);
 }
 
 /** Keep a store for each pad; the first is shown large until another is chosen. */

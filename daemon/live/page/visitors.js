@@ -1,6 +1,6 @@
 // The view for visitors: the whole screen, nothing but pad, answer, time line and the robot's words.
 
-import { seconds, visitorWord } from "./words.js";
+import { seconds, word } from "./words.js";
 
 const HASH = "#visitors";
 
@@ -28,8 +28,8 @@ export class Visitors {
   use(scene) {
     const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
     const list = new Intl.ListFormat(scene.language, { style: "long" }).format(marks);
-    this.#legend.textContent = visitorWord("legend").replace("{marks}", list);
-    this.#button.ariaLabel = this.#isShown ? visitorWord("leave") : null;
+    this.#legend.textContent = word("legend", { marks: list });
+    this.#button.ariaLabel = this.#isShown ? word("leave") : null;
   }
 
   get #isShown() {
@@ -47,7 +47,7 @@ export class Visitors {
   #show(isShown) {
     document.body.toggleAttribute("data-visitors", isShown);
     this.#button.ariaPressed = String(isShown);
-    this.#button.ariaLabel = isShown ? visitorWord("leave") : null;
+    this.#button.ariaLabel = isShown ? word("leave") : null;
     history.replaceState(null, "", isShown ? HASH : location.pathname);
     this.#onChange();
   }

@@ -1,0 +1,67 @@
+"""The words of the terminal around the gestures, in the languages that ship with touchd."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Mapping
+
+from daemon.setup.words import Language
+
+LANGUAGES: tuple[Language, ...] = typing.get_args(Language)
+
+# One text for each of LANGUAGES. Logs, errors and help stay in English.
+TERMS: Mapping[str, tuple[str, ...]] = {
+    "after": ("after", "nach"),
+    "answered": ("answered", "beantwortet"),
+    "awaited": ("awaited", "erwartet"),
+    "before": ("{names} before", "vorher {names}"),
+    "begins": ("touch {number} begins", "Berührung {number} beginnt"),
+    "degraded": ("degraded", "gestört"),
+    "disturbed": ("disturbed", "verrauscht"),
+    "does": ("robot does {what} ({action})", "Roboter macht {what} ({action})"),
+    "down": ("down", "weg"),
+    "early": ("early", "früh"),
+    "ends": ("touch {number} ends: {name}, {length} s", "Berührung {number} endet: {name}, {length} s"),
+    "final": ("final", "endgültig"),
+    "firm": ("firm", "fest"),
+    "gap": (", too many frames were lost", ", zu viele Frames gingen verloren"),
+    "hand": ("the simulated hand: {name}", "die simulierte Hand: {name}"),
+    "last": ("Last touch: {number} · {length} s", "Letzte Berührung: {number} · {length} s"),
+    "last touches": ("Last touches", "Letzte Berührungen"),
+    "light": ("light", "leicht"),
+    "likelier": ("{name} is likelier now", "{name} ist jetzt wahrscheinlicher"),
+    "longest": (", longer than a touch may last", ", länger als eine Berührung dauern darf"),
+    "missed": (
+        "no touch was felt in {missed} of {all} recordings of touches",
+        "in {missed} von {all} Aufnahmen von Berührungen wurde keine gefühlt",
+    ),
+    "no pad": ("no pad", "kein Kissen"),
+    "no touch": ("No touch yet", "Noch keine Berührung"),
+    "ongoing": ("ongoing", "dauert an"),
+    "pad": ("pad", "Kissen"),
+    "probabilities": ("Probabilities", "Wahrscheinlichkeiten"),
+    "quote": ("“{what}”", "„{what}“"),
+    "recorded": ("recorded", "aufgenommen"),
+    "released": ("released", "losgelassen"),
+    "revised": ("revised", "geändert"),
+    "right": ("{right} of {all} touches right", "{right} von {all} Berührungen richtig"),
+    "robot": ("robot", "Roboter"),
+    "says": ("robot says {what}", "Roboter sagt {what}"),
+    "sensor": (", the pad went away", ", das Kissen verschwand"),
+    "settled": (", taken for the pad's new rest", ", für die neue Ruhelage gehalten"),
+    "stopped": (", the stream ended", ", der Strom endete"),
+    "sure": (" sure, after {at} s", " sicher, nach {at} s"),
+    "told": ("told", "gesagt"),
+    "told after": ("told after {at} s", "gesagt nach {at} s"),
+    "touch": ("Touch {number} · {length} s", "Berührung {number} · {length} s"),
+    "touch me": ("touch me", "berühre mich"),
+    "uncertain": ("uncertain", "unsicher"),
+    "unsure": ("not sure enough to tell", "nicht sicher genug"),
+    "up": ("up", "da"),
+    "was": ("was {name}", "vorher {name}"),
+}
+
+
+def term(language: Language, key: str, **values: object) -> str:
+    """Return a text in a language, what it has in braces replaced by the values."""
+    return TERMS[key][LANGUAGES.index(language)].format(**values)

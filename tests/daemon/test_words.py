@@ -1,0 +1,57 @@
+"""Every text of terminal, page and robot is there in every language that ships."""
+
+from __future__ import annotations
+
+import json
+import re
+import string
+import typing
+from collections.abc import Sequence
+
+import pytest
+
+from daemon.commands.demo import SAYINGS
+from daemon.events import EndReason, PadState, Stage
+from daemon.live.page import FOLDER
+from daemon.setup.terms import LANGUAGES, TERMS
+from daemon.setup.words import SHIPPED
+
+SCRIPTS = "".join(path.read_text() for path in sorted(FOLDER.glob("*.js")))
+PAGE = (FOLDER / "page.html").read_text()
+ENTRY = re.compile(r'^  (\w+): (\[\s*(?:"[^"\n]*",?\s*)+\]),$', re.MULTILINE)
+
+
+def page_words() -> dict[str, list[str]]:
+    body = (FOLDER / "words.js").read_text().partition("const WORDS = {\n")[2].partition("\n};")[0]
+    words = {key: json.loads(re.sub(r",\s*\]", "]", texts)) for key, texts in ENTRY.findall(body)}
+    assert len(words) == len(re.findall(r"^  \w+: ", body, re.MULTILINE)) > 50
+    return words
+
+
+def blanks(text: str) -> set[str | None]:
+    return {name for _, name, _, _ in string.Formatter().parse(text)} - {None}
+
+
+@pytest.mark.parametrize("texts", [TERMS, page_words()], ids=["terminal", "page"])
+def test_no_text_lacks_a_language(texts: dict[str, Sequence[str]]) -> None:
+    for key, translations in texts.items():
+        assert len(translations) == len(LANGUAGES), key
+        assert all(text.strip() for text in translations), key
+        assert len({frozenset(blanks(text)) for text in translations}) == 1, key
+
+
+def test_the_page_asks_for_words_that_there_are() -> None:
+    asked = set(re.findall(r'word\(\s*"(\w+)"', SCRIPTS)) | set(
+        re.findall(r'data-(?:word|label)="(\w+)"', PAGE)
+    )
+    assert asked | set(typing.get_args(EndReason)) - {"released"} <= page_words().keys()
+
+
+def test_every_stage_state_and_ending_has_a_term() -> None:
+    said = {*typing.get_args(Stage), *typing.get_args(PadState), *typing.get_args(EndReason)}
+    assert said <= TERMS.keys()
+
+
+def test_every_language_names_the_same_gestures() -> None:
+    assert SHIPPED.keys() == SAYINGS.keys() == set(LANGUAGES)
+    assert len({frozenset(words) for words in SHIPPED.values()}) == 1
