@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from typing import Literal
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 
 from daemon.config import Settings
 from daemon.events import timestamp
 from daemon.kept.recording_file import keep
 from daemon.recorder.capture import Capture, Contact, Pad, PadLost, complaints
+from daemon.recorder.progress import progress
 from daemon.recorder.session import Session, Take
 from daemon.setup.destinations import description_of
 from daemon.terminal.ask import ask
-from drivers.frame import MAX_COUNT, Counts
 from drivers.pad.pace import pace_of
 from drivers.recording import Recording
 
@@ -28,7 +25,6 @@ from drivers.recording import Recording
 EDGE_S = 1.0
 # The pad's board may restart when its port is opened, which takes two seconds.
 ALIVE_WITHIN_S = 5.0
-METER_WIDTH = 10
 
 HOW = {
     "constant": "lay a hand on the pad and leave it there",
@@ -41,8 +37,6 @@ HOW = {
 }
 
 Choice = Literal["keep", "redo", "skip"]
-# Shows the current step, how far it is (0 to 1), and the pad's pressure.
-Show = Callable[[str, float, Counts], None]
 
 
 @dataclass(frozen=True)
@@ -115,38 +109,20 @@ class Dialogue:
         countdown_s = self._terms.countdown_s
         length_s = self._terms.seconds + 2 * EDGE_S
         frames, touched = [], 0
-        with self._bar() as show:
+        with progress(self._console) as show:
             for elapsed_s, frame in self._pad.follow(countdown_s):
                 contact.update(frame)
-                show(
-                    f"hands off, {math.ceil(countdown_s - elapsed_s)}",
-                    elapsed_s / countdown_s,
-                    frame.pressure,
-                )
-            # Heard where the terminal can, by who looks at the hand and not at the screen.
+                show("hands off", elapsed_s, countdown_s, frame.pressure)
+            # For people who look at their hand, not at the screen.
             self._console.bell()
             for elapsed_s, frame in self._pad.follow(length_s):
                 is_touched = contact.update(frame)
-                show(f"{take.gesture} now", elapsed_s / length_s, frame.pressure)
+                show(f"{take.gesture} now", elapsed_s, length_s, frame.pressure)
                 if EDGE_S <= elapsed_s < length_s - EDGE_S:
                     frames.append(frame)
                     touched += is_touched
         self._console.bell()
         return Capture(tuple(frames), touched / len(frames))
-
-    @contextmanager
-    def _bar(self) -> Iterator[Show]:
-        columns = TextColumn("  {task.description:<20}"), BarColumn(), TextColumn("{task.fields[meter]}")
-        with Progress(*columns, console=self._console, transient=True) as progress:
-            bar = progress.add_task("", total=1.0, meter="")
-
-            def show(step: str, share: float, pressure: Counts) -> None:
-                # The root lifts light touches, as in the terminal view.
-                level = round(METER_WIDTH * (int(pressure.max()) / MAX_COUNT) ** 0.5)
-                meter = f"pressure {'#' * level:<{METER_WIDTH}}"
-                progress.update(bar, description=step, completed=share, meter=meter)
-
-            yield show
 
     def _choose(self, capture: Capture, take: Take) -> Choice:
         """Show what was recorded, and let the person decide."""

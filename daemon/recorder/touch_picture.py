@@ -16,7 +16,7 @@ from rich.text import Text
 from daemon.events import UNCERTAIN, Prediction
 from daemon.kept.touch_store import KeptFrames, KeptTouch
 from daemon.kept.touches import Touch
-from daemon.terminal.pad_picture import level_of, pad_picture
+from daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from daemon.terminal.palette import palette_for
 from drivers.frame import FRAME_RATE_HZ
 
@@ -82,9 +82,7 @@ def draw(offered: Offered, frames: KeptFrames, title: str, console: Console) -> 
     mean = rise.mean(axis=0)
     lines = pad_picture(level_of(mean, max(float(mean.max()), 1.0)), PAD_SCALE, palette_for(console))
     pad = Panel(
-        Text("\n").join(
-            Text.assemble(*((segment.text, segment.style or "") for segment in line)) for line in lines
-        ),
+        as_text(lines),
         title=f"mean, 0 to {max(mean.max(), 1.0):.0f}",
         width=PAD_WIDTH,
         padding=0,

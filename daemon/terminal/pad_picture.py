@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.segment import Segment
+from rich.text import Text
 
 from daemon.terminal.palette import CHARACTERS, Palette, halves
 from drivers.frame import COLUMNS
@@ -34,6 +36,11 @@ def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> li
         return [_in_characters(row) for row in pixels[::2]]
     shades = np.rint(pixels * (len(palette.heat) - 1)).astype(int)
     return [_in_halves(upper, lower, palette) for upper, lower in zip(shades[::2], shades[1::2], strict=True)]
+
+
+def as_text(lines: Sequence[Line]) -> Text:
+    """Return lines as one text, to be placed beside others."""
+    return Text("\n").join(Text.assemble(*((part.text, part.style or "") for part in line)) for line in lines)
 
 
 def _in_halves(upper: NDArray[np.int_], lower: NDArray[np.int_], palette: Palette) -> Line:

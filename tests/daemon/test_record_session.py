@@ -111,7 +111,10 @@ def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
         terminal.answer("")
         terminal.until("Enter to begin")
         terminal.answer("")
-        terminal.until("pat now")
+        shown = terminal.until("pat now")
+        # The pad, and a beep for who looks at it.
+        assert "▀▀▀▀" in shown
+        assert "\a" in shown
         hand.presses = True
         terminal.until("  Enter to ")
         hand.presses = False
