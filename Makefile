@@ -110,11 +110,13 @@ install-program:
 	@mv $(NEW) $(DESTDIR)$(PROGRAM)
 
 # What is in /etc/touchd already is the user's: an upgrade only renews the example beside it.
+# touchd@NAME is the same service for one of several pads; it reads /etc/touchd/NAME.yaml.
 install-files:
 	@install -d $(ETC)/touchd $(UNITS) $(DESTDIR)$(BINDIR)
-	@for unit in touchd touchd@; do \
-	  sed 's#/opt/touchd#$(PROGRAM)#g' systemd/$$unit.service > $(UNITS)/$$unit.service; \
-	  chmod 644 $(UNITS)/$$unit.service; done
+	@sed 's#/opt/touchd#$(PROGRAM)#g' systemd/touchd.service > $(UNITS)/touchd.service
+	@sed '1d; s/touchd\.yaml/%i.yaml/; s/^Description=.*/Description=touchd on the pad %i/; s,^StateDirectory=.*,&/%i,' \
+	  $(UNITS)/touchd.service > $(UNITS)/touchd@.service
+	@chmod 644 $(UNITS)/touchd.service $(UNITS)/touchd@.service
 	@install -D -m 644 systemd/99-touchd.rules $(DESTDIR)$(SYSTEM)/udev/rules.d/99-touchd.rules
 	@install -D -m 644 systemd/touchd.sysusers.conf $(DESTDIR)$(SYSTEM)/sysusers.d/touchd.conf
 	@install -D -m 644 systemd/touchd.tmpfiles.conf $(DESTDIR)$(SYSTEM)/tmpfiles.d/touchd.conf
@@ -126,7 +128,7 @@ ifeq ($(DESTDIR),)
 	@systemd-sysusers touchd.conf
 	@systemd-tmpfiles --create touchd.conf
 	@if test -S /run/udev/control; then udevadm control --reload; udevadm trigger --subsystem-match=tty; fi
-	@if test -d /run/systemd/system; then systemctl daemon-reload; systemctl try-restart touchd; fi
+	@if test -d /run/systemd/system; then systemctl daemon-reload; systemctl try-restart touchd 'touchd@*'; fi
 endif
 	@echo "Installed. The configuration is /etc/touchd/touchd.yaml; to start: sudo systemctl enable --now touchd"
 
@@ -156,7 +158,7 @@ lock: $(DEVELOPMENT)
 uninstall:
 ifeq ($(DESTDIR),)
 	@if test -d /run/systemd/system && test -e $(UNITS)/touchd.service; then \
-	  systemctl --quiet disable --now touchd; fi
+	  systemctl --quiet disable touchd touchd@; systemctl stop touchd 'touchd@*'; fi
 endif
 	@rm -f $(UNITS)/touchd.service $(UNITS)/touchd@.service $(addprefix $(DESTDIR)$(SYSTEM)/,udev/rules.d/99-touchd.rules \
 	  sysusers.d/touchd.conf tmpfiles.d/touchd.conf) $(ETC)/touchd/touchd.example.yaml

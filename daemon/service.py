@@ -9,15 +9,15 @@ import threading
 import time
 import typing
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 
-from daemon.bridges.bridges import Bridges
+from daemon.bridges.bridge import Bridge
 from daemon.config import Settings
 from daemon.events import LivePrediction
 from daemon.health import Health
 from daemon.setup.destinations import scenes_of
 from daemon.setup.parts import Pad, Parts
 from daemon.sinks import EventFanout, Sink
-from drivers.errors import TouchdError
 from drivers.frame import Frame
 from drivers.pad.sensor import SensorState
 
@@ -36,14 +36,12 @@ class Service:
 
     def __init__(self, settings: Settings, health: Health) -> None:
         self._health = health
-        self._bridges = Bridges()
-        self._more_sinks: tuple[Sink, ...] = (self._bridges,)
+        self._more_sinks: tuple[Sink, ...] = ()
         self._view: View | None = None
         self._arrived = threading.Condition()
         self._numbers = itertools.count(1)
         self._events = EventFanout()
         self._parts = self._make(settings, None)
-        self._bridges.use(settings, self._parts.models)
         self._pads = dict(self._parts.pads)
         self._next: Parts | None = None
         self._taken_over = threading.Event()
@@ -83,13 +81,7 @@ class Service:
 
     def make_parts(self, settings: Settings) -> Parts:
         """Return parts for other settings; raises TouchdError, with nothing changed."""
-        parts = self._make(settings, self._parts)
-        try:
-            self._bridges.use(settings, parts.models)
-        except TouchdError:
-            _stop([sink for sink in parts.sinks if sink not in self._parts.sinks], 0.0)
-            raise
-        return parts
+        return self._make(settings, self._parts)
 
     def replace(self, parts: Parts) -> None:
         """Go on with these parts, each pad from its next touch on, while `run` goes on in another thread.
@@ -142,7 +134,7 @@ class Service:
             return
         before, self._parts, self._next = self._parts, parts, None
         self._pads = dict(parts.pads)
-        for sink in (parts.robot, parts.live):
+        for sink in (parts.robot, parts.live, *parts.bridges.values()):
             if sink is not None and sink not in before.sinks:
                 for (_, pad_name), event in self._events.standing.items():
                     if pad_name in ("", *parts.pads):
@@ -187,14 +179,21 @@ class Service:
                     self._view.show_frame(frame.pressure, frame.sensor_ms)
                 if parts.live is not None:
                     parts.live.put_frame(frame, self._dropped(), pad.name)
-                self._bridges.put_frame(frame, pad.name)
+                for bridge in parts.bridges.values():
+                    if bridge.pad == pad.name:
+                        bridge.put_frame(frame)
             case SensorState() as state:
                 pad.pipeline.on_sensor_state(state)
                 self._health.pad_state(pad.name, state.state == "up")
 
 
 def _stop(sinks: Sequence[Sink], within_s: float) -> None:
-    """Stop sinks, all of them within that time."""
+    """Stop sinks within that time: one after the other, then the bridges, which may be many, at once."""
     deadline_s = time.monotonic() + within_s
-    for waiting, sink in zip(range(len(sinks), 0, -1), sinks, strict=True):
-        sink.stop(max(0.0, deadline_s - time.monotonic()) / waiting)
+    bridges = [sink for sink in sinks if isinstance(sink, Bridge)]
+    others = [sink for sink in sinks if sink not in bridges]
+    for left, sink in zip(range(len(others), 0, -1), others, strict=True):
+        sink.stop(max(0.0, deadline_s - time.monotonic()) / (left + bool(bridges)))
+    with ThreadPoolExecutor(len(bridges) or 1) as ending:
+        for bridge in bridges:
+            ending.submit(bridge.stop, max(0.0, deadline_s - time.monotonic()))

@@ -25,18 +25,23 @@ class Bridge(QueuedSink[Event | Frame]):
     """Passes one pad's events on to another system, and its frames where they are wanted.
 
     `open`, `write` and `close` run in the sink's own thread. Events wait while the peer is away, the oldest
-    are dropped when the queue is full; frames are not queued then.
+    are dropped when the queue is full; frames are not queued then. Other pads' events are passed over.
     frames_hz: frames a second at most, math.inf for all; None wants none.
     """
 
-    def __init__(self, name: str, frames_hz: float | None, capacity: int = CAPACITY) -> None:
+    def __init__(self, name: str, pad: str, frames_hz: float | None, capacity: int = CAPACITY) -> None:
+        self.pad = pad
         self._frames_hz = frames_hz
         self._next_frame_s = 0.0
         self._peer_is_there = threading.Event()
         self._log = logging.getLogger(f"daemon.bridges.{name}")
         self._was_away = False
         super().__init__(name, capacity)
-        self.start()
+
+    def put(self, item: Event | Frame) -> None:
+        """Queue an event of this pad or of the robot; never blocks."""
+        if getattr(item, "pad", self.pad) == self.pad:
+            super().put(item)
 
     def put_frame(self, frame: Frame) -> None:
         """Queue a frame if one is due and there is somebody to send it to; never blocks."""

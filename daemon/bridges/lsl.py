@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import pylsl
 
-from daemon.bridges.bridge import Bridge, arrival_s
+from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import LslSettings
 from daemon.events import (
     Event,
@@ -23,10 +23,12 @@ from daemon.events import (
 from daemon.sinks import CAPACITY
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 
+LOOKS = 10
 
-def prepare(settings: LslSettings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
-    """Return what opens the bridge."""
-    return lambda: LslBridge(settings, pad)
+
+def make(settings: LslSettings, pad: str, labels: Sequence[str]) -> Bridge:
+    """Return the bridge, not yet started."""
+    return LslBridge(settings, pad)
 
 
 class LslBridge(Bridge):
@@ -34,10 +36,12 @@ class LslBridge(Bridge):
 
     def __init__(self, settings: LslSettings, pad: str, capacity: int = CAPACITY) -> None:
         self._stream = f"{settings.name}-{pad}"
-        super().__init__("lsl", math.inf, capacity)
+        super().__init__("lsl", pad, math.inf, capacity)
 
     def open(self) -> None:
         """Announce both streams."""
+        # Neither clock is ever set, so that a frame's stamp is as exact however late it is sent.
+        self._ahead_s = _ahead_of(time.monotonic)
         self._markers = pylsl.StreamOutlet(
             self._info("markers", "Markers", 1, pylsl.IRREGULAR_RATE, "string")
         )
@@ -50,9 +54,9 @@ class LslBridge(Bridge):
     def write(self, item: Event | Frame) -> None:
         """Push one sample."""
         if isinstance(item, Frame):
-            self._pressure.push_sample(item.pressure.ravel().tolist(), _local(arrival_s(item)))
+            self._pressure.push_sample(item.pressure.ravel().tolist(), item.host_s + self._ahead_s)
         else:
-            self._markers.push_sample([marker_of(item)], _local(epoch_s(item.time)))
+            self._markers.push_sample([marker_of(item)], epoch_s(item.time) + _ahead_of(time.time))
 
     def close(self) -> None:
         """Take both streams away."""
@@ -81,6 +85,11 @@ def marker_of(event: Event) -> str:
             return "touch_began"
 
 
-def _local(epoch_s: float) -> float:
-    """Return a time since 1970 on LSL's clock."""
-    return float(pylsl.local_clock()) - (time.time() - epoch_s)
+def _ahead_of(clock: Callable[[], float]) -> float:
+    """Return by how many seconds LSL's clock is ahead of another, by the quickest of a few looks at both."""
+
+    def look() -> tuple[float, float]:
+        before_s, lsl_s, after_s = clock(), float(pylsl.local_clock()), clock()
+        return after_s - before_s, lsl_s - (before_s + after_s) / 2
+
+    return min(look() for _ in range(LOOKS))[1]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ssl
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +30,11 @@ TO_HOME_ASSISTANT = (
 )
 
 
-def prepare(settings: MqttSettings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
-    """Return what opens the bridge; raises BridgeError when it cannot be used so."""
+def make(settings: MqttSettings, pad: str, labels: Sequence[str]) -> Bridge:
+    """Return the bridge, not yet started; raises BridgeError when it cannot be used so."""
     password = _read_password(settings.password_file) if settings.password_file else None
     context = _tls(settings.ca_file) if settings.tls else None
-    return lambda: MqttBridge(settings, pad, labels, password, context)
+    return MqttBridge(settings, pad, labels, password, context)
 
 
 class MqttBridge(Bridge):
@@ -72,7 +72,7 @@ class MqttBridge(Bridge):
         self._client.on_connect_fail = lambda *_: self._tell_away(self._where, "cannot be reached")
         self._client.on_disconnect = lambda *ends: self._tell_away(self._where, str(ends[3]))
         self._client.on_publish = self._on_publish
-        super().__init__("mqtt", settings.pressure_hz, capacity)
+        super().__init__("mqtt", pad, settings.pressure_hz, capacity)
 
     def open(self) -> None:
         """Begin to connect."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import TypeVar
 
 from cyclonedds.domain import DomainParticipant
@@ -30,9 +30,9 @@ QOS = Qos(
 Message = TypeVar("Message", String, Image)
 
 
-def prepare(settings: Ros2Settings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
-    """Return what opens the bridge."""
-    return lambda: Ros2Bridge(settings, pad)
+def make(settings: Ros2Settings, pad: str, labels: Sequence[str]) -> Bridge:
+    """Return the bridge, not yet started."""
+    return Ros2Bridge(settings, pad)
 
 
 class Ros2Bridge(Bridge):
@@ -40,15 +40,14 @@ class Ros2Bridge(Bridge):
 
     def __init__(self, settings: Ros2Settings, pad: str, capacity: int = CAPACITY) -> None:
         self._settings = settings
-        self._pad = pad
-        super().__init__("ros2", math.inf, capacity)
+        super().__init__("ros2", pad, math.inf, capacity)
 
     def open(self) -> None:
         """Join the domain."""
         participant = DomainParticipant(self._settings.domain)
         publisher = Publisher(participant)
         # ROS 2 has its topics under rt.
-        prefix = f"rt{self._settings.namespace}/{self._pad}"
+        prefix = f"rt{self._settings.namespace}/{self.pad}"
 
         def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
             return DataWriter(publisher, Topic(participant, f"{prefix}/{name}", kind), QOS)
@@ -61,7 +60,7 @@ class Ros2Bridge(Bridge):
     def write(self, item: Event | Frame) -> None:
         """Publish one message, or two."""
         if isinstance(item, Frame):
-            self._pressure.write(image(item, self._pad))
+            self._pressure.write(image(item, self.pad))
             return
         if isinstance(item, Prediction) and item.told:
             self._gesture.write(String(item.gesture))

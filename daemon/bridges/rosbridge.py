@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import logging
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import msgspec
@@ -29,9 +29,9 @@ MOST_HEARD_BYTES = 64 * 1024
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
-def prepare(settings: RosbridgeSettings, pad: str, labels: Sequence[str]) -> Callable[[], Bridge]:
-    """Return what opens the bridge."""
-    return lambda: RosbridgeBridge(settings, pad)
+def make(settings: RosbridgeSettings, pad: str, labels: Sequence[str]) -> Bridge:
+    """Return the bridge, not yet started."""
+    return RosbridgeBridge(settings, pad)
 
 
 class RosbridgeBridge(Bridge):
@@ -40,13 +40,12 @@ class RosbridgeBridge(Bridge):
     def __init__(self, settings: RosbridgeSettings, pad: str, capacity: int = CAPACITY) -> None:
         self._settings = settings
         self._prefix = f"{settings.namespace}/{pad}"
-        self._pad = pad
         self._connection: ClientConnection | None = None
         self._ending = threading.Event()
         self._keeper = threading.Thread(
             target=self._keep_connected, name="touchd-rosbridge-link", daemon=True
         )
-        super().__init__("rosbridge", settings.pressure_hz, capacity)
+        super().__init__("rosbridge", pad, settings.pressure_hz, capacity)
 
     def open(self) -> None:
         """Begin to connect."""
@@ -123,7 +122,7 @@ class RosbridgeBridge(Bridge):
     def _image(self, frame: Frame) -> dict[str, Any]:
         # The server itself puts the time into the header.
         return {
-            "header": {"frame_id": self._pad},
+            "header": {"frame_id": self.pad},
             "height": ROWS,
             "width": COLUMNS,
             "encoding": "mono16",

@@ -9,6 +9,8 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from daemon.bridges.bridge import Bridge
+from daemon.bridges.bridges import Key, make_bridges
 from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event, LivePrediction
@@ -123,6 +125,7 @@ class Parts:
             self.kept = TouchSink(stores) if stores else None
         else:
             self.kept = before.kept
+        self.bridges: dict[Key, Bridge] = make_bridges(settings, models, before.bridges if before else {})
         with ExitStack() as undo:
             self.journal: JournalSink | None
             if before is None or "journal" in changed:
@@ -149,7 +152,8 @@ class Parts:
     @property
     def sinks(self) -> tuple[Sink, ...]:
         """The sinks that there are."""
-        return tuple(sink for sink in (self.journal, self.robot, self.live, self.kept) if sink is not None)
+        one_each = (self.journal, self.robot, self.live, self.kept)
+        return (*(sink for sink in one_each if sink is not None), *self.bridges.values())
 
 
 def load_model(settings: Settings) -> Classifier:

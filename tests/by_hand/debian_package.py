@@ -14,6 +14,7 @@ from by_hand.debian_machine import Container, Machine, booted, what_is_missing
 
 BUILD = "cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels make deb"
 CONFIGURATION = "sensor: {port: /dev/not-there}\n"
+OF_THE_HEAD = "sensor: {port: /dev/not-there-either}\njournal: {}\n"
 FILES = "find / -xdev -path /root -prune -o -path /proc -prune -o -name '*touchd*' -print | sort"
 
 pytestmark = [
@@ -40,18 +41,25 @@ def test_a_package_is_built_installed_upgraded_removed_and_purged(lab: Machine) 
 
     lab.write("/etc/touchd/touchd.yaml", CONFIGURATION)
     lab.run("systemctl enable --now --quiet touchd", 300)
-    process = lab.run("systemctl show touchd -P MainPID")
+    lab.write("/etc/touchd/head.yaml", OF_THE_HEAD)
+    lab.run("systemctl enable --now --quiet touchd@head", 300)
+    services = ("touchd", "touchd@head")
+    processes = [lab.run(f"systemctl show {service} -P MainPID") for service in services]
+    assert lab.run("wc -l < /var/lib/touchd/head/events.jsonl") == "1"
     lab.run("cd /root/touchd && sed -i 's/^version = .*/version = \"0.1.1\"/' pyproject.toml")
     lab.run(BUILD, 1500)
     lab.run("dpkg -i /root/touchd/dist/touchd_0.1.1_*.deb", 300)
     assert lab.run("touchd --version") == "touchd 0.1.1"
     assert lab.run("cat /etc/touchd/touchd.yaml") == CONFIGURATION.strip()
-    lab.wait_until("systemctl is-active -q touchd")
-    assert lab.run("systemctl show touchd -P MainPID") != process
+    for service, process in zip(services, processes, strict=True):
+        lab.wait_until(f"systemctl is-active -q {service}")
+        assert lab.run(f"systemctl show {service} -P MainPID") != process
 
     lab.run("dpkg -r touchd", 300)
-    assert not lab.succeeds("systemctl is-active -q touchd")
-    assert lab.run("ls /etc/touchd") == "touchd.yaml"
+    for service in services:
+        assert not lab.succeeds(f"systemctl is-active -q {service}")
+        assert not lab.succeeds(f"systemctl is-enabled -q {service}")
+    assert lab.run("ls /etc/touchd") == "head.yaml\ntouchd.yaml"
     assert not lab.succeeds("command -v touchd")
     lab.run("dpkg -P touchd", 300)
     left = set(lab.run(FILES).splitlines()) - set(before.splitlines())

@@ -6,18 +6,20 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from rigs.made_events import PREDICTION
 from rigs.peers import broker, frame, free_port, needs_mosquitto, subscribed, touch, wait_for
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 
-from daemon.bridges.bridge import BridgeError
-from daemon.bridges.bridges import Bridges
+from daemon.bridges.bridge import Bridge, BridgeError
+from daemon.bridges.bridges import Key, make_bridges
 from daemon.bridges.settings import MqttSettings
 from daemon.config import Settings
 from daemon.events import SensorEvent, TouchEnded, decode, encode
@@ -37,40 +39,50 @@ def port(tmp_path: Path) -> Iterator[int]:
         yield port
 
 
-@pytest.fixture
-def bridges() -> Iterator[Bridges]:
-    made = Bridges()
-    yield made
-    made.stop(2.0)
+Open = Callable[..., Bridge]
 
 
-def use(bridges: Bridges, port: int, **settings: Any) -> None:
+def made(port: int, before: dict[Key, Bridge] | None = None, **settings: Any) -> dict[Key, Bridge]:
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    bridges.use(Settings(mqtt=mqtt), MODELS)
+    return make_bridges(Settings(mqtt=mqtt), MODELS, before or {})
+
+
+@pytest.fixture
+def opened(port: int) -> Iterator[Open]:
+    """Opens a bridge as it is configured; afterwards all are closed."""
+    with ExitStack() as closing:
+
+        def open_bridge(at: int = port, **settings: Any) -> Bridge:
+            (bridge,) = made(at, **settings).values()
+            bridge.start()
+            closing.callback(bridge.stop, 2.0)
+            return bridge
+
+        yield open_bridge
 
 
 def payloads(messages: list[Any], topic: str) -> list[str]:
     return [message.payload.decode() for message in messages if message.topic == topic]
 
 
-def test_events_come_under_the_pads_topic_with_qos_1(port: int, bridges: Bridges) -> None:
+def test_events_come_under_the_pads_topic_with_qos_1(port: int, opened: Open) -> None:
     with subscribed(port, "touchd/#") as messages:
-        use(bridges, port)
+        bridge = opened()
         events = [UP, touch(1), PREDICTION]
         for event in events:
-            bridges.put(event)
+            bridge.put(event)
         wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
         assert [decode(text) for text in payloads(messages, "touchd/pad/event")] == events
         assert {message.qos for message in messages if message.topic.endswith("event")} == {1}
 
 
-def test_the_state_is_retained_and_follows_the_pad(port: int, bridges: Bridges) -> None:
-    use(bridges, port)
-    bridges.put(UP)
-    bridges.put(SensorEvent(state="down", time=UP.time, reason="unplugged"))
-    bridges.put(UP)
+def test_the_state_is_retained_and_follows_the_pad(port: int, opened: Open) -> None:
+    bridge = opened()
+    bridge.put(UP)
+    bridge.put(SensorEvent(state="down", time=UP.time, reason="unplugged"))
+    bridge.put(UP)
     wait_for(lambda: retained(port) == "up")
-    bridges.stop(2.0)
+    bridge.stop(2.0)
     assert retained(port) == "stopped"
 
 
@@ -84,7 +96,9 @@ DIE = """
 import os, sys, time
 from daemon.bridges.mqtt import MqttBridge
 from daemon.bridges.settings import MqttSettings
-MqttBridge(MqttSettings(host="127.0.0.1", port=int(sys.argv[1])), "pad")._peer_is_there.wait()
+bridge = MqttBridge(MqttSettings(host="127.0.0.1", port=int(sys.argv[1])), "pad")
+bridge.start()
+bridge._peer_is_there.wait()
 time.sleep(0.2)
 os.kill(os.getpid(), 9)
 """
@@ -95,33 +109,32 @@ def test_a_daemon_that_is_killed_leaves_its_last_will(port: int) -> None:
     wait_for(lambda: retained(port) == "lost")
 
 
-def test_pressure_comes_at_the_stated_rate_and_only_when_asked(port: int, bridges: Bridges) -> None:
+def test_pressure_comes_at_the_stated_rate_and_only_when_asked(port: int, opened: Open) -> None:
     with subscribed(port, "touchd/#") as messages:
-        use(bridges, port, pressure_hz=18.0)
-        bridges.put(touch(1))
+        bridge = opened(pressure_hz=18.0)
+        bridge.put(touch(1))
         wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
         start_s = time.monotonic()
         for number in range(54):
-            bridges.put_frame(frame(number, start_s + number / 54.0), "pad")
-            bridges.put_frame(frame(number, start_s + number / 54.0), "another")
+            bridge.put_frame(frame(number, start_s + number / 54.0))
         wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) >= 18)
-        bridges.put(touch(2))
+        bridge.put(touch(2))
         wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 2)
         shown = [json.loads(text) for text in payloads(messages, "touchd/pad/pressure")]
         assert len(shown) == 18
         first = frame(0)
         assert shown[0]["pressure"] == first.pressure.tolist()
         assert shown[1]["sensor_ms"] == 3 * 19
-        use(bridges, port)
-        bridges.put(touch(3))
+        bridge = opened()
+        bridge.put(touch(3))
         wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
-        bridges.put_frame(frame(99), "pad")
-        bridges.put(touch(4))
+        bridge.put_frame(frame(99))
+        bridge.put(touch(4))
         wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 4)
         assert len(payloads(messages, "touchd/pad/pressure")) == 18
 
 
-def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, bridges: Bridges) -> None:
+def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, opened: Open) -> None:
     trustme = pytest.importorskip("trustme")
     authority = trustme.CA()
     certificate = authority.issue_cert("localhost")
@@ -140,8 +153,7 @@ def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, bridges: Bridg
     with broker(tmp_path, port, lines):
         login = {"user": "robot", "password": "s3cret", "ca_file": str(tmp_path / "ca.pem")}
         with subscribed(port, "touchd/#", **login) as messages:
-            use(
-                bridges,
+            bridge = opened(
                 port,
                 host="localhost",
                 tls=True,
@@ -149,38 +161,45 @@ def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, bridges: Bridg
                 user="robot",
                 password_file=str(tmp_path / "password"),
             )
-            bridges.put(touch(1))
+            bridge.put(touch(1))
             wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
 
 
 def test_a_wrong_password_is_logged_in_one_line(
-    tmp_path: Path, bridges: Bridges, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "wrong").write_text("guess")
     port = free_port()
     with broker(tmp_path, port, "allow_anonymous false\n"):
-        use(bridges, port, user="robot", password_file=str(tmp_path / "wrong"))
+        opened(port, user="robot", password_file=str(tmp_path / "wrong"))
         wait_for(lambda: bool(caplog.records))
         time.sleep(0.5)
     (record,) = caplog.records
     assert "Not authorized" in record.getMessage()
 
 
-def test_a_missing_password_file_is_refused_and_nothing_changes(
-    port: int, bridges: Bridges, tmp_path: Path
-) -> None:
+def test_only_what_changed_gets_a_bridge_anew(port: int) -> None:
+    before = made(port)
+    assert made(port, before) == before
+    assert not made(port, before, topic="lab").keys() & before.keys()
+    with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
+        made(port, before, user="robot", password_file="/nowhere")
+
+
+def test_another_pads_events_are_not_published(port: int, opened: Open) -> None:
     with subscribed(port, "touchd/#") as messages:
-        use(bridges, port)
-        with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
-            use(bridges, port, user="robot", password_file="/nowhere")
-        bridges.put(touch(1))
+        bridge = opened()
+        for pad in ("another", "pad"):
+            bridge.put(msgspec.structs.replace(PREDICTION, pad=pad))
         wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
+        bridge.stop(2.0)
+        assert len(payloads(messages, "touchd/pad/event")) == 1
 
 
-def test_home_assistant_makes_told_answers_events_of_known_types(port: int, bridges: Bridges) -> None:
+def test_home_assistant_makes_told_answers_events_of_known_types(port: int, opened: Open) -> None:
     jinja2 = pytest.importorskip("jinja2")
     with subscribed(port, "homeassistant/#") as messages:
-        use(bridges, port, topic="lab/nao1", discovery="homeassistant")
+        opened(topic="lab/nao1", discovery="homeassistant")
         wait_for(lambda: bool(messages))
     (message,) = messages
     assert message.topic == "homeassistant/event/lab_nao1_pad/config"
@@ -219,16 +238,18 @@ def test_one_broker_carries_fifty_pads(port: int) -> None:
     pads, touches, each = 50, 20, 5
     with subscribed(port, "touchd/+/event") as messages:
         settings = MqttSettings(host="127.0.0.1", port=port)
-        made = [MqttBridge(settings, f"pad{number}") for number in range(pads)]
-        wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in made), 30.0)
+        opened = [MqttBridge(settings, f"pad{number}") for number in range(pads)]
+        for bridge in opened:
+            bridge.start()
+        wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in opened), 30.0)
         # Five events a touch, a touch a second on every pad: more than hands can do.
         began_s = time.monotonic()
         for number in range(touches):
             for _ in range(each):
-                for bridge in made:
-                    bridge.put(touch(number))
+                for bridge in opened:
+                    bridge.put(msgspec.structs.replace(touch(number), pad=bridge.pad))
             time.sleep(max(0.0, began_s + number + 1 - time.monotonic()))
         wait_for(lambda: len(messages) == pads * touches * each, 30.0)
-        assert sum(bridge.dropped for bridge in made) == 0
-        for bridge in made:
+        assert sum(bridge.dropped for bridge in opened) == 0
+        for bridge in opened:
             bridge.stop(2.0)

@@ -11,6 +11,7 @@ import pytest
 from rigs.expectations import expected, stream_of
 from rigs.running_daemon import LENGTHS, SPEED, Daemon
 
+from daemon.bridges.settings import MqttSettings
 from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
@@ -45,10 +46,18 @@ def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
     daemon.await_log(3)
     daemon.configure(robot=RobotSettings(url="nao"))
     daemon.await_log(4)
+    daemon.configure(mqtt=MqttSettings(user="nao", password_file="/nowhere"))
+    daemon.await_log(5)
     assert outline(daemon.finish()) == expected(LENGTHS)
     for line, why in zip(
         daemon.log(),
-        ["scene.speak_abov is not a setting", "tap is no gesture", "cannot be written", "not an address"],
+        [
+            "scene.speak_abov is not a setting",
+            "tap is no gesture",
+            "cannot be written",
+            "not an address",
+            "mqtt.password_file: /nowhere cannot be read",
+        ],
         strict=True,
     ):
         assert line.startswith("WARNING daemon.setup.reread: the new configuration is refused")

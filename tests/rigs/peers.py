@@ -70,7 +70,13 @@ class Peer(ABC):
         self.heard: list[str] = []
 
     @abstractmethod
-    def bridge(self, capacity: int = 1000) -> Bridge: ...
+    def make(self, capacity: int) -> Bridge: ...
+
+    def bridge(self, capacity: int = 1000) -> Bridge:
+        """A started bridge to this peer."""
+        bridge = self.make(capacity)
+        bridge.start()
+        return bridge
 
     @abstractmethod
     def start(self) -> None: ...
@@ -133,7 +139,7 @@ class MqttPeer(Peer):
         self.port = free_port()
         self._folder = folder
 
-    def bridge(self, capacity: int = 1000) -> Bridge:
+    def make(self, capacity: int) -> Bridge:
         from daemon.bridges.mqtt import MqttBridge
 
         return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD, capacity=capacity)
@@ -167,7 +173,7 @@ class RosbridgePeer(Peer):
         self.port = free_port()
         self.operations: list[dict[str, Any]] = []
 
-    def bridge(self, capacity: int = 1000) -> Bridge:
+    def make(self, capacity: int) -> Bridge:
         from daemon.bridges.rosbridge import RosbridgeBridge
 
         settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
@@ -203,13 +209,11 @@ class LslPeer(Peer):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.name = f"test{free_port()}"
-        self._bridge: Bridge | None = None
 
-    def bridge(self, capacity: int = 1000) -> Bridge:
+    def make(self, capacity: int) -> Bridge:
         from daemon.bridges.lsl import LslBridge
 
-        self._bridge = LslBridge(LslSettings(name=self.name), PAD, capacity)
-        return self._bridge
+        return LslBridge(LslSettings(name=self.name), PAD, capacity)
 
     def start(self) -> None:
         self._ending = threading.Event()
@@ -248,7 +252,7 @@ class Ros2Peer(Peer):
         # A domain for each test, away from the one that a lab may use here.
         self.domain = 100 + free_port() % 100
 
-    def bridge(self, capacity: int = 1000) -> Bridge:
+    def make(self, capacity: int) -> Bridge:
         from daemon.bridges.ros2 import Ros2Bridge
 
         return Ros2Bridge(Ros2Settings(domain=self.domain), PAD, capacity)
