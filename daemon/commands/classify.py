@@ -6,9 +6,8 @@ import argparse
 import sys
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
-from daemon.config import Settings, load
+from daemon.commands.settings import add_settings, settings_of
 from daemon.events import Event, encode
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import add_arguments, chosen_stream
@@ -26,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
         description="Sends recordings through the daemon's pipeline, with notouch before, between and after.",
     )
     add_arguments(parser)
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    add_settings(parser, port=False)
     parser.add_argument("--json", action="store_true", help="events as JSON lines to a terminal too")
     return parser
 
@@ -34,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Write the events of the chosen recordings, in words to a terminal, else as JSON lines; returns 0."""
     options = parser().parse_args(arguments)
-    settings = load(options.config) if options.config else Settings()
+    settings = settings_of(options)
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
     tally = Tally(stream, settings.vocabulary, settings.language)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import msgspec
 from rich.console import Console
@@ -13,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from daemon.commands.numbers import within
-from daemon.config import Settings, load
+from daemon.commands.settings import add_settings, settings_of
 from daemon.doctor.check import Check, Verdict
 from daemon.doctor.examine import examine
 
@@ -31,8 +30,7 @@ def parser() -> argparse.ArgumentParser:
         description="Looks at the pad, the model, the robot and the service, and says what to do. Leave the "
         "pad alone meanwhile. Exit code 0: nothing to do; 1: something; 2: a mistake in the call.",
     )
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
-    parser.add_argument("--port", help="look at this port instead of the configured one")
+    add_settings(parser)
     parser.add_argument(
         "--seconds",
         type=within(float, SHORTEST_S, LONGEST_S),
@@ -47,11 +45,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Show a line for each check; returns 0 when there is nothing to do, else 1."""
     options = parser().parse_args(arguments)
-    settings = load(options.config) if options.config else Settings()
-    if options.port:
-        settings = msgspec.structs.replace(
-            settings, sensor=msgspec.structs.replace(settings.sensor, port=options.port)
-        )
+    settings = settings_of(options)
     talk = Console(stderr=True, width=WIDTH, highlight=False)
     checks = examine(settings, options.seconds, lambda line: talk.print(line, style="cyan"), options.press)
     return _as_json(checks) if options.json else _as_lines(checks)

@@ -15,11 +15,12 @@ from daemon.recorder.label_dialogue import KEYS, OVER, UNDER, WHO, LabelDialogue
 from daemon.recorder.labelling import LabelFolder, Setting, find
 from daemon.recorder.touch_picture import Offered, list_touches
 from daemon.terminal.ask import ask_name
+from drivers.frame import DEFAULT_PAD
 from drivers.recording import RecordingError
 
 NOT_KEPT = (
     "no frames of touches are kept there; set journal.keep_touches in the daemon's configuration, "
-    "and reload it; touches from then on are kept"
+    "and reload it; touches from then on are kept; where it has several pads, name one with --pad"
 )
 
 
@@ -47,9 +48,10 @@ def label(console: Console, options: argparse.Namespace) -> None:
     journal: Path = options.from_journal
     if len(options.gestures) > len(KEYS):
         raise RecordingError(f"--gestures: {len(KEYS)} at most can be told apart by a key; name fewer")
-    kept = kept_touches(folder_of(journal))
+    pad = options.pad or DEFAULT_PAD
+    kept = kept_touches(folder_of(journal, pad))
     if not kept:
-        raise RecordingError(f"{folder_of(journal)}: {NOT_KEPT}")
+        raise RecordingError(f"{folder_of(journal, pad)}: {NOT_KEPT}")
     folder = LabelFolder(options.folder, options.licence)
     if options.label:
         _label_named(console, folder, kept, options)
@@ -58,6 +60,7 @@ def label(console: Console, options: argparse.Namespace) -> None:
     said = {
         (touch.began.time, touch.began.touch): touch
         for touch in read_since(journal, min(touch.time for touch in kept))
+        if touch.began.pad == pad
     }
     offered = [
         Offered(touch, said.get((touch.time, touch.number)))

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daemon.commands.numbers import within
-from daemon.config import Settings, load
+from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.touches import read_journal
 from daemon.playback.stream import add_arguments, chosen_stream
 from daemon.plot import journal as plot_journal
@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add_arguments(parser)
     parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; FILE's name with .png")
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    add_settings(parser, port=False)
     parser.add_argument(
         "--touches",
         type=within(int, 1, MOST_TOUCHES),
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
     new_figure(1.0)
     names = ", ".join(file.name for file in options.files)
     if all(file.name.endswith(RECORDING_SUFFIXES) for file in options.files):
-        settings = load(options.config) if options.config else Settings()
+        settings = settings_of(options)
         model = load_model(settings)
         felt = plot_recording.feel(chosen_stream(options), settings, model)
         figure = plot_recording.draw(felt, f"{names}, answers of {model.name}")

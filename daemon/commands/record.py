@@ -7,12 +7,11 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
 from rich.console import Console
 
 from daemon.commands.label import label, label_of
 from daemon.commands.numbers import within
-from daemon.config import Settings, load
+from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import Pad
 from daemon.recorder.dialogue import Dialogue, Terms
@@ -72,8 +71,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="TOUCH=GESTURE",
         help="with --from-journal: label this touch, by its number or its time's beginning, and ask nothing",
     )
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
-    parser.add_argument("--port", help="read this port instead of the configured one")
+    add_settings(parser)
     return parser
 
 
@@ -95,11 +93,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _record(console: Console, options: argparse.Namespace) -> None:
     """Make recordings of the pad; raises Stopped."""
-    settings = load(options.config) if options.config else Settings()
-    if options.port:
-        settings = msgspec.structs.replace(
-            settings, sensor=msgspec.structs.replace(settings.sensor, port=options.port)
-        )
+    settings = settings_of(options)
     # The dialogue tells what the sensor logs; on standard error it would tear the bar.
     logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)

@@ -6,12 +6,11 @@ import argparse
 import sys
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 
 from daemon.commands.numbers import within
-from daemon.config import SensorSettings, load
+from daemon.commands.settings import add_settings, settings_of
 from daemon.playback.stream import add_arguments, chosen_stream
 from daemon.setup.destinations import encoder_for
 from daemon.terminal.own_name import own_name
@@ -34,14 +33,14 @@ def parser() -> argparse.ArgumentParser:
         choices=[name for name, preset in PRESETS.items() if not preset.poll],
         help="instead of the configured one",
     )
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings of the pad to be")
+    add_settings(parser, "settings of the pad to be", port=False)
     return parser
 
 
 def main(arguments: Sequence[str]) -> int:
     """Print the path of a fake port and play the chosen recordings to whoever opens it; returns 0."""
     options = parser().parse_args(arguments)
-    sensor = load(options.config).sensor if options.config else SensorSettings()
+    sensor = settings_of(options).sensor
     if options.format:
         sensor = msgspec.structs.replace(sensor, format=options.format)
     stream = chosen_stream(options)

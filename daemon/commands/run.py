@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from daemon.config import Settings, load, only_pad
+from daemon.config import ConfigError, Settings, load, only_pad
 from daemon.events import Event, RobotEvent, encode
 from daemon.health import Health, Notifier
 from daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
@@ -58,6 +58,8 @@ def main(arguments: Sequence[str]) -> int:
     def read() -> Settings:
         settings = load(options.config) if options.config else Settings()
         if options.port:
+            if settings.sensors:
+                raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
             settings = only_pad(settings, None, options.port)
         if options.live is not None:
             live = parse_address(options.live, settings.live)

@@ -9,9 +9,9 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
 from rich.console import Console
 
+from daemon.commands.settings import add_settings, settings_of
 from daemon.config import ConfigError, Settings, load
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import Pad
@@ -38,10 +38,7 @@ def parser() -> argparse.ArgumentParser:
         "before and does after, and puts the new model into use. Interrupted, the same command goes on.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where recordings and model go")
-    parser.add_argument(
-        "-c", "--config", type=Path, metavar="FILE", help="settings, in which the model is set"
-    )
-    parser.add_argument("--port", help="read this port instead of the configured one")
+    add_settings(parser, "settings, in which the model is set")
     parser.add_argument("--participant", metavar="NAME", help="who touches; asked for without it")
     parser.add_argument(
         "--rounds", type=int, choices=range(1, 11), default=ROUNDS, metavar="N", help="(%(default)s)"
@@ -59,10 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     from model.adapt.ship import adapt_folder, check_output
 
     console = Console(width=WIDTH, highlight=False)
-    settings = load(options.config) if options.config else Settings()
-    if options.port:
-        sensor = msgspec.structs.replace(settings.sensor, port=options.port)
-        settings = msgspec.structs.replace(settings, sensor=sensor)
+    settings = settings_of(options)
     prepare(options.folder)
     output = _free_name(options.folder)
     check_output(output)

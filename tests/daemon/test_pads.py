@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import itertools
 import re
+import subprocess
+import sys
 from pathlib import Path
+from typing import TypeGuard
 
 import msgspec
 import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
 from rigs.made_events import PREDICTION
 
+from daemon import cli
 from daemon.config import (
     ConfigError,
     JournalSettings,
@@ -21,7 +25,7 @@ from daemon.config import (
     load,
     only_pad,
 )
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan
+from daemon.events import Event, Prediction, SensorEvent, TouchBegan, decode
 from daemon.kept.touch_store import folder_of, kept_touches
 from daemon.kept.touches import read_journal
 from daemon.playback.rig import SpawnedDaemon, outline
@@ -29,6 +33,9 @@ from daemon.setup.destinations import encoder_for
 from daemon.sinks import RobotSink
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.stub_robot import StubRobot
+from drivers.pad.format import PRESETS
+from drivers.pad.port import open_port, read_waiting
+from drivers.pad.protocol import parser_of
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink, RobotSettings
 
@@ -76,6 +83,9 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
         assert touches == list(range(1, 7))
         assert [kept.number for kept in kept_touches(folder_of(journal, pad))] == touches
     assert all(touch.ended and touch.predictions for touch in read_journal(journal))
+    label = ["--from-journal", str(journal), "--pad", "left_arm", "--label", "2=pat", "--participant", "anna"]
+    assert cli.main(["record", str(tmp_path / "lab"), *label]) == 0
+    assert len(list((tmp_path / "lab").glob("anna_*_pat_*"))) == 1
 
 
 def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> None:
@@ -140,3 +150,43 @@ def test_a_command_for_one_pad_asks_which() -> None:
     for name in (None, "leg"):
         with pytest.raises(ConfigError, match="give --pad one of head, arm"):
             only_pad(settings, name)
+
+
+def test_doctor_record_and_classify_take_the_pad_that_is_named(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(
+        "sensors: {head: {port: /dev/ttyHead}, arm: {port: /dev/ttyArm, scene: {speak_above: 1.0}}}"
+    )
+    arm = ["-c", str(path), "--pad", "arm"]
+    assert cli.main(["doctor", *arm]) == 1
+    assert "/dev/ttyArm is not there" in capfd.readouterr().out
+    for command in (["doctor"], ["record", str(tmp_path)], ["classify"], ["replay"], ["run", "--port", "x"]):
+        assert cli.main([*command, "-c", str(path)]) == 2
+        said = capfd.readouterr().err
+        assert "give --pad one of head, arm" in said or "set sensors.NAME.port" in said
+    assert cli.main(["record", str(tmp_path), *arm]) == 2
+    assert "/dev/ttyArm" in capfd.readouterr().err
+    assert cli.main(["classify", str(GESTURES), "--gesture", "rub", "--json", *arm]) == 0
+    answers = [event for event in map(decode, capfd.readouterr().out.splitlines()) if is_answer(event)]
+    assert [event.told for event in answers if event.stage in ("early", "revised")] == [False] * 2
+
+
+def is_answer(event: Event) -> TypeGuard[Prediction]:
+    return isinstance(event, Prediction)
+
+
+def test_replay_plays_as_the_pad_that_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("sensors: {head: {port: a}, arm: {port: b, format: m1616}}")
+    command = [sys.executable, "-m", "daemon", "replay", str(GESTURES), "-c", str(path), "--pad", "arm"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as replay:
+        try:
+            assert replay.stdout is not None
+            with open_port(replay.stdout.readline().strip(), 115200) as opened:
+                parser = parser_of(PRESETS["m1616"])
+                while not parser.feed(read_waiting(opened, parser), 0.0):
+                    pass
+        finally:
+            replay.terminate()

@@ -1,0 +1,24 @@
+"""The settings of a command for one pad: a file's, of one of its pads, perhaps at another port."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from daemon.config import Settings, load, only_pad
+
+
+def add_settings(
+    parser: argparse.ArgumentParser, config: str = "settings; defaults without it", port: bool = True
+) -> None:
+    """Add --config, --pad and, if wanted, --port."""
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=config)
+    parser.add_argument("--pad", metavar="NAME", help="which pad, where the settings have several")
+    if port:
+        parser.add_argument("--port", help="read this port instead of the configured one")
+
+
+def settings_of(options: argparse.Namespace) -> Settings:
+    """Return the settings of the pad that the arguments name, as `sensor`; raises ConfigError."""
+    settings = load(options.config) if options.config else Settings()
+    return only_pad(settings, options.pad, getattr(options, "port", None))
