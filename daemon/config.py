@@ -88,7 +88,8 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def __post_init__(self) -> None:
         if isinstance(self.format, str) and self.format not in PRESETS:
             raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}, nor a description")
-        _ = self.described
+        if self.described.poll and self.port.startswith("udp://"):
+            raise ValueError("a pad that has to be asked for frames cannot be reached at udp://; use tcp://")
 
     @property
     def described(self) -> PadFormat:
@@ -150,7 +151,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """
 
     sensor: SensorSettings = SensorSettings()
-    sensors: Annotated[dict[str, PadSettings], msgspec.Meta(max_length=MAX_PADS)] = {}
+    sensors: dict[str, PadSettings] = {}
     model: str | None = None
     ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
@@ -169,6 +170,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def __post_init__(self) -> None:
         if self.sensors and self.sensor != SensorSettings():
             raise ValueError("sensor and sensors are both set; keep one")
+        if len(self.sensors) > MAX_PADS:
+            raise ValueError(f"sensors: {len(self.sensors)} pads, {MAX_PADS} at most; run another touchd")
         for name in self.sensors:
             if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
                 raise ValueError(f"sensors: {name!r} is no name of a pad; use one word such as left_arm")

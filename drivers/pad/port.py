@@ -20,7 +20,7 @@ Line: TypeAlias = serial.Serial | NetworkPort
 
 READ_TIMEOUT_S = 0.1
 
-NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO}
+NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ECONNREFUSED, errno.EHOSTUNREACH}
 NOT_ALLOWED = {errno.EACCES, errno.EPERM}
 # EAGAIN is what pyserial's lock reports when another program that locks, as touchd does, has the port open.
 IN_USE = {errno.EBUSY, errno.EAGAIN}

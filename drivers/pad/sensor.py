@@ -127,4 +127,5 @@ class Sensor:
             reason = f"no data for {self._silence_s:g} s: is it the pad's port, and does the pad run?"
         else:
             kind, reason = diagnose(recent, self._protocol.format)
-        self._announcer.down(kind, f"{self._port} at {self._baud} baud: {reason}", since_s)
+        where = self._port if "://" in self._port else f"{self._port} at {self._baud} baud"
+        self._announcer.down(kind, f"{where}: {reason}", since_s)

@@ -16,6 +16,7 @@ from rigs.made_events import PREDICTION
 
 from daemon import cli
 from daemon.config import (
+    MAX_PADS,
     ConfigError,
     JournalSettings,
     PadSettings,
@@ -130,6 +131,14 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
         (
             "sensors: {head: {scene: {speak_above: 2}}}",
             "sensors.head.scene.speak_above must be a number",
+        ),
+        (
+            "sensors: {head: {port: 'udp://0.0.0.0:4000', format: itas}}",
+            "a pad that has to be asked for frames cannot be reached at udp://; use tcp://",
+        ),
+        (
+            f"sensors: {{{', '.join(f'p{n}: {{port: /dev/tty{n}}}' for n in range(MAX_PADS + 1))}}}",
+            "sensors: 17 pads, 16 at most; run another touchd",
         ),
         ("sensors: {'a b': {}}", "'a b' is no name of a pad"),
         ("sensors: {a: {}, b: {}}", "/dev/touchd-pad is the port of more than one pad"),

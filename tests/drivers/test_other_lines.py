@@ -1,0 +1,190 @@
+"""Pads on a network, and pads that only answer when they are asked."""
+
+from __future__ import annotations
+
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+import msgspec
+import pytest
+from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.sensor_rig import assert_played, next_frames, next_state, sensing, stream_of
+
+from drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
+from drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from drivers.pad.protocol import parser_of
+
+POLLED = [PRESETS["itas"], PRESETS["fsr-array"]]
+STREAM = stream_of(400)
+PACKETS = list(map(encode_fabric_grid, STREAM.counts, STREAM.sensor_ms.tolist()))
+
+
+def send(give: Callable[[bytes], object], numbers: range) -> None:
+    for number in numbers:
+        give(PACKETS[number])
+        time.sleep(0.001)
+
+
+def test_a_tcp_pad_that_went_away_is_found_again() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        check_port(address, 9600)
+        with sensing(address) as queue:
+            for first in (0, 50):
+                connection, _ = server.accept()
+                with connection:
+                    send(connection.sendall, range(first, first + 50))
+                    assert next_state(queue).state == "up"
+                    assert_played(next_frames(queue, 50), STREAM, range(first, first + 50))
+                down = next_state(queue)
+                assert down.state == "down"
+                assert down.reason == f"{address} went away: unplugged or switched off?"
+
+
+def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    with sensing(address) as queue:
+        assert next_state(queue).reason == f"{address} is not there: is the pad plugged in and switched on?"
+        with socket.create_server(("127.0.0.1", port)) as server:
+            connection, _ = server.accept()
+            with connection:
+                send(connection.sendall, range(50))
+                assert next_state(queue).state == "up"
+
+
+@contextmanager
+def udp_pad() -> Iterator[tuple[str, Callable[[bytes], object]]]:
+    """An address to listen at, and what sends a datagram there, each from a socket of its own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        where = probe.getsockname()
+
+    def give(data: bytes) -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.sendto(data, where)
+
+    yield f"udp://127.0.0.1:{where[1]}", give
+
+
+def test_a_lost_datagram_costs_its_frame_alone() -> None:
+    parser = FabricGrid()
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+        kept = [number for number in range(60) if number % 7 != 2]
+        frames = []
+        for number in range(60):
+            half = len(PACKETS[number]) // 2
+            # Of a frame in two datagrams, the second is lost.
+            give(PACKETS[number] if number in kept else PACKETS[number][:half])
+            frames += parser.feed(read_waiting(opened, parser), time.monotonic())
+    assert_played(frames, STREAM, kept)
+    assert parser.counts.bad == 60 - len(kept)
+
+
+def test_a_udp_pad_is_heard_and_found_again_after_silence() -> None:
+    with udp_pad() as (address, give), sensing(address) as queue:
+        for first in (0, 200):
+            send(give, range(first, first + 50))
+            assert next_state(queue).state == "up"
+            assert len(next_frames(queue, 20)) == 20
+            while (state := next_state(queue)).state != "down":
+                pass
+            assert state.reason.startswith(f"{address}: no data for 0.5 s")
+
+
+def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
+    taken = pytest.raises(SensorError, match="Address already in use")
+    with udp_pad() as (address, _), open_port(address, 9600), taken:
+        open_port(address, 9600)
+
+
+class PolledPad:
+    """Says nothing of its own accord; answers a question with one frame, however many wait."""
+
+    def __init__(
+        self, described: PadFormat, receive: Callable[[], bytes], give: Callable[[bytes], object]
+    ) -> None:
+        self.asked_s: list[float] = []
+        self.late_s = 0.0
+        self._described = described
+        self._receive, self._give = receive, give
+        self._thread = threading.Thread(target=self._answer)
+        self._thread.start()
+
+    def join(self) -> None:
+        self._thread.join()
+
+    def _answer(self) -> None:
+        with suppress(OSError):
+            while data := self._receive():
+                assert set(data) == set(bytes.fromhex(self._described.poll))
+                self.asked_s.append(time.monotonic())
+                time.sleep(self.late_s)
+                number = len(self.asked_s) % len(STREAM.counts)
+                self._give(encode_frame(self._described, STREAM.counts[number], None))
+
+
+def answered(described: PadFormat, number: int) -> bytes:
+    """What arrives of the answer to a question of that number, counted from 0."""
+    layout = layout_of(described)
+    return layout.pressure(layout.values(STREAM.counts[number + 1]).ravel()).tobytes()
+
+
+@contextmanager
+def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    pad = PolledPad(described, lambda: os.read(master, 64), lambda data: os.write(master, data))
+    try:
+        yield os.ttyname(slave), pad
+    finally:
+        # The reader of a pty whose other end is closed everywhere gets an error.
+        os.close(slave)
+        pad.join()
+        os.close(master)
+
+
+@pytest.mark.parametrize("described", POLLED, ids=["u8", "u16"])
+def test_a_pad_on_a_pty_that_only_answers_is_asked_for_each_frame(described: PadFormat) -> None:
+    with polled_on_a_pty(described) as (path, pad), sensing(path, parser_of(described)) as queue:
+        frames = next_frames(queue, 30)
+        for number, frame in enumerate(frames):
+            assert frame.pressure.tobytes() == answered(described, number)
+        # One question a frame, never sooner than its rate says.
+        steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
+        assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
+
+
+def test_an_answer_that_comes_too_late_is_taken_for_no_other() -> None:
+    described = msgspec.structs.replace(POLLED[0], rate_hz=500)
+    parser = parser_of(described)
+    with polled_on_a_pty(described) as (path, pad), open_port(path, 9600) as opened:
+        pad.late_s = 0.25
+        frames = []
+        while len(frames) < 25:
+            frames += parser.feed(read_waiting(opened, parser), time.monotonic())
+            if len(pad.asked_s) == 3:
+                pad.late_s = 0.0
+    whole = {answered(described, number) for number in range(len(STREAM.counts) - 1)}
+    assert {frame.pressure.tobytes() for frame in frames} <= whole
+
+
+def test_a_polled_pad_on_tcp_is_asked_too() -> None:
+    described = POLLED[1]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with sensing(address, parser_of(described)) as queue:
+            connection, _ = server.accept()
+            with connection:
+                pad = PolledPad(described, lambda: connection.recv(64), connection.sendall)
+                frames = next_frames(queue, 10)
+                connection.shutdown(socket.SHUT_RDWR)
+                pad.join()
+    assert [frame.pressure.tobytes() for frame in frames] == [answered(described, n) for n in range(10)]
