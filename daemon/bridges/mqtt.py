@@ -40,8 +40,8 @@ def make(settings: MqttSettings, pad: str, labels: Sequence[str]) -> Bridge:
 class MqttBridge(Bridge):
     """Publishes each event with QoS 1, one at a time and in order, and keeps the state retained.
 
-    The state is up (the pad is felt), down (it is away), stopped (touchd has ended) or, as the last will,
-    lost. paho's own thread holds the connection and makes it anew.
+    The state is the pad's (see `SensorEvent`), stopped (touchd has ended) or, as the last will, lost.
+    paho's own thread holds the connection and makes it anew.
     """
 
     def __init__(
@@ -136,7 +136,7 @@ def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, byte
         "event_types": [*labels, UNCERTAIN],
         "value_template": TO_HOME_ASSISTANT,
         "availability_topic": f"{topic}/state",
-        "availability_template": "{{ 'online' if value == 'up' else 'offline' }}",
+        "availability_template": "{{ 'online' if value in ('up', 'disturbed') else 'offline' }}",
         "device": {"identifiers": [name], "name": topic, "manufacturer": "touchd"},
         "icon": "mdi:hand-heart",
     }

@@ -210,6 +210,9 @@ def test_home_assistant_makes_told_answers_events_of_known_types(port: int, open
     assert event["event_type"] in entity["event_types"]
     assert event == {"event_type": "stroke", "confidence": 0.81, "stage": "early", "touch": 7}
     assert template.render(value_json=json.loads(encode(touch(1)))) == ""
+    available = jinja2.Environment().from_string(entity["availability_template"])
+    states = ("up", "disturbed", "degraded", "down", "stopped", "lost")
+    assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 4
 
 
 def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_path: Path) -> None:

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
+import typing
+from pathlib import Path
 
 import msgspec
 import pytest
 
 from daemon.events import (
+    EndReason,
     Event,
     EventError,
+    PadState,
     Prediction,
+    RobotAction,
     RobotEvent,
     SensorEvent,
+    Stage,
     TouchBegan,
     TouchEnded,
     decode,
@@ -22,6 +29,7 @@ from daemon.events import (
     timestamp,
 )
 from daemon.kept.journal import MAX_EVENT_BYTES
+from daemon.pad.feel import Feel
 from model.classifier import ModelMetadata
 
 TIME = "2026-11-20T10:00:00.000Z"
@@ -113,6 +121,28 @@ def test_times_are_utc_to_the_millisecond_and_read_back() -> None:
     assert timestamp(1795168800.0) == "2026-11-20T10:00:00.000Z"
     assert timestamp(1795168799.9996) == "2026-11-20T10:00:00.000Z"
     assert epoch_s("2026-11-20T10:00:00.125Z") == 1795168800.125
+
+
+def words_of(hint: object) -> set[str]:
+    return set(typing.get_args(hint))
+
+
+def test_the_page_on_events_leaves_nothing_out_and_makes_nothing_up() -> None:
+    page = (Path(__file__).parents[2] / "docs/events.md").read_text()
+    kinds = typing.get_args(Event)
+    fields = {field for kind in (*kinds, Feel) for field in kind.__struct_fields__}
+    said = words_of(Stage) | words_of(EndReason) | words_of(PadState)
+    tags = {str(kind.__struct_config__.tag) for kind in kinds}
+    actions = words_of(typing.get_type_hints(RobotAction)["action"])
+    everything = tags | fields | said | actions
+    assert everything - set(re.findall(r"`(\w+)`", page)) == set()
+    # The first column of the tables that say what there is.
+    named = {word for line in page.splitlines() if line.startswith("| `") for word in cell_words(line)}
+    assert named - everything == set()
+
+
+def cell_words(line: str) -> list[str]:
+    return re.findall(r"`([a-z_]+)`", line.split("|")[1])
 
 
 def metadata(name: str, labels: list[str]) -> ModelMetadata:
