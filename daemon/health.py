@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 import socket
 import time
@@ -69,7 +70,7 @@ class Health:
         self._frames = 0
         self._frames_in_all = 0
         self._dropped = 0
-        self._next_feed_s = 0.0
+        self._next_feed_s = 0.0 if notifier.watchdog_s else math.inf
         self._status_s = time.monotonic()
 
     def pad_state(self, pad: str, up: bool) -> None:
@@ -88,10 +89,10 @@ class Health:
 
     def frame_processed(self, pad: str) -> None:
         """A frame went through a pad's pipeline."""
-        self._heard_s[pad] = time.monotonic()
+        self._heard_s[pad] = now_s = time.monotonic()
         self._frames += 1
-        self._frames_in_all += 1
-        self._feed()
+        if now_s >= self._next_feed_s:
+            self._feed()
 
     def idle(self) -> None:
         """No frame came for a while."""
@@ -115,15 +116,17 @@ class Health:
             rate += f", {', '.join(away)} away"
         self._notifier.send(STATUS=f"{rate}, {touches} touches, {dropped} frames dropped")
         self._status_s = now_s
+        self._frames_in_all += self._frames
         self._frames = 0
 
     def end(self, touches: int, dropped: int) -> None:
         """Say what it was in all."""
-        log.info("%d frames, %d touches, %d frames dropped in all", self._frames_in_all, touches, dropped)
+        frames = self._frames_in_all + self._frames
+        log.info("%d frames, %d touches, %d frames dropped in all", frames, touches, dropped)
 
     def _feed(self) -> None:
         now_s = time.monotonic()
-        if not self._notifier.watchdog_s or now_s < self._next_feed_s:
+        if now_s < self._next_feed_s:
             return
         if all(self._away.get(pad) or now_s - heard_s < HEARD_S for pad, heard_s in self._heard_s.items()):
             self._notifier.send(WATCHDOG=1)

@@ -20,6 +20,7 @@ from daemon.setup.parts import Pad, Parts
 from daemon.sinks import EventFanout, Sink
 from drivers.frame import Frame
 from drivers.pad.sensor import SensorState
+from drivers.queue import Signal
 
 # Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
@@ -38,7 +39,7 @@ class Service:
         self._health = health
         self._more_sinks: tuple[Sink, ...] = ()
         self._view: View | None = None
-        self._arrived = threading.Condition()
+        self._arrived = Signal()
         self._numbers = itertools.count(1)
         self._events = EventFanout()
         self._parts = self._make(settings, None)
@@ -65,14 +66,15 @@ class Service:
             sink.start()
         for pad in self._pads.values():
             pad.sensor.start()
+        took = False
         try:
             while not stop.is_set():
-                with self._arrived:
-                    if not self._arrived.wait_for(self._waiting, IDLE_S):
-                        self._health.idle()
+                if not took and not self._arrived.wait(IDLE_S):
+                    self._health.idle()
                 # One item of each in turn, so that a pad that floods its queue holds up no other.
-                for pad in list(self._pads.values()):
-                    self._take(pad)
+                took = False
+                for pad in tuple(self._pads.values()):
+                    took |= self._take(pad)
                 self._health.report(self._events.touches, self._dropped())
                 if self._next is not None:
                     self._move_on_to(self._next)
@@ -159,32 +161,31 @@ class Service:
         self._health.end(self._events.touches, self._dropped())
         _stop(self._events.sinks, SINKS_STOP_S)
 
-    def _waiting(self) -> bool:
-        return any(len(pad.queue) for pad in self._pads.values())
-
     def _dropped(self) -> int:
         return sum(pad.queue.dropped for pad in self._pads.values())
 
-    def _take(self, pad: Pad) -> None:
-        parts = self._parts
-        match pad.queue.get(timeout_s=0):
-            case Frame() as frame:
-                # Before the events that it causes.
-                if parts.kept is not None:
-                    parts.kept.take(frame, pad.name)
-                pad.pipeline.on_frame(frame)
-                self._health.frame_processed(pad.name)
-                pad.watch.update(frame)
-                if self._view is not None and pad.name == next(iter(self._pads)):
-                    self._view.show_frame(frame.pressure, frame.sensor_ms)
-                if parts.live is not None:
-                    parts.live.put_frame(frame, self._dropped(), pad.name)
-                for bridge in parts.bridges.values():
-                    if bridge.pad == pad.name:
-                        bridge.put_frame(frame)
-            case SensorState() as state:
-                pad.pipeline.on_sensor_state(state)
-                self._health.pad_state(pad.name, state.state == "up")
+    def _take(self, pad: Pad) -> bool:
+        """Process the oldest thing in a pad's queue; return whether there was one."""
+        item = pad.queue.get_nowait()
+        if isinstance(item, Frame):
+            parts = self._parts
+            # Before the events that it causes.
+            if parts.kept is not None:
+                parts.kept.take(item, pad.name)
+            pad.pipeline.on_frame(item)
+            self._health.frame_processed(pad.name)
+            pad.watch.update(item)
+            if self._view is not None and pad.name == next(iter(self._pads)):
+                self._view.show_frame(item.pressure, item.sensor_ms)
+            if parts.live is not None:
+                parts.live.put_frame(item, self._dropped(), pad.name)
+            for bridge in parts.bridges.values():
+                if bridge.pad == pad.name:
+                    bridge.put_frame(item)
+        elif isinstance(item, SensorState):
+            pad.pipeline.on_sensor_state(item)
+            self._health.pad_state(pad.name, item.state == "up")
+        return item is not None
 
 
 def _stop(sinks: Sequence[Sink], within_s: float) -> None:

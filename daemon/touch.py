@@ -70,6 +70,7 @@ CALM_FRAMES = 90
 ASK_FRAMES = 24
 NO_TOUCH = 0.5
 NO_TOUCH_FRAMES = 72
+ABOVE_AND_BELOW = np.array([[1], [-1]], np.float32)
 # The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.
 DISTURBED_FLOOR = 2.2
 
@@ -224,14 +225,15 @@ class TouchTracker:
 
     def _watch(self, smooth: Taxels) -> Onset | None:
         rise = smooth - self._baseline.counts
-        above = np.maximum(rise - self._baseline.noise_floor, 0)
-        contact = _beyond_one_wire(above)
+        # The same for what lies above rest and for what lies below.
+        both = np.maximum(ABOVE_AND_BELOW * rise - self._baseline.noise_floor, 0)
+        above = both[0]
+        contact, sunken = _beyond_one_wire(both)
         if contact >= self._onset_counts or self._light is not None:
             return self._weigh_light(smooth, above, contact)
         self._restless = max(self._restless * RESTLESS_KEPT, contact)
         self._baseline.track(self._recent.last(1)[0])
-        below = np.maximum(-rise - self._baseline.noise_floor, 0)
-        is_sunken = _beyond_one_wire(below) >= self._settings.onset_threshold
+        is_sunken = sunken >= self._settings.onset_threshold
         self._sunken_frames = self._sunken_frames + 1 if is_sunken else 0
         if is_sunken:
             self._unsteady_index = self._index
@@ -349,7 +351,7 @@ class TouchTracker:
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
-        self._restless = max(_beyond_one_wire(one) for one in above)
+        self._restless = max(_beyond_one_wire(above))
         return release
 
     def _backdate(self, light: _Light) -> int:
@@ -383,9 +385,8 @@ def _median(a: Taxels, b: Taxels, c: Taxels) -> Taxels:
     return median
 
 
-def _beyond_one_wire(above: Taxels) -> float:
-    """Return the (64,) counts summed, less the strongest row or column up to what a loose wire lifts."""
-    grid = above.reshape(ROWS, COLUMNS)
-    rows = np.add.reduce(grid, axis=1)
-    wire = max(float(rows.max()), float(np.add.reduce(grid, axis=0).max()))
-    return float(rows.sum()) - min(wire, WIRE_COUNTS)
+def _beyond_one_wire(above: NDArray[np.float32]) -> list[float]:
+    """Sum each of (N, 64) counts, less the strongest row or column up to what a loose wire lifts."""
+    grids = above.reshape(-1, ROWS, COLUMNS)
+    lines = zip(np.add.reduce(grids, axis=2).tolist(), np.add.reduce(grids, axis=1).tolist(), strict=True)
+    return [sum(rows) - min(max(*rows, *columns), WIRE_COUNTS) for rows, columns in lines]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -27,6 +26,7 @@ from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.frame import COLUMNS, ROWS
 from drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
 from drivers.pad.watch import PadWatch
+from drivers.queue import Signal
 from model.classifier import SHIPPED_MODEL, Classifier
 
 if typing.TYPE_CHECKING:
@@ -39,7 +39,7 @@ Show = Callable[[LivePrediction], None]
 class Pad:
     """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
 
-    settings: those of this pad. arrived: notified whenever something waits in the queue.
+    settings: those of this pad. arrived: set whenever something waits in the queue.
     before: the same pad by other settings; its queue goes on, and its reader where the port does.
     """
 
@@ -50,7 +50,7 @@ class Pad:
         model: Classifier,
         emit: Emit,
         show: Show,
-        arrived: threading.Condition,
+        arrived: Signal,
         before: Pad | None = None,
     ) -> None:
         self.name = name
@@ -94,7 +94,7 @@ class Parts:
         settings: Settings,
         emit: Emit,
         show: Show,
-        arrived: threading.Condition,
+        arrived: Signal,
         numbers: Iterator[int],
         before: Parts | None = None,
     ) -> None:

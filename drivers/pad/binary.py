@@ -32,6 +32,8 @@ class BinaryFrames(FrameParser):
         super().__init__(described)
         self._header = described.first_bytes
         self._size = described.frame_bytes
+        self._cells_at = len(self._header) + 4 * described.clock
+        self._cells_end = self._size - (described.checksum != "none")
         self._position = 0
         # Bytes still to be dropped that belong to a damaged frame already counted.
         self._claimed = 0
@@ -56,26 +58,29 @@ class BinaryFrames(FrameParser):
 
     def damage_in(self, window: bytes) -> Damage | None:
         """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
-        described = self.format
-        # Looking at the first value alone is enough, and quick, in a long run of header bytes.
-        at = len(self._header) + 4 * described.clock
-        first = window[at : at + 2]
-        if described.cell == "u16" and int.from_bytes(first, described.order) > described.full_scale:
-            return "bad_value"
-        values = self.values_in(window)
-        if values.max() > described.full_scale:
-            return "bad_value"
-        if described.checksum == "none":
-            # Bytes were lost, and the next frame has begun.
-            return "bad_framing" if window.find(self._header, 1) > 0 else None
-        body = window[len(self._header) : -1]
-        total = int(values.sum()) + (self.time_in(window) if described.clock else 0)
-        return "bad_checksum" if checksum(described, body, total) != window[-1] else None
+        values = self._sound(window)
+        return values if isinstance(values, str) else None
 
     def values_in(self, window: bytes) -> NDArray[np.uint16]:
         """Return the values (cells,) of a whole window."""
-        at = len(self._header) + 4 * self.format.clock
-        return decode_cells(self.format, window[at : len(window) - (self.format.checksum != "none")])
+        return decode_cells(self.format, window[self._cells_at : self._cells_end])
+
+    def _sound(self, window: bytes) -> NDArray[np.uint16] | Damage:
+        """Return the values (cells,) of a well-formed window, or what is wrong with it."""
+        described, at = self.format, self._cells_at
+        # Looking at the first value alone is enough, and quick, in a long run of header bytes.
+        first = int.from_bytes(window[at : at + 2], described.order)
+        if described.cell == "u16" and first > described.full_scale:
+            return "bad_value"
+        values = self.values_in(window)
+        if np.maximum.reduce(values) > described.full_scale:
+            return "bad_value"
+        if described.checksum == "none":
+            # Bytes were lost, and the next frame has begun.
+            return "bad_framing" if window.find(self._header, 1) > 0 else values
+        body = window[len(self._header) : -1]
+        total = int(np.add.reduce(values)) + (self.time_in(window) if described.clock else 0)
+        return "bad_checksum" if checksum(described, body, total) != window[-1] else values
 
     def time_in(self, window: bytes) -> int:
         """Return the four bytes after the header of a whole window as its clock."""
@@ -84,6 +89,8 @@ class BinaryFrames(FrameParser):
 
     def _seek_header(self) -> bool:
         """Move to the next header, dropping what comes before; False when none is in the buffer."""
+        if self._position == len(self._buffer):
+            return False
         start = self._buffer.find(self._header, self._position)
         if start >= 0:
             self._drop(start - self._position)
@@ -99,8 +106,9 @@ class BinaryFrames(FrameParser):
         window = self._buffer[self._position : self._position + self._size]
         if len(window) < self._size:
             return None
-        if damage := self.damage_in(window):
-            self._refuse(damage)
+        values = self._sound(window)
+        if isinstance(values, str):
+            self._refuse(values)
             return []
         sensor_ms = self.time_in(window) if self.format.clock else None
         if sensor_ms is not None and not self._clock.is_on_time(sensor_ms):
@@ -113,7 +121,7 @@ class BinaryFrames(FrameParser):
         self._position += self._size
         self._claimed = 0
         self._in_refused_run = False
-        return self._judge(sensor_ms, host_s, self.values_in(window))
+        return self._judge(sensor_ms, host_s, values)
 
     def _hides_another(self) -> bool | None:
         """Whether a well-formed window begins inside the one at the position, None when it takes more bytes.

@@ -15,6 +15,12 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 Side = Annotated[int, msgspec.Meta(ge=4, le=64)]
 LONGEST_SIDE = 32
 CELL_BITS = {"u8": 8, "u12": 12, "u16": 16}
+BYTE_ORDERS = {"little": "<", "big": ">"}
+PLAIN_CELLS = {
+    (cell, order): np.dtype(f"{mark}u{CELL_BITS[cell] // 8}")
+    for cell in ("u8", "u16")
+    for order, mark in BYTE_ORDERS.items()
+}
 
 Grid = NDArray[np.float32]
 
@@ -141,13 +147,22 @@ class Layout:
             shares = shares[:, ::-1]
         self._shares: Grid = np.ascontiguousarray(shares.reshape(ROWS * COLUMNS, -1), dtype=np.float32)
         self._scale = np.float32(MAX_COUNT / described.full_scale)
+        # Where each taxel is one cell, in counts already, these cells are all there is to know.
+        is_plain = self._scale == 1 and np.count_nonzero(self._shares) == ROWS * COLUMNS
+        self._cells = self._shares.argmax(axis=1).reshape(ROWS, COLUMNS) if is_plain else None
 
     def pressure(self, values: NDArray[np.uint16]) -> Counts:
         """Turn values (cells,) as sent into pressure (8, 8) uint16, read-only."""
-        laid = (self._shares @ values.astype(np.float32)) * self._scale
-        if self._format.invert:
-            laid = MAX_COUNT - laid
-        counts: Counts = np.rint(laid).astype(np.uint16).reshape(ROWS, COLUMNS)
+        counts: Counts
+        if self._cells is not None:
+            counts = values.take(self._cells)
+            if self._format.invert:
+                counts = MAX_COUNT - counts
+        else:
+            laid = (self._shares @ values.astype(np.float32)) * self._scale
+            if self._format.invert:
+                laid = MAX_COUNT - laid
+            counts = np.rint(laid).astype(np.uint16).reshape(ROWS, COLUMNS)
         counts.flags.writeable = False
         return counts
 
@@ -221,8 +236,7 @@ def checksum(described: PadFormat, body: bytes, total: int) -> int:
 def decode_cells(described: PadFormat, data: bytes) -> NDArray[np.uint16]:
     """Return the values (cells,) of a binary frame's cells."""
     if described.cell != "u12":
-        width = 1 if described.cell == "u8" else 2
-        kind = f"{'<' if described.order == 'little' else '>'}u{width}"
+        kind = PLAIN_CELLS[described.cell, described.order]
         plain: NDArray[np.uint16] = np.frombuffer(data, kind).astype(np.uint16, copy=False)
         return plain
     trio = np.frombuffer(data + bytes(-len(data) % 3), np.uint8).reshape(-1, 3).astype(np.uint16)

@@ -9,7 +9,7 @@ model learned on single scans and their noise.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from typing import Annotated
 
@@ -43,8 +43,7 @@ class RingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.15
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class GridFrame:
+class GridFrame(msgspec.Struct, frozen=True, eq=False):
     """One frame on the 54 Hz grid.
 
     index: rises by one from frame to frame and is never reused.

@@ -12,7 +12,7 @@ from drivers.pad.diagnosis import diagnose
 from drivers.pad.parser import FrameParser
 from drivers.pad.port import Line, SensorError, check_port, open_port, read_waiting
 from drivers.pad.sensor_state import Announcer, SensorState
-from drivers.queue import DroppingQueue
+from drivers.queue import DroppingQueue, Signal
 
 __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 
@@ -26,10 +26,10 @@ class FrameQueue(DroppingQueue[Frame | SensorState]):
     """What the reader hands to the daemon's loop, in order; gives up the oldest frame, never a state.
 
     Only when nothing but `capacity` states waits unread does a state go.
-    filled: notified when something is put; of several queues, one thread can wait on the same.
+    filled: set when something is put; of several queues, one thread can wait on the same.
     """
 
-    def __init__(self, capacity: int = 540, filled: threading.Condition | None = None) -> None:
+    def __init__(self, capacity: int = 540, filled: Signal | None = None) -> None:
         super().__init__(capacity, lambda item: isinstance(item, Frame), filled)
 
 

@@ -33,7 +33,7 @@ class PadWatch:
             self._begin(finding, frame.host_s)
         elif finding is not None:
             self._end(finding)
-        for kind, (since_s, what) in list(self._unsaid.items()):
+        for kind, (since_s, what) in tuple(self._unsaid.items()):
             if frame.host_s - since_s > LASTS_S:
                 del self._unsaid[kind]
                 self._warn(kind, what, frame.host_s)

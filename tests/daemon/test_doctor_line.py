@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import termios
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from rigs.doctor_rig import SETTINGS, heard, noise, resting
 from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import Encode
