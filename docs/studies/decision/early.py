@@ -1,7 +1,13 @@
-"""Stopping rules on the same streams of probabilities: how early one can tell, and what it costs."""
+"""Stopping rules on the same streams of probabilities: how early one can tell, and what it costs.
+
+`python -m docs.studies early` asks the networks left out about the people of both studies, in about a minute,
+and fills the tables and the figure of docs/early.md, and what `scene.sure` costs in docs/decision.md.
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -12,10 +18,14 @@ from numpy.typing import NDArray
 from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings
 from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Told
+from docs.studies.decision.report import MOST_HARMED
 from docs.studies.decision.streams import FRAMES, Streams, collect
+from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import NO_TOUCH, read_recordings
+from drivers.recording import NO_TOUCH
+from model.classifier import SHIPPED_MODEL
+from model.training import haart, second_study
 
 Frames = NDArray[np.int64]
 Rule = Callable[[Streams], Frames]
@@ -69,14 +79,66 @@ def score(rule: str, setting: str, streams: Streams, frames: Frames) -> Score:
     )
 
 
+class Choice(msgspec.Struct, frozen=True, kw_only=True):
+    """What one of the scene's choices costs. first: of what is told first."""
+
+    early: str
+    sure: str
+    first_mean_s: float
+    first_median_s: float
+    first_right: float
+    right: float
+    settled_mean_s: float
+    harmed: float
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Compare the rules on recordings FILE, asked of models MODEL…, and fill docs/early.md."""
-    page, recordings, *models = map(Path, arguments)
-    streams = collect(read_recordings(recordings), models)
-    scores = compare(streams)
-    fill(page, {"sure": sure_table(streams), "rules": rules_table(scores)})
-    draw({recordings.stem: (streams, scores)}, page.parent / "figures" / "early.png")
+    """Compare the rules on both studies, fill the pages, say which choice the figures are for; returns 0."""
+    parser = argparse.ArgumentParser(prog="python -m docs.studies early")
+    add_haart_argument(parser)
+    add_second_study_argument(parser)
+    parser.add_argument("--weights", type=Path, default=SHIPPED_MODEL.parent, help="of the networks left out")
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the pages")
+    chosen = parser.parse_args(arguments)
+    recordings = {
+        "HAART": haart.read_training(chosen.haart),
+        "second study": second_study.takes(second_study.read(chosen.second_study)),
+    }
+    studies = {title: collect(of_one, chosen.weights) for title, of_one in recordings.items()}
+    best = write(studies, chosen.docs)
+    sys.stdout.write(f"{chosen.docs / 'early.md'}; the figures are for scene.early: {best}\n")
     return 0
+
+
+def write(studies: Mapping[str, Streams], docs: Path) -> str:
+    """Fill the pages in a folder from the streams of each study; return what `best_choice` says of them."""
+    choices = {title: choices_of(streams) for title, streams in studies.items()}
+    scores = {title: compare(streams) for title, streams in studies.items()}
+    sure = sure_table(choices)
+    fill(docs / "early.md", {"touches": touches_table(studies), "sure": sure, "rules": rules_table(scores)})
+    fill(docs / "decision.md", {"sure": sure}, others=("stages", "curve"))
+    draw({title: (scores[title], choices[title]) for title in studies}, docs / "figures" / "early.png")
+    return best_choice(choices)
+
+
+def best_choice(choices: Mapping[str, Sequence[Choice]]) -> str:
+    """Return `when_sure` with what is fastest and pays in every study, else `at_mark`.
+
+    It pays when what is told first is right at least as often as at the mark, at most MOST_HARMED of touches
+    are harmed, and the right answer that stays comes a third earlier.
+    """
+
+    def pays(place: int) -> bool:
+        return all(
+            choice.first_right >= rows[0].first_right
+            and choice.harmed <= MOST_HARMED
+            and choice.settled_mean_s <= rows[0].settled_mean_s * 2 / 3
+            for rows in choices.values()
+            for choice in [rows[place]]
+        )
+
+    sures = list(SURE)
+    return next((f"when_sure, {sure}" for place, sure in enumerate(sures, 1) if pays(place)), "at_mark")
 
 
 def compare(streams: Streams) -> list[Score]:
@@ -121,53 +183,82 @@ def heard(streams: Streams, settings: DecisionSettings) -> list[Told]:
     return told
 
 
-def sure_table(streams: Streams) -> str:
-    """Return what each of the scene's choices costs, as a table for docs/decision.md."""
-    rows = []
-    choices = [("at_mark", "", DecisionSettings())]
-    choices += [("when_sure", sure, DecisionSettings(early="when_sure", sure=sure)) for sure in SURE]
-    for early, sure, settings in choices:
-        told = heard(streams, settings)
-        first = [(t.elapsed_s[0], t.right[0]) for t in told if t.right]
-        settled = [t.settled_s for t in told if t.settled_s is not None]
-        rows.append(
-            (
-                f"`{early}`" + (f", `{sure}`" if sure else ""),
-                f"{np.mean([s for s, _ in first]):.2f} / {np.median([s for s, _ in first]):.2f} s",
-                f"{100 * np.mean([right for _, right in first]):.1f} %",
-                f"{100 * len(settled) / len(told):.1f} %",
-                f"{np.mean(settled):.2f} s",
-                f"{100 * np.mean([t.harmed for t in told]):.1f} %",
+def choices_of(streams: Streams) -> list[Choice]:
+    """Return what each of the scene's choices costs, `at_mark` first."""
+    choices = []
+    settings = [DecisionSettings(), *(DecisionSettings(early="when_sure", sure=sure) for sure in SURE)]
+    for chosen in settings:
+        told = heard(streams, chosen)
+        first_s = [t.elapsed_s[0] for t in told if t.right]
+        settled_s = [t.settled_s for t in told if t.settled_s is not None]
+        choices.append(
+            Choice(
+                early=chosen.early,
+                sure=chosen.sure if chosen.early == "when_sure" else "",
+                first_mean_s=float(np.mean(first_s)),
+                first_median_s=float(np.median(first_s)),
+                first_right=float(np.mean([t.right[0] for t in told if t.right])),
+                right=len(settled_s) / len(told),
+                settled_mean_s=float(np.mean(settled_s)),
+                harmed=float(np.mean([t.harmed for t in told])),
             )
         )
-    headings = ("scene", "first told after, mean / median", "then right", "right at the end")
+    return choices
+
+
+def touches_table(studies: Mapping[str, Streams]) -> str:
+    """Return of whom the figures are."""
+    rows = [(title, len(set(s.participants)), len(s.truth)) for title, s in studies.items()]
+    return table(("study", "people", "touches"), rows)
+
+
+def sure_table(choices: Mapping[str, Sequence[Choice]]) -> str:
+    """Return what each of the scene's choices costs in seconds and in wrong answers."""
+    rows = [
+        (
+            title,
+            f"`{choice.early}`" + (f", `{choice.sure}`" if choice.sure else ""),
+            f"{choice.first_mean_s:.2f} / {choice.first_median_s:.2f} s",
+            f"{100 * choice.first_right:.1f} %",
+            f"{100 * choice.right:.1f} %",
+            f"{choice.settled_mean_s:.2f} s",
+            f"{100 * choice.harmed:.1f} %",
+        )
+        for title, of_one in choices.items()
+        for choice in of_one
+    ]
+    headings = ("study", "scene", "first told after, mean / median", "then right", "right at the end")
     return table((*headings, "right for good after, mean", "harmful changes"), rows)
 
 
-def rules_table(scores: Sequence[Score]) -> str:
+def rules_table(studies: Mapping[str, Sequence[Score]]) -> str:
     """Return each rule's settings that are cheapest at a price of waiting."""
-    rows = []
-    for name in dict.fromkeys(entry.rule for entry in scores):
-        own = [entry for entry in scores if entry.rule == name]
-        best = [own[place] for place in np.argmin([entry.costs for entry in own], axis=0)]
-        for entry in dict.fromkeys(best):
-            rows.append(
-                (
-                    entry.rule,
-                    entry.setting,
-                    f"{100 * entry.error:.1f} %",
-                    f"{entry.mean_s:.2f} / {entry.median_s:.2f} s",
-                    f"{entry.harmonic:.3f}",
-                    " / ".join(f"{cost:.3f}" for cost in entry.costs),
-                    f"{100 * entry.harmed:.1f} %",
-                )
-            )
+    rows = [
+        (
+            title,
+            entry.rule,
+            entry.setting,
+            f"{100 * entry.error:.1f} %",
+            f"{entry.mean_s:.2f} / {entry.median_s:.2f} s",
+            f"{entry.harmonic:.3f}",
+            " / ".join(f"{cost:.3f}" for cost in entry.costs),
+            f"{100 * entry.harmed:.1f} %",
+        )
+        for title, scores in studies.items()
+        for entry in _cheapest(scores)
+    ]
     costs = "cost at " + " / ".join(f"{price:g}" for price in PRICES) + " a second"
-    headings = ("rule", "setting", "wrong", "told after, mean / median", "harmonic mean", costs)
+    headings = ("study", "rule", "setting", "wrong", "told after, mean / median", "harmonic mean", costs)
     return table((*headings, "harmful changes"), rows)
 
 
-def draw(studies: Mapping[str, tuple[Streams, Sequence[Score]]], path: Path) -> None:
+def _cheapest(scores: Sequence[Score]) -> Iterator[Score]:
+    for name in dict.fromkeys(entry.rule for entry in scores):
+        own = [entry for entry in scores if entry.rule == name]
+        yield from dict.fromkeys(own[place] for place in np.argmin([entry.costs for entry in own], axis=0))
+
+
+def draw(studies: Mapping[str, tuple[Sequence[Score], Sequence[Choice]]], path: Path) -> None:
     """Draw error over mean time: rules as curves, the paper's table 3 and `scene.sure` as dots."""
     import matplotlib
 
@@ -177,19 +268,17 @@ def draw(studies: Mapping[str, tuple[Streams, Sequence[Score]]], path: Path) -> 
     figure, panels = plt.subplots(
         1, len(studies), figsize=(5.6 * len(studies), 4.4), layout="constrained", sharey=True, squeeze=False
     )
-    for axes, (title, (streams, scores)) in zip(panels[0], studies.items(), strict=True):
+    for axes, (title, (scores, choices)) in zip(panels[0], studies.items(), strict=True):
         for name in dict.fromkeys(entry.rule for entry in scores):
             own = sorted((entry.mean_s, 100 * entry.error) for entry in scores if entry.rule == name)
             axes.plot(*zip(*own, strict=True), marker="*" if name == "oracle" else ".", label=name)
         axes.plot(
             [n / FRAME_RATE_HZ for n in PAPER], [100 - p for p in PAPER.values()], "ks", label="the paper"
         )
-        for sure in SURE:
-            first = heard(streams, DecisionSettings(early="when_sure", sure=sure))
-            told = [(t.elapsed_s[0], t.right[0]) for t in first if t.right]
-            at = float(np.mean([s for s, _ in told])), 100 * float(np.mean([not right for _, right in told]))
+        for choice in choices:
+            at = choice.first_mean_s, 100 * (1 - choice.first_right)
             axes.plot(*at, "rD")
-            axes.annotate(sure, at, textcoords="offset points", xytext=(5, 5), fontsize=8)
+            axes.annotate(choice.sure or "at_mark", at, textcoords="offset points", xytext=(5, 5), fontsize=8)
         axes.set(title=title, xlabel="mean time to the told answer, s", xlim=(0, 3))
     panels[0][0].set_ylabel("told wrong, %")
     panels[0][0].legend(fontsize=7)
@@ -289,6 +378,8 @@ def _two_tiers(patience: int) -> Rule:
             for frame in frames:
                 features = _features(streams, frame)
                 right = learnt & (best[:, frame] == streams.truth)
+                if not right.any():
+                    continue
                 judge = OneClassSVM(nu=0.05, gamma="scale").fit(features[right])
                 accepted[held, frame] = np.where(judge.predict(features[held]) > 0, best[held, frame], -1)
         stops = accepted >= 0

@@ -17,6 +17,7 @@ from daemon.decide import DecisionSettings
 from daemon.events import Stage
 from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Said, decide, listen
+from docs.studies.marked import fill, table
 from docs.studies.tracker.measure import spliced
 from docs.studies.training.ship import left_out_split
 from drivers.recording import NO_TOUCH, Recording
@@ -151,7 +152,8 @@ def write(figures: StreamReport, folder: Path) -> None:
     """Write decision.md, decision.json and the curve's picture into a folder."""
     (folder / "decision.json").write_bytes(msgspec.json.format(msgspec.json.encode(figures)) + b"\n")
     draw(figures, folder / "figures" / "decision.png")
-    (folder / "decision.md").write_text("\n".join(_lines(figures)) + "\n", encoding="utf-8")
+    tables = {"stages": stages_table(figures), "curve": curve_table(figures)}
+    fill(folder / "decision.md", tables, others=("sure",))
 
 
 def draw(figures: StreamReport, path: Path) -> None:
@@ -179,46 +181,29 @@ def draw(figures: StreamReport, path: Path) -> None:
     plt.close(figure)
 
 
-def _lines(figures: StreamReport) -> Iterable[str]:
-    yield "# Saying it early, changing one's mind"
-    yield ""
-    yield f"{figures.touches} touches of HAART's training participants, each spliced between notouch of the"
-    yield "same participant and condition and played through the daemon's own pipeline; each participant is"
-    yield f"answered by a network that never saw them. {figures.noticed} touches were noticed. Rebuild with"
-    yield "`python -m docs.studies decision FOLDER`, FOLDER being HAART's. notouch is no touch and so not"
-    yield "counted here; [accuracy.md](accuracy.md) has it."
-    yield ""
-    yield "What `scene.early` and `scene.sure` cost: [early.md](early.md)."
-    yield ""
-    yield "## What the network thinks"
-    yield ""
-    yield "| stage | touches | right | calibration error |"
-    yield "|---|---|---|---|"
-    for row in figures.stages:
-        yield f"| {row.stage} | {row.touches} | {_percent(row.accuracy)} | {row.calibration_error:.3f} |"
-    yield ""
-    yield "## What the robot hears"
-    yield ""
-    yield "The star is the default. Along the curve `speak_above` changes, as written beside each point."
-    yield "The default is the point that tells early most often, and changes its mind most readily, among"
-    yield f"those at which at least {LEAST_RIGHT_EARLY:.0%} of early answers told are right, at most"
-    yield f"{MOST_CHANGED:.0%} of touches change their label, {MOST_HARMED:.0%} harmfully, and which are"
-    yield "right at the end as often as the best, within half a point."
-    yield ""
-    yield "![How often the early answer is told, and right](figures/decision.png)"
-    yield ""
-    yield (
-        "| speak_above | revise_margin | told early | right when told early "
-        "| right at the end | changed | harmed | right for good after |"
-    )
-    yield "|---|---|---|---|---|---|---|---|"
-    for p in (figures.default, *figures.curve):
-        mark = " (default)" if p is figures.default else ""
-        yield (
-            f"| {p.speak_above:.2f}{mark} | {p.revise_margin:.2f} | {_percent(p.told_early)} "
-            f"| {_percent(p.right_when_told_early)} | {_percent(p.right_at_end)} | {_percent(p.changed)} "
-            f"| {_percent(p.harmed)} | {p.median_settled_s:.2f} s |"
+def stages_table(figures: StreamReport) -> str:
+    """Return the network's own answers at each stage."""
+    rows = [
+        (row.stage, row.touches, _percent(row.accuracy), f"{row.calibration_error:.3f}")
+        for row in figures.stages
+    ]
+    noticed = ("noticed", f"{figures.noticed} of {figures.touches}", "", "")
+    return table(("stage", "touches", "right", "calibration error"), [noticed, *rows])
+
+
+def curve_table(figures: StreamReport) -> str:
+    """Return what the robot hears under each pair of settings, the default first."""
+    rows = [
+        (
+            f"{p.speak_above:.2f}" + (" (default)" if p is figures.default else ""),
+            f"{p.revise_margin:.2f}",
+            *map(_percent, (p.told_early, p.right_when_told_early, p.right_at_end, p.changed, p.harmed)),
+            f"{p.median_settled_s:.2f} s",
         )
+        for p in (figures.default, *figures.curve)
+    ]
+    shares = ("told early", "right when told early", "right at the end", "changed", "harmed")
+    return table(("speak_above", "revise_margin", *shares, "right for good after"), rows)
 
 
 def _percent(share: float) -> str:

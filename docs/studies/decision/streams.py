@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from daemon.pipeline import PipelineSettings
 from docs.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
+from docs.studies.training.ship import left_out_split
 from drivers.recording import Recording
 from model.classifier import Classifier
 from model.training import haart
@@ -40,19 +41,12 @@ class Streams:
     labels: tuple[str, ...]
 
 
-def collect(recordings: Sequence[Recording], models: Sequence[Path]) -> Streams:
-    """Ask each model about the touches of the people it never saw.
-
-    models: their file names say whom, joined with "-"; one of another name is asked about all of the people.
-    """
+def collect(recordings: Sequence[Recording], weights: Path) -> Streams:
+    """Ask the networks left out about the touches of the people that each of them never saw."""
     rows: list[tuple[NDArray[np.float32], int, int, str]] = []
-    people = {recording.participant for recording in recordings}
     labels: tuple[str, ...] = ()
-    for path in models:
-        unseen = people & set(path.stem.split("-")) or (people if len(models) == 1 else set())
-        model = Classifier.load(path)
+    for model, held in left_out_split(weights, haart.realigned(recordings)):
         labels = model.labels
-        held = haart.realigned(haart.only(recordings, tuple(unseen)))
         for case in spliced(held, level_rest=True):
             for noticed, said in _follow(case, model):
                 rows.append((said, labels.index(case.gesture), noticed, case.participant))
