@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
@@ -53,10 +54,13 @@ ONGOING_CONFIDENCE = 0.9
 # best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
 # with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
 LIFT_OFF_FRAMES = 13
+# While somebody looks, the network is asked every third frame. While nobody does, it catches up twice
+# a second and just before a mark, so that at the mark one frame is left to ask about.
+SHOWN_STRIDE_FRAMES = 3
+STRIDE_FRAMES = 27
 
 
-# Asked every third frame, the network takes half of the processor time, and a pad is shown 18 times a second.
-STRIDE_FRAMES = 3
+Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -109,6 +113,7 @@ class Pipeline:
     clock's. While nothing touches, the model is not run.
     before: the pipeline whose place this one takes between two touches. What that knew of the pad, and the
     numbers of touches, go on.
+    viewers: returns whoever looks now, to be called with what the model makes of a touch as it goes on.
     """
 
     def __init__(
@@ -118,11 +123,11 @@ class Pipeline:
         emit: Callable[[Event], None],
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,
-        show: Callable[[LivePrediction], None] = lambda _: None,
+        viewers: Viewers = tuple,
         before: Pipeline | None = None,
     ) -> None:
         self._emit = emit
-        self._show = show
+        self._viewers = viewers
         self._pad = pad
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
@@ -236,16 +241,24 @@ class Pipeline:
     def _follow(self, touch: Touch, frame: GridFrame) -> None:
         """Give the model the touch's new frames, up to those of the final answer, and keep what it says."""
         length = frame.index + 1 - touch.first_index
-        is_due = any(length == due_length for due_length, _ in touch.due)
-        is_asked = touch.waits_until_sure or is_due or length % STRIDE_FRAMES == 0
+        left = touch.due[0][0] - length if touch.due else 0
+        viewers = self._viewers()
+        if viewers:
+            is_asked = left == 0 or length % SHOWN_STRIDE_FRAMES == 0
+        else:
+            is_asked = left in (0, 1) or length % STRIDE_FRAMES == 0
+        is_asked |= touch.waits_until_sure
         if length > self._final_frames or not is_asked:
             return
         window = self._ring.window(frame.index + 1, length - touch.given)
         probabilities, touch.state = self._model.step(window, touch.state)
         touch.heard[length], touch.given = probabilities, length
-        weighed = touch.decision.weigh(probabilities)
-        shown = {label: round(value, 4) for label, value in weighed.items()}
-        self._show(LivePrediction(touch=touch.number, frames=length, probabilities=shown, pad=self._pad))
+        if viewers:
+            weighed = touch.decision.weigh(probabilities)
+            shown = {label: round(value, 4) for label, value in weighed.items()}
+            live = LivePrediction(touch=touch.number, frames=length, probabilities=shown, pad=self._pad)
+            for show in viewers:
+                show(live)
 
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:

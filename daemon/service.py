@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 import typing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 from daemon.bridges.bridge import Bridge
@@ -112,13 +112,15 @@ class Service:
                 sink.start()
 
     def _make(self, settings: Settings, before: Parts | None) -> Parts:
-        return Parts(settings, self._events.emit, self._show, self._arrived, self._numbers, before)
+        return Parts(settings, self._events.emit, self._viewers, self._arrived, self._numbers, before)
 
-    def _show(self, prediction: LivePrediction) -> None:
-        """Show what the model makes of a touch to whoever looks."""
-        for show in (self._parts.live, self._view):
-            if show is not None:
-                show.put_live(prediction)
+    def _viewers(self) -> list[Callable[[LivePrediction], None]]:
+        """Return whoever looks at what the model makes of a touch at this moment."""
+        live, view = self._parts.live, self._view
+        return [
+            *([live.put_live] if live is not None and live.is_watched else []),
+            *([view.put_live] if view is not None else []),
+        ]
 
     def _move_on_to(self, parts: Parts) -> None:
         """Have each pad that is between two touches go on by the new parts; then so do the sinks."""

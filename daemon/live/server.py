@@ -93,6 +93,11 @@ class LiveServer:
         """
         self._items.put(item)
 
+    @property
+    def is_watched(self) -> bool:
+        """Whether anybody looks."""
+        return bool(self._viewers)
+
     def put_live(self, prediction: LivePrediction) -> None:
         """Take what the model makes of a touch at this moment."""
         self._items.put(prediction)

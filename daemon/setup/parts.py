@@ -12,9 +12,9 @@ from daemon.bridges.bridge import Bridge
 from daemon.bridges.bridges import Key, make_bridges
 from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
-from daemon.events import UNCERTAIN, Event, LivePrediction
+from daemon.events import UNCERTAIN, Event
 from daemon.kept.touch_sink import TouchSink
-from daemon.pipeline import Pipeline
+from daemon.pipeline import Pipeline, Viewers
 from daemon.setup.destinations import (
     link_to_robot,
     open_journal,
@@ -33,7 +33,6 @@ if typing.TYPE_CHECKING:
     from daemon.live.server import LiveServer
 
 Emit = Callable[[Event], None]
-Show = Callable[[LivePrediction], None]
 
 
 class Pad:
@@ -49,14 +48,14 @@ class Pad:
         settings: Settings,
         model: Classifier,
         emit: Emit,
-        show: Show,
+        viewers: Viewers,
         arrived: Signal,
         before: Pad | None = None,
     ) -> None:
         self.name = name
         self.settings = settings
         self.model = model
-        self._emit, self._show = emit, show
+        self._emit, self._viewers = emit, viewers
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
         self.watch: PadWatch = before.watch if before else PadWatch(name)
         sensor = settings.sensor
@@ -65,7 +64,7 @@ class Pad:
             self.sensor = before.sensor
         else:
             self.sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
-        self.pipeline = Pipeline(settings.pipeline, model, emit, pad=name, show=show)
+        self.pipeline = Pipeline(settings.pipeline, model, emit, pad=name, viewers=viewers)
 
     def go_on_from(self, before: Pad) -> None:
         """Take the place of the same pad by other settings, between two touches."""
@@ -74,7 +73,7 @@ class Pad:
             self.model,
             self._emit,
             pad=self.name,
-            show=self._show,
+            viewers=self._viewers,
             before=before.pipeline,
         )
 
@@ -82,7 +81,7 @@ class Pad:
 class Parts:
     """Models, pads and sinks as the settings say; those without a sink for something have None there.
 
-    emit: gets what any part has to say. show: gets what is for the eye alone. arrived: see `Pad`.
+    emit: gets what any part has to say. viewers: see `Pipeline`. arrived: see `Pad`.
     numbers: of messages to a robot.
     before: parts that run now; what the settings leave as it is is taken over from them.
     Nothing runs before it is started. Raises TouchdError when the settings cannot be used; then nothing of it
@@ -93,7 +92,7 @@ class Parts:
         self,
         settings: Settings,
         emit: Emit,
-        show: Show,
+        viewers: Viewers,
         arrived: Signal,
         numbers: Iterator[int],
         before: Parts | None = None,
@@ -111,7 +110,7 @@ class Parts:
             check_pad(settings)
         models = load_models(settings, pads_before)
         self.pads: dict[str, Pad] = {
-            name: Pad(name, pad, models[name], emit, show, arrived, pads_before.get(name))
+            name: Pad(name, pad, models[name], emit, viewers, arrived, pads_before.get(name))
             for name, pad in settings.pads.items()
         }
         acts_alike = before is not None and settings.scene.actions == before.settings.scene.actions

@@ -45,7 +45,7 @@ def play(
                 words = spoken(template, event.gesture, event.confidence, settings.vocabulary)
                 put(RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time())))
 
-    pipeline = Pipeline(settings.pipeline, load_model(settings), emit, show=put_live)
+    pipeline = Pipeline(settings.pipeline, load_model(settings), emit, viewers=lambda: [put_live])
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         frame = Frame(number, sensor_ms, time.monotonic(), counts)
         put_frame(frame)

@@ -162,11 +162,17 @@ def test_without_a_touch_the_model_is_not_run() -> None:
     assert bench.model.asked == bench.model.stepped == []
 
 
+def test_with_nobody_looking_a_mark_asks_about_one_frame() -> None:
+    bench = Bench()
+    bench.feel(palm(4.0), nothing(2.0))
+    assert [len(window) for window in bench.model.stepped] == [27, 53, 54, 80, 81, 108, 135, 143, 144]
+
+
 def test_a_touch_is_shown_as_the_model_sees_it() -> None:
     shown: list[LivePrediction] = []
     classifier = Classifier.load()
     pad, said = MadePad(), list[Event]()
-    pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED, show=shown.append)
+    pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED, viewers=lambda: [shown.append])
     counts = list(pad.counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)])))
     for number, ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
         pipeline.on_frame(Frame(number, ms, 0.0, counts[number]))
