@@ -16,12 +16,13 @@ from daemon.doctor.line import USUAL_BAUDS
 from daemon.doctor.machine import check_robot
 from drivers.pad.diagnosis import as_yaml, propose
 from drivers.pad.format import PRESETS, PadFormat
-from drivers.pad.port import SensorError, open_port, read_waiting
+from drivers.pad.port import Line, SensorError, open_port, read_waiting
 from drivers.pad.protocol import parser_of
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 FIRST_BYTE_S = 3.0
 LISTEN_S = 1.0
+ANSWER_S = 0.5
 ENOUGH_BYTES = 8192
 
 
@@ -46,15 +47,8 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
-    port, baud, described = next(
-        (
-            (port, baud, found)
-            for port in ports
-            for baud in (bauds if "://" not in port else bauds[:1])
-            if (found := _listen(console, port, baud)) is not None
-        ),
-        (options.port or DEFAULT_PORT, bauds[0], None),
-    )
+    found = next((found for port in ports if (found := _listen(console, port, bauds)) is not None), None)
+    port, baud, described = found or (options.port or DEFAULT_PORT, bauds[0], None)
     robot = _ask_robot() if options.robot is None else options.robot
     robot = None if robot in ("", "none") else robot
     text = f"sensor:\n  port: {port}\n  baud: {baud}\n  {as_yaml(described or PRESETS['fabric-grid'])}\n"
@@ -85,22 +79,47 @@ def _ports() -> list[str]:
     return [DEFAULT_PORT, *found] if Path(DEFAULT_PORT).exists() else found
 
 
-def _listen(console: Console, port: str, baud: int) -> PadFormat | None:
-    """Return what a pad on this port sends, None when nothing there is a pad's."""
-    console.print(f"listening at {port}, {baud} baud ...")
+def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int, PadFormat] | None:
+    """Return the port, a baud rate and what a pad sends there, None when nothing there is a pad's."""
+    first_byte_s = FIRST_BYTE_S
+    try:
+        with open_port(port, bauds[0]) as opened:
+            for baud in bauds if "://" not in port else bauds[:1]:
+                console.print(f"listening at {port}, {baud} baud ...")
+                opened.baudrate = baud
+                opened.reset_input_buffer()
+                data = _heard(opened, first_byte_s)
+                # A pad that says nothing at one baud rate says nothing at any, but may answer.
+                described = propose(data) if data else _answering(opened)
+                if described is not None:
+                    return port, baud, described
+                first_byte_s = LISTEN_S if data else 0.0
+    except (SensorError, OSError, ValueError) as error:
+        console.print(str(error), style="yellow", markup=False)
+    return None
+
+
+def _heard(opened: Line, first_byte_s: float) -> bytes:
     data = b""
     silent = parser_of(PRESETS["fabric-grid"])
-    until_s = time.monotonic() + FIRST_BYTE_S
-    try:
-        with open_port(port, baud) as opened:
-            while time.monotonic() < until_s and len(data) < ENOUGH_BYTES:
-                came = read_waiting(opened, silent)
-                until_s = time.monotonic() + LISTEN_S if came and not data else until_s
-                data += came
-    except SensorError as error:
-        console.print(str(error), style="yellow", markup=False)
-        return None
-    return propose(data)
+    until_s = time.monotonic() + first_byte_s
+    while time.monotonic() < until_s and len(data) < ENOUGH_BYTES:
+        came = read_waiting(opened, silent)
+        until_s = time.monotonic() + LISTEN_S if came and not data else until_s
+        data += came
+    return data
+
+
+def _answering(opened: Line) -> PadFormat | None:
+    """Return the preset by which a pad answers when it is asked, if it does."""
+    for described in (preset for preset in PRESETS.values() if preset.poll):
+        parser = parser_of(described)
+        until_s = time.monotonic() + ANSWER_S
+        while time.monotonic() < until_s:
+            parser.feed(read_waiting(opened, parser), time.monotonic())
+        if parser.counts.frames > 1 and not parser.counts.bad:
+            return described
+    return None
 
 
 def _ask_robot() -> str:

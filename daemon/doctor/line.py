@@ -76,7 +76,8 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
             "protocol",
             "to do",
             f"no data within {START_S:g} s",
-            "is it the pad's port? press the reset button of its board; flash its firmware",
+            "is it the pad's port? press the reset button of its board; flash its firmware; a pad that only "
+            "answers needs sensor.format with a poll",
         )
     kind, looks = diagnose(heard.recent, sensor.described)
     if kind == "noise" and (baud := _other_baud(sensor, opened)):

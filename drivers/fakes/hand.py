@@ -156,31 +156,39 @@ GESTURES: Mapping[str, Callable[[RandomState, Series], list[Patch]]] = {
 }
 
 
-def pressure(gesture: str, frames: int, rng: RandomState) -> Series:
-    """Return (frames, 8, 8) counts of pressure: from rest, through the gesture, to a release."""
+def pressure(gesture: str, frames: int, rng: RandomState, cells: tuple[int, int] = (ROWS, COLUMNS)) -> Series:
+    """Return (frames, rows, columns) counts of pressure: from rest, through the gesture, to a release.
+
+    cells: rows and columns of a pad as large as the usual one, whose taxels all places and sizes are in.
+    """
     time_s = np.arange(frames) / FRAME_RATE_HZ
     # Soft hand on soft pad: force grows as the square of how deep it is.
     edge = (np.minimum(time_s, time_s[::-1]) / EDGE_S).clip(max=1.0) ** 2
     strength = edge * rng.lognormal(0.0, 0.25)
     heading = rng.uniform(0.0, 2.0 * np.pi)
     row, column = 3.5 + rng.normal(0.0, 0.5, 2)
-    total = np.zeros((frames, ROWS, COLUMNS))
+    rows, columns = (
+        (np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip(cells, (ROWS, COLUMNS), strict=True)
+    )
+    total = np.zeros((frames, *cells))
     for patch in GESTURES[gesture](rng, time_s):
         centre_row = row + patch.along * np.sin(heading) + patch.across * np.cos(heading)
         centre_column = column + patch.along * np.cos(heading) - patch.across * np.sin(heading)
-        down = np.exp(-0.5 * ((np.arange(ROWS) - centre_row[:, None]) / patch.radius) ** 2)
-        over = np.exp(-0.5 * ((np.arange(COLUMNS) - centre_column[:, None]) / patch.radius) ** 2)
+        down = np.exp(-0.5 * ((rows - centre_row[:, None]) / patch.radius) ** 2)
+        over = np.exp(-0.5 * ((columns - centre_column[:, None]) / patch.radius) ** 2)
         total += (strength * patch.force)[:, None, None].clip(0.0) * down[:, :, None] * over[:, None, :]
     return total
 
 
-def read_pad(pressed: Series, rng: RandomState) -> Counts:
-    """Return the counts (T, 8, 8) uint16 that one pad sends under a pressure (T, 8, 8)."""
-    rest = rng.gamma(2.0, 1.0, (ROWS, 1)) + rng.uniform(-0.5, 0.5, (ROWS, COLUMNS))
-    felt = pressed * rng.lognormal(0.0, UNEVENNESS, (ROWS, COLUMNS))
-    leak = ROW_LEAK * felt.sum(axis=2, keepdims=True)
+def read_pad(pressed: Series, rng: RandomState, full_scale: int = MAX_COUNT) -> Counts:
+    """Return what one pad sends under a pressure (T, rows, columns), uint16, up to `full_scale`."""
+    _, rows, columns = pressed.shape
+    rest = rng.gamma(2.0, 1.0, (rows, 1)) + rng.uniform(-0.5, 0.5, (rows, columns))
+    felt = pressed * rng.lognormal(0.0, UNEVENNESS, (rows, columns))
+    leak = ROW_LEAK * felt.sum(axis=2, keepdims=True) * (COLUMNS / columns)
     noise = NOISE_COUNTS * rng.normal(size=pressed.shape)
-    counts: Counts = np.rint(rest + felt + leak + noise).clip(0, MAX_COUNT).astype(np.uint16)
+    sent = (rest + felt + leak + noise) * (full_scale / MAX_COUNT)
+    counts: Counts = np.rint(sent).clip(0, full_scale).astype(np.uint16)
     return counts
 
 

@@ -2,34 +2,114 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import subprocess
+import sys
+import termios
+import tty
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from rigs.expectations import RECORDINGS, stream_of
+from rigs.robots import needs_qi
+from rigs.sensor_rig import PolledPad
+from rigs.terminal import Terminal
 
+from daemon.commands import init
 from daemon.commands.init import main
 from daemon.config import ConfigError, SensorSettings, load
+from daemon.events import SensorEvent, decode
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
+from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.frame import Counts
+from drivers.pad.format import PRESETS
 
 STREAM = stream_of(next(iter(RECORDINGS)))
+ENCODE = encoder_for(SensorSettings())
 
 
-def test_a_pad_is_found_and_written_down_as_it_is(tmp_path: Path) -> None:
+class Found:
+    """A port as the operating system lists it."""
+
+    def __init__(self, device: str) -> None:
+        self.device = device
+
+
+def at_one_baud_rate(path: list[str], baud: int) -> Callable[[Counts, int], bytes]:
+    """What a pad at this baud rate sends, and what that is at others."""
+
+    def encode(counts: Counts, sensor_ms: int) -> bytes:
+        line = os.open(path[0], os.O_RDWR | os.O_NOCTTY)
+        speed = termios.tcgetattr(line)[5]
+        os.close(line)
+        return ENCODE(counts, sensor_ms) if speed == baud else os.urandom(200)
+
+    return encode
+
+
+def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "touchd.yaml"
-    sensor = SensorSettings()
-    with FakePort(STREAM, encoder_for(sensor), speed=4.0, loop=True) as port:
-        assert main([str(path), "--port", port.path, "--baud", "115200", "--robot", "none"]) == 0
+    slave: list[str] = []
+    pad = FakePort(STREAM, at_one_baud_rate(slave, termios.B57600), speed=4.0, loop=True)
+    slave.append(pad.path)
+    monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
+    monkeypatch.setattr(init, "DEFAULT_PORT", str(tmp_path / "none"))
+    monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
+    with pad:
+        assert main([str(path), "--robot", "none"]) == 0
     settings = load(path)
-    assert settings.sensor.described == sensor.described
-    assert (settings.sensor.port, settings.sensor.baud) == (port.path, 115200)
-    assert settings.robot is None
-    assert settings.journal is not None
+    assert settings.sensor.described == SensorSettings().described
+    assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 57_600)
     with pytest.raises(ConfigError, match="is there already"):
         main([str(path)])
+
+
+def test_a_pad_that_only_answers_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "touchd.yaml"
+    monkeypatch.setattr(init, "FIRST_BYTE_S", 0.3)
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    described = PRESETS["fsr-array"]
+    pad = PolledPad(described, lambda: os.read(master, 64), lambda data: os.write(master, data))
+    try:
+        assert main([str(path), "--port", os.ttyname(slave), "--baud", "9600", "--robot", "none"]) == 0
+    finally:
+        os.close(slave)
+        pad.join()
+        os.close(master)
+    assert load(path).sensor.format == "fsr-array"
 
 
 def test_without_a_pad_the_file_is_written_all_the_same(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     assert main([str(path), "--port", str(tmp_path / "none"), "--baud", "115200", "--robot", "none"]) == 1
     assert load(path).sensor.described == SensorSettings().described
+
+
+@needs_qi
+def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "touchd.yaml"
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    with LoopbackRobot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
+        with Terminal("init", str(path), "--port", port.path, "--baud", "115200") as terminal:
+            terminal.until("The robot's address")
+            terminal.answer(robot.url)
+            assert "pad: fabric-grid 10x10" in terminal.until("robot: ")
+            assert robot.url in terminal.until("next: touchd doctor -c")
+            assert terminal.process.wait(10) == 0
+        assert load(path).robot is not None
+        run = [sys.executable, "-m", "daemon", "run", "-c", str(path)]
+        with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as daemon:
+            assert daemon.stdout is not None
+            robot.calls.wait_for_raise("TouchGesture/Status", "up")
+            daemon.terminate()
+            first, *_ = [decode(line) for line in daemon.stdout if b"sensor" in line]
+            assert isinstance(first, SensorEvent)
+            assert daemon.wait(10) == 0
+    assert (tmp_path / "state/touchd/events.jsonl").stat().st_size > 0

@@ -11,15 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import free_port, live_daemon, serving
+from rigs.made_events import PREDICTION
 from selenium.webdriver import ActionChains, Chrome, Keys
+from selenium.webdriver.common.by import By
 
-from daemon.config import SensorSettings
+from daemon.config import PadSettings, SensorSettings
 from daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from daemon.setup.destinations import encoder_for
 from daemon.setup.words import name_of, vocabulary
@@ -423,6 +426,40 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         why = "Tätscheln bleibt: Reiben führt mit 5 Punkten, 10 sind nötig"
         assert text_of(chrome, "#chances-when") == why
         assert text_of(chrome, "#bars .best") == "Tätscheln"
+
+
+def test_another_pad_is_chosen_to_be_shown_large(chrome: Chrome) -> None:
+    pads = {"head": PadSettings(port="a"), "arm": PadSettings(port="b")}
+    prediction = msgspec.structs.replace(PREDICTION, touch=1, time=NOW)
+
+    def choices() -> list[tuple[str, str]]:
+        found = chrome.find_elements(By.CSS_SELECTOR, "#pads button")
+        return [(button.text, str(button.get_attribute("aria-pressed"))) for button in found]
+
+    with serving(sensors=pads) as served:
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        await_(lambda: choices() == [("head", "true"), ("arm", "false")])
+        rest, pressed = np.zeros((8, 8), np.uint16), np.full((8, 8), 500, np.uint16)
+        for pad, gesture in (("head", "pat"), ("arm", "stroke")):
+            served.sink.put(SensorEvent(state="up", time=NOW, pad=pad))
+            for _ in range(60):
+                served.put_frame(rest, pad)
+            served.sink.put(TouchBegan(touch=1, time=NOW, sensor_ms=18 * 60, pad=pad))
+            served.sink.put(msgspec.structs.replace(prediction, gesture=gesture, pad=pad))
+        served.put_frame(pressed, "arm")
+        await_(lambda: choices() == [("head: pat", "true"), ("arm: stroke", "false")])
+        assert text_of(chrome, "#gesture") == "pat"
+        untouched = chrome.execute_script(CANVAS)
+        chrome.find_elements(By.CSS_SELECTOR, "#pads button")[1].click()
+        await_(lambda: text_of(chrome, "#gesture") == "stroke")
+        assert choices() == [("head: pat", "false"), ("arm: stroke", "true")]
+        await_(lambda: chrome.execute_script(CANVAS) != untouched)
+        # What comes of the pad that is small leaves the large one alone.
+        served.sink.put(msgspec.structs.replace(prediction, gesture="rub", pad="head"))
+        served.put_frame(rest, "head")
+        await_(lambda: choices()[0] == ("head: rub", "false"))
+        assert text_of(chrome, "#gesture") == "stroke"
+        assert chrome.execute_script("return document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_it_reconnects_when_the_daemon_returns(played: Played, tmp_path: Path) -> None:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import TypeGuard
 
 import msgspec
+import numpy as np
 import pytest
 from rigs.expectations import RECORDINGS, expected, stream_of
 from rigs.made_events import PREDICTION
+from rigs.peers import broker, free_port, needs_mosquitto, subscribed, wait_for
 
 from daemon import cli
+from daemon.bridges.settings import MqttSettings
 from daemon.config import (
     MAX_PADS,
     ConfigError,
@@ -31,14 +36,17 @@ from daemon.kept.touch_store import folder_of, kept_touches
 from daemon.kept.touches import read_journal
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.setup.destinations import encoder_for
+from daemon.setup.parts import Parts
 from daemon.sinks import RobotSink
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.stub_robot import StubRobot
 from drivers.pad.format import PRESETS
 from drivers.pad.port import open_port, read_waiting
 from drivers.pad.protocol import parser_of
+from drivers.recording import Stream, ideal_clock_ms
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink, RobotSettings
+from model.classifier import SHIPPED_MODEL
 
 TIME = "2026-11-20T10:00:00.000Z"
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
@@ -87,6 +95,39 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
     label = ["--from-journal", str(journal), "--pad", "left_arm", "--label", "2=pat", "--participant", "anna"]
     assert cli.main(["record", str(tmp_path / "lab"), *label]) == 0
     assert len(list((tmp_path / "lab").glob("anna_*_pat_*"))) == 1
+
+
+def test_pads_share_a_model_unless_one_has_its_own(tmp_path: Path) -> None:
+    own = tmp_path / "own.onnx"
+    own.write_bytes(SHIPPED_MODEL.read_bytes())
+    sensors = {name: PadSettings(port=name, model=str(own) if name == "c" else None) for name in "abc"}
+    parts = Parts(
+        Settings(sensors=sensors), lambda _: None, lambda _: None, threading.Condition(), itertools.count(1)
+    )
+    models = {name: pad.model for name, pad in parts.pads.items()}
+    assert models["a"] is models["b"]
+    assert models["c"] is not models["a"]
+
+
+@needs_mosquitto
+def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
+    def pressing(counts: int) -> FakePort:
+        still = np.full((60, 8, 8), counts, np.uint16)
+        stream = Stream(still, ideal_clock_ms(60), ())
+        return FakePort(stream, encoder_for(SensorSettings()), loop=True)
+
+    port = free_port()
+    with broker(tmp_path, port), subscribed(port, "touchd/+/pressure") as messages:
+        with pressing(100) as head, pressing(200) as arm, (tmp_path / "log").open("wb") as log:
+            settings = Settings(
+                sensors={"head": PadSettings(port=head.path), "arm": PadSettings(port=arm.path)},
+                mqtt=MqttSettings(host="127.0.0.1", port=port, pressure_hz=500),
+            )
+            daemon = SpawnedDaemon(settings, tmp_path, log)
+            wait_for(lambda: len({message.topic for message in messages}) == 2 and len(messages) > 20, 20.0)
+            assert daemon.stop() == 0
+        felt = {(message.topic, json.loads(message.payload)["pressure"][0][0]) for message in messages}
+    assert felt == {("touchd/head/pressure", 100), ("touchd/arm/pressure", 200)}
 
 
 def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> None:

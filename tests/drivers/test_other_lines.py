@@ -5,18 +5,17 @@ from __future__ import annotations
 import os
 import pty
 import socket
-import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import msgspec
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
-from rigs.sensor_rig import assert_played, next_frames, next_state, sensing, stream_of
+from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
 
-from drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
+from drivers.pad.format import PRESETS, PadFormat, layout_of
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
 
@@ -103,32 +102,6 @@ def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
     taken = pytest.raises(SensorError, match="Address already in use")
     with udp_pad() as (address, _), open_port(address, 9600), taken:
         open_port(address, 9600)
-
-
-class PolledPad:
-    """Says nothing of its own accord; answers a question with one frame, however many wait."""
-
-    def __init__(
-        self, described: PadFormat, receive: Callable[[], bytes], give: Callable[[bytes], object]
-    ) -> None:
-        self.asked_s: list[float] = []
-        self.late_s = 0.0
-        self._described = described
-        self._receive, self._give = receive, give
-        self._thread = threading.Thread(target=self._answer)
-        self._thread.start()
-
-    def join(self) -> None:
-        self._thread.join()
-
-    def _answer(self) -> None:
-        with suppress(OSError):
-            while data := self._receive():
-                assert set(data) == set(bytes.fromhex(self._described.poll))
-                self.asked_s.append(time.monotonic())
-                time.sleep(self.late_s)
-                number = len(self.asked_s) % len(STREAM.counts)
-                self._give(encode_frame(self._described, STREAM.counts[number], None))
 
 
 def answered(described: PadFormat, number: int) -> bytes:

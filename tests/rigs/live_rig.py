@@ -22,7 +22,7 @@ from daemon.live.server import LiveServer
 from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import open_live_page
 from daemon.setup.parts import load_model
-from drivers.frame import Frame
+from drivers.frame import DEFAULT_PAD, Counts, Frame
 from model.classifier import Classifier
 
 SERVED = re.compile(r"live page: (http://\S+)/")
@@ -105,7 +105,7 @@ class Served:
     def __init__(self, classifier: Classifier, **settings: Any) -> None:
         self.port = free_port()
         self.settings = Settings(live=LiveSettings(port=self.port), **settings)
-        self.models = {"pad": classifier}
+        self.models = dict.fromkeys(self.settings.pads, classifier)
         self.sink = self.serve(self.settings)
         self._frames = 0
 
@@ -122,12 +122,13 @@ class Served:
         with connect(f"ws://127.0.0.1:{self.port}/stream", compression=None, **options) as viewer:
             yield viewer
 
-    def put_frame(self) -> bytes:
-        """Put a frame unlike any before; return what of it a viewer gets."""
+    def put_frame(self, counts: Counts | None = None, pad: str = DEFAULT_PAD) -> bytes:
+        """Put a frame, unlike any before without counts; return what of it a viewer gets."""
         self._frames += 1
-        counts = np.full((8, 8), self._frames % 1024, np.uint16)
+        if counts is None:
+            counts = np.full((8, 8), self._frames % 1024, np.uint16)
         frame = Frame(self._frames, 18 * self._frames, 0.0, counts)
-        self.sink.put_frame(frame, 0)
+        self.sink.put_frame(frame, 0, pad)
         return encode_frame(frame)
 
     def ask(self, path: str = "/", **headers: str) -> http.client.HTTPResponse:

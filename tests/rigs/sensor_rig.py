@@ -6,12 +6,13 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import numpy as np
 from rigs.formats import FabricGrid
 
 from drivers.frame import Counts, Frame
+from drivers.pad.format import PadFormat, encode_frame
 from drivers.pad.parser import FrameParser
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState
 from drivers.recording import Span, Stream, ideal_clock_ms
@@ -81,3 +82,30 @@ class Switch:
 
 def silence(counts: Counts, sensor_ms: int) -> bytes:
     return b""
+
+
+class PolledPad:
+    """Says nothing of its own accord; answers a question with one frame, however many wait."""
+
+    def __init__(
+        self, described: PadFormat, receive: Callable[[], bytes], give: Callable[[bytes], object]
+    ) -> None:
+        self.asked_s: list[float] = []
+        self.late_s = 0.0
+        self._described = described
+        self._receive, self._give = receive, give
+        self._counts = stream_of(400).counts
+        self._thread = threading.Thread(target=self._answer)
+        self._thread.start()
+
+    def join(self) -> None:
+        self._thread.join()
+
+    def _answer(self) -> None:
+        with suppress(OSError):
+            while data := self._receive():
+                assert set(data) == set(bytes.fromhex(self._described.poll))
+                self.asked_s.append(time.monotonic())
+                time.sleep(self.late_s)
+                number = len(self.asked_s) % len(self._counts)
+                self._give(encode_frame(self._described, self._counts[number], None))

@@ -1,0 +1,36 @@
+"""The ladder of simulated pads: a pad that ruins the answers is seen in its table."""
+
+from __future__ import annotations
+
+import numpy as np
+from rigs.scripted_model import Scripted
+
+from docs.studies.pads import LAB, LADDER, Rung, Score, frames_of, score, table_of
+
+MODEL = Scripted()
+
+
+def test_a_pad_that_feels_nothing_is_marked_ruined() -> None:
+    deaf = Rung("deaf", LAB.described, gain=1 / 64)
+    scores = [(rung, score(rung, 1, MODEL)) for rung in (LAB, deaf)]
+    lab, ruined = (line for line in table_of(scores).splitlines()[2:])
+    assert "6 of 6" in lab
+    assert "**ruined**" not in lab
+    assert "**ruined**" in ruined
+
+
+def test_a_pad_on_which_answers_go_wrong_is_marked_ruined() -> None:
+    lab = Score(30, 30, 20)
+    assert not Score(30, 30, 14).is_ruined(lab)
+    assert Score(30, 30, 13).is_ruined(lab)
+    assert Score(30, 26, 20).is_ruined(lab)
+
+
+def test_every_pad_is_given_the_same_hand() -> None:
+    loads = []
+    for rung in LADDER:
+        felt = np.stack([frame.pressure for frame in frames_of(rung, ["constant"])]).astype(float)
+        at = round(3.0 * rung.described.rate_hz)
+        loads.append((felt[at : at + 40].mean() - felt[:40].mean()) / rung.gain)
+    # The same load on all, whatever their cells, within what their taxels' unequal feeling makes of it.
+    assert max(loads) < 1.35 * min(loads)
