@@ -58,6 +58,8 @@ LIFT_OFF_FRAMES = 13
 # a second and just before a mark, so that at the mark one frame is left to ask about.
 SHOWN_STRIDE_FRAMES = 3
 STRIDE_FRAMES = 27
+# How far ahead an answer must be for frames to wait: twice as long as they do.
+WAIT_FRAMES = 6
 
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
@@ -85,8 +87,8 @@ class Touch:
     """The touch that goes on.
 
     due: the stages still to come, with the length at which each is asked. heard: the model's answers so far,
-    by length. state: the model's, after the touch's first `given` frames. next_gesture: what the last stretch
-    after the final answer was, if it was surely another gesture.
+    by length. state: the model's, after the touch's first `given` frames, of `length` so far. next_gesture:
+    what the last stretch after the final answer was, if it was surely another gesture.
     """
 
     number: int
@@ -97,6 +99,7 @@ class Touch:
     meter: FeelMeter
     heard: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     state: State | None = None
+    length: int = 0
     given: int = 0
     next_gesture: str | None = None
 
@@ -152,6 +155,16 @@ class Pipeline:
         """Whether a touch goes on."""
         return self._touch is not None
 
+    @property
+    def may_wait(self) -> bool:
+        """Whether the next WAIT_FRAMES frames can bring no answer, nor end a touch; they may begin one."""
+        touch = self._touch
+        if touch is None or not self._tracker.is_settled:
+            return self._tracker.is_settled
+        over = touch.length - self._final_frames
+        left = touch.due[0][0] - touch.length if touch.due else -over % ONGOING_STRIDE_FRAMES
+        return left > WAIT_FRAMES and not touch.waits_until_sure
+
     def on_frame(self, frame: Frame) -> None:
         """Take the sensor's next frame."""
         laid = self._ring.push(frame)
@@ -190,6 +203,7 @@ class Pipeline:
         if self._touch is None:
             self._watch_for_disturbance()
         else:
+            self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(frame.pressure)
             self._follow(self._touch, frame)
@@ -240,7 +254,7 @@ class Pipeline:
 
     def _follow(self, touch: Touch, frame: GridFrame) -> None:
         """Give the model the touch's new frames, up to those of the final answer, and keep what it says."""
-        length = frame.index + 1 - touch.first_index
+        length = touch.length
         left = touch.due[0][0] - length if touch.due else 0
         viewers = self._viewers()
         if viewers:
@@ -263,7 +277,7 @@ class Pipeline:
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:
             return
-        length = frame.index + 1 - touch.first_index
+        length = touch.length
         heard = touch.heard.get(length)
         if touch.waits_until_sure and heard is not None and touch.decision.is_sure(heard, length):
             touch.due[0] = (length, "early")

@@ -122,6 +122,11 @@ class Service:
             *([view.put_live] if view is not None else []),
         ]
 
+    def _is_followed(self, pad: Pad) -> bool:
+        """Whether somebody is shown a pad's frames one by one."""
+        bridges = self._parts.bridges.values()
+        return bool(self._viewers()) or any(bridge.pad == pad.name for bridge in bridges)
+
     def _move_on_to(self, parts: Parts) -> None:
         """Have each pad that is between two touches go on by the new parts; then so do the sinks."""
         for name, pad in list(self._pads.items()):
@@ -175,6 +180,7 @@ class Service:
             if parts.kept is not None:
                 parts.kept.take(item, pad.name)
             pad.pipeline.on_frame(item)
+            pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
             self._health.frame_processed(pad.name)
             pad.watch.update(item)
             if self._view is not None and pad.name == next(iter(self._pads)):

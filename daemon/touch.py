@@ -187,6 +187,13 @@ class TouchTracker:
         return max(self._held.first, self._held.last - SMOOTH_FRAMES // 2)
 
     @property
+    def is_settled(self) -> bool:
+        """Whether the pad rests, or is clearly touched: nothing that takes a second look has begun."""
+        if self._held is None:
+            return self._light is None and self._baseline.is_known
+        return self._index == self._held.last and not self.may_be_over
+
+    @property
     def may_be_over(self) -> bool:
         """Whether the touch that goes on has lately looked like an untouched pad."""
         held = self._held

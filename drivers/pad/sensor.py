@@ -20,6 +20,8 @@ log = logging.getLogger(__name__)
 
 # Enough for a diagnosis: many frames of any geometry.
 RECENT_BYTES = 8192
+# Frames that may wait are parsed three at a time, 54 a second: what an empty cache costs is then paid once.
+WAIT_S = 0.03
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -39,6 +41,7 @@ class Sensor:
     The port is reopened whenever it fails, after first_retry_s and then ever longer up to longest_retry_s.
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
     too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
+    may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class Sensor:
         self._backoff = Backoff(first_retry_s, longest_retry_s)
         self._silence_s = silence_s
         self._reopen_after_s = reopen_after_s
+        self.may_wait = False
         self._announcer = Announcer(queue.put)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
@@ -99,26 +103,40 @@ class Sensor:
         self._protocol.reset()
         recent = b""
         byte_s = frame_s = looked_s = time.monotonic()
-        while not self._stop.is_set():
-            data = read_waiting(opened, self._protocol)
-            now_s = time.monotonic()
-            if data:
-                byte_s = now_s
-                recent = (recent + data)[-RECENT_BYTES:]
-                if frames := self._protocol.feed(data, now_s):
-                    frame_s = looked_s = now_s
-                    recent = b""
-                    self._hand_over(frames)
-            if now_s - byte_s > self._reopen_after_s:
-                return
-            if now_s - looked_s > self._silence_s:
-                looked_s = now_s
-                self._explain(recent, frame_s, is_silent=now_s - byte_s > self._silence_s)
+        waiting: list[tuple[bytes, float]] = []
+        try:
+            while not self._stop.is_set():
+                data = read_waiting(opened, self._protocol)
+                now_s = time.monotonic()
+                if data:
+                    byte_s = now_s
+                    waiting.append((data, now_s))
+                    # A pad that is polled is asked again only once its answer has been read.
+                    may_wait = self.may_wait and not self._protocol.poll
+                    if may_wait and now_s - waiting[0][1] < WAIT_S:
+                        continue
+                if waiting:
+                    recent = b"".join([recent, *(data for data, _ in waiting)])[-RECENT_BYTES:]
+                    if self._hand_over(waiting):
+                        frame_s = looked_s = now_s
+                        recent = b""
+                if now_s - byte_s > self._reopen_after_s:
+                    return
+                if now_s - looked_s > self._silence_s:
+                    looked_s = now_s
+                    self._explain(recent, frame_s, is_silent=now_s - byte_s > self._silence_s)
+        finally:
+            self._hand_over(waiting)
 
-    def _hand_over(self, frames: list[Frame]) -> None:
-        self._announcer.up(self._port)
+    def _hand_over(self, waiting: list[tuple[bytes, float]]) -> bool:
+        """Parse the bytes that wait, each with its arrival; return whether they completed a frame."""
+        frames = [frame for data, host_s in waiting for frame in self._protocol.feed(data, host_s)]
+        waiting.clear()
+        if frames:
+            self._announcer.up(self._port)
         for frame in frames:
             self._queue.put(frame)
+        return bool(frames)
 
     def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
         """Say why no frame has come since `since_s`."""

@@ -14,7 +14,7 @@ from rigs.scripted_model import LABELS, Scripted
 
 from daemon.decide import SURE, DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
-from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
 from daemon.touch import TouchSettings
 from drivers.frame import MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings
@@ -166,6 +166,20 @@ def test_with_nobody_looking_a_mark_asks_about_one_frame() -> None:
     bench = Bench()
     bench.feel(palm(4.0), nothing(2.0))
     assert [len(window) for window in bench.model.stepped] == [27, 53, 54, 80, 81, 108, 135, 143, 144]
+
+
+def test_no_frame_may_wait_shortly_before_anything_is_said() -> None:
+    bench = Bench()
+    may_wait: list[bool] = []
+    said_at: list[int] = []
+    for pressure in np.concatenate([nothing(1.0), palm(5.0), nothing(2.0), pat(1.2), nothing(2.0)]):
+        events = bench.feel(pressure[None])
+        if any(not isinstance(event, TouchBegan) for event in events):
+            said_at.append(len(may_wait))
+        may_wait.append(bench.pipeline.may_wait)
+    assert len(said_at) >= 6
+    assert not any(may_wait[at - WAIT_FRAMES + ahead] for at in said_at for ahead in range(WAIT_FRAMES))
+    assert np.mean(may_wait) > 0.5
 
 
 def test_a_touch_is_shown_as_the_model_sees_it() -> None:
