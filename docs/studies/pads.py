@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.random import RandomState
 
@@ -51,6 +52,8 @@ LADDER = (
     LAB,
     *(Rung(f"`{name}`", preset) for name, preset in PRESETS.items() if name != "fabric-grid"),
     Rung("32x32, 12 bit, 100 Hz", FINE),
+    Rung("the lab's, 20 Hz", msgspec.structs.replace(LAB.described, rate_hz=20)),
+    Rung("the lab's, 500 Hz", msgspec.structs.replace(LAB.described, rate_hz=500)),
     Rung("the lab's, half as sensitive", PRESETS["fabric-grid"], 0.5),
     Rung("the lab's, twice as sensitive", PRESETS["fabric-grid"], 2.0),
 )

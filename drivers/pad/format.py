@@ -84,23 +84,14 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise FormatError(f"full_scale {self.full_scale} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
-        framing = (
-            "framing",
-            "header",
-            "footer",
-            "end",
-            "clock",
-            "cell",
-            "order",
-            "checksum",
-            "poll",
-        )
-        same = (
-            name
-            for name, preset in PRESETS.items()
-            if all(getattr(preset, field) == getattr(self, field) for field in framing)
-        )
-        return f"{next(same, self.framing)} {self.rows}x{self.columns}"
+        alike = (name for name, preset in PRESETS.items() if preset.line == self.line)
+        return f"{next(alike, self.framing)} {self.rows}x{self.columns}"
+
+    @property
+    def line(self) -> tuple[object, ...]:
+        """What comes over the line, whatever the grid and its values."""
+        cells = (self.cell, self.order, self.checksum, self.poll)
+        return (self.framing, self.header, self.footer, self.end, self.clock, *cells)
 
     @property
     def cells(self) -> int:
