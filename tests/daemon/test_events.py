@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from rigs.made_events import PREDICTION, TIME
 
 from daemon.events import (
     EndReason,
@@ -32,28 +33,13 @@ from daemon.kept.journal import MAX_EVENT_BYTES
 from daemon.pad.feel import Feel
 from model.classifier import ModelMetadata
 
-TIME = "2026-11-20T10:00:00.000Z"
 EVENTS: list[tuple[Event, dict[str, object]]] = [
     (
         TouchBegan(touch=7, time=TIME, sensor_ms=81234),
         {"type": "touch_began", "touch": 7, "time": TIME, "sensor_ms": 81234, "pad": "pad"},
     ),
     (
-        Prediction(
-            touch=7,
-            stage="early",
-            frames=54,
-            elapsed_s=1.0,
-            gesture="stroke",
-            confidence=0.81,
-            probabilities={"pat": 0.19, "stroke": 0.81},
-            changed=True,
-            told=True,
-            degraded=False,
-            latency_ms=1.9,
-            model="tgc",
-            time=TIME,
-        ),
+        PREDICTION,
         {
             "type": "prediction",
             "touch": 7,
@@ -67,7 +53,7 @@ EVENTS: list[tuple[Event, dict[str, object]]] = [
             "told": True,
             "degraded": False,
             "latency_ms": 1.9,
-            "model": "tgc",
+            "model": "touchd-1",
             "time": TIME,
             "pad": "pad",
             "age_ms": 0.0,

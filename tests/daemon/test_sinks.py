@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from daemon.events import SensorEvent, TouchBegan, decode
 from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
@@ -208,7 +209,7 @@ import json, logging, sys
 from pathlib import Path
 from daemon.kept.journal import Journal
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-path = Path(sys.argv[1])
+path = Path(sys.argv[1]) / "events.jsonl"
 ballast = path.with_name("ballast")
 ballast.write_bytes(bytes(16_384))
 journal = Journal(path, max_bytes=10**9, keep=1)
@@ -225,26 +226,9 @@ assert after == [*full, -1], after[-5:]
 """
 
 
-@pytest.mark.skipif(
-    subprocess.run(
-        ["unshare", "--mount", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
-    ).returncode
-    != 0,
-    reason="a small disk cannot be mounted here",
-)
-def test_a_journal_survives_a_really_full_disk(
-    tmp_path: Path,
-) -> None:
-    mounted = 'mount -t tmpfs -o size=64k none "$0" && exec "$1" -c "$2" "$0/events.jsonl"'
-    done = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", mounted, str(tmp_path), sys.executable, FILL_A_SMALL_DISK],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=20,
-    )
-    assert done.returncode == 0, done.stderr
-    warning, recovery = done.stderr.splitlines()
+@needs_small_disk
+def test_a_journal_survives_a_really_full_disk(tmp_path: Path) -> None:
+    warning, recovery = log_on_small_disk(tmp_path, 64, FILL_A_SMALL_DISK)
     assert warning.startswith("WARNING")
     assert "No space left on device; events are not kept" in warning
     assert recovery.startswith("INFO")

@@ -18,6 +18,7 @@ import pytest
 from rigs.felt_touch import felt
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
+from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
 from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
@@ -305,25 +306,9 @@ assert len(list(folder.iterdir())) == len(whole) + 1, list(folder.iterdir())
 """
 
 
-@pytest.mark.skipif(
-    subprocess.run(
-        ["unshare", "--mount", "mount", "-t", "tmpfs", "none", "/mnt"], capture_output=True, check=False
-    ).returncode
-    != 0,
-    reason="a small disk cannot be mounted here",
-)
+@needs_small_disk
 def test_a_full_disk_leaves_only_whole_files(tmp_path: Path) -> None:
-    mounted = 'mount -t tmpfs -o size=96k none "$0" && exec "$1" -c "$2" "$0"'
-    done = subprocess.run(
-        ["unshare", "--mount", "sh", "-c", mounted, str(tmp_path), sys.executable, FILL_A_SMALL_DISK],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=25,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
-    )
-    assert done.returncode == 0, done.stderr
-    warning, recovery = done.stderr.splitlines()
+    warning, recovery = log_on_small_disk(tmp_path, 96, FILL_A_SMALL_DISK)
     assert warning.startswith("WARNING the frames of touches are not kept until that is mended")
     assert "No space left on device" in warning
     assert recovery == "INFO the frames of touches are kept again; those of 20 were lost"
