@@ -6,6 +6,8 @@ import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import PERIOD_MS, assert_are, counts_of, flip, packet, packets
 
+from drivers.pad.clock import ArrivalClock
+
 
 def test_the_clock_may_wrap_after_49_days() -> None:
     first_ms = 2**32 - 3 * PERIOD_MS
@@ -75,3 +77,9 @@ def test_a_reset_forgets_half_a_frame_and_the_clock() -> None:
     assert_are(frames, [0, 1], 0)
     assert [frame.number for frame in frames] == [2, 3]
     assert parser.counts.bytes_dropped == 50
+
+
+def test_a_pad_off_its_stated_rate_is_followed_within_seconds() -> None:
+    clock, arrivals_s = ArrivalClock(54.0), [100.0 + number / 51.3 for number in range(270)]
+    off_ms = [clock.stamp_ms(arrival_s) - 1000.0 * arrival_s for arrival_s in arrivals_s]
+    assert max(map(abs, off_ms[108:])) <= 1.0
