@@ -13,7 +13,7 @@ from daemon.commands.label import label, label_of
 from daemon.commands.numbers import within
 from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.recording_file import prepare
-from daemon.recorder.capture import Pad
+from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import Dialogue, Terms
 from daemon.recorder.session import NAME_RULE, Session, is_name
 from daemon.terminal.ask import Stopped, ask_name
@@ -98,7 +98,7 @@ def _record(console: Console, options: argparse.Namespace) -> None:
     logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)
     prepare(options.folder)
-    with Pad(settings) as pad:
+    with PadReader(settings) as pad:
         terms = Terms(options.seconds, options.countdown, options.licence)
         Dialogue(console, pad, settings, _session(console, options), terms).run()
 

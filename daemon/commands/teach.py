@@ -14,7 +14,7 @@ from rich.console import Console
 from daemon.commands.settings import add_settings, settings_of
 from daemon.config import ConfigError, Settings, load
 from daemon.kept.recording_file import prepare
-from daemon.recorder.capture import Pad
+from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import Dialogue, Terms
 from daemon.recorder.session import NAME_RULE, Session, is_name
 from daemon.terminal.ask import Stopped, ask, ask_name
@@ -91,7 +91,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
     # The dialogue tells what the sensor logs; on standard error it would tear the bar.
     logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)
-    with Pad(settings) as pad:
+    with PadReader(settings) as pad:
         terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True)
         Dialogue(console, pad, settings, session, terms).run()
 

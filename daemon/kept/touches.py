@@ -17,7 +17,7 @@ TAIL_BYTES = 4_000_000
 
 
 @dataclass
-class Touch:
+class ReportedTouch:
     """One touch. ended: None when it goes on, or when its end is not known."""
 
     began: TouchBegan
@@ -25,14 +25,14 @@ class Touch:
     ended: TouchEnded | None = None
 
 
-def gather(events: Iterable[Event]) -> list[Touch]:
+def gather(events: Iterable[Event]) -> list[ReportedTouch]:
     """Return the touches that events tell of, in order; what belongs to none of them is left out."""
-    touches: list[Touch] = []
-    latest: dict[str, Touch] = {}
+    touches: list[ReportedTouch] = []
+    latest: dict[str, ReportedTouch] = {}
     for event in events:
         match event:
             case TouchBegan():
-                latest[event.pad] = Touch(event)
+                latest[event.pad] = ReportedTouch(event)
                 touches.append(latest[event.pad])
             case Prediction() | TouchEnded():
                 touch = latest.get(event.pad)
@@ -45,7 +45,7 @@ def gather(events: Iterable[Event]) -> list[Touch]:
     return touches
 
 
-def read_journal(path: Path) -> list[Touch]:
+def read_journal(path: Path) -> list[ReportedTouch]:
     """Return the touches in the last part of a journal; raises JournalError when it is none."""
     try:
         with path.open("rb") as file:
@@ -70,7 +70,7 @@ def read_journal(path: Path) -> list[Touch]:
     return gather(events)
 
 
-def read_since(path: Path, time: str) -> list[Touch]:
+def read_since(path: Path, time: str) -> list[ReportedTouch]:
     """Return the touches of a journal that began at a time (as in events) or later, oldest first.
 
     Looks through older files (path.1 and so on) too, as far back as needed; passes over half lines and what

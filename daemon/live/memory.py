@@ -16,7 +16,7 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.live.messages import Felt, State
+from daemon.live.messages import PageState, PageTouch
 from daemon.live.scene import Scene
 from daemon.setup.words import name_of
 from drivers.frame import FRAME_RATE_HZ
@@ -33,7 +33,7 @@ class Memory:
         self._sensor: SensorEvent | None = None
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None
-        self._touches: deque[Felt] = deque(maxlen=TOUCHES)
+        self._touches: deque[PageTouch] = deque(maxlen=TOUCHES)
 
     def put(self, event: Event) -> None:
         """Remember an event; a touch whose beginning is not known is left out."""
@@ -46,14 +46,14 @@ class Memory:
                 self._action = event
             case TouchBegan():
                 self._action = None
-                self._touches.append(Felt(began=event, predictions=(), ended=None))
+                self._touches.append(PageTouch(began=event, predictions=(), ended=None))
             case Prediction() | TouchEnded():
                 self._add(event)
 
-    def state(self, page: str, pad: str, pads: tuple[str, ...]) -> State:
+    def state(self, page: str, pad: str, pads: tuple[str, ...]) -> PageState:
         """Return it all; page: stamp of the page's files. pad: which this is of all pads."""
         scene = self.scene
-        return State(
+        return PageState(
             page=page,
             pad=pad,
             pads=pads,

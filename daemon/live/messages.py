@@ -1,7 +1,7 @@
 """What the page is sent: the daemon's events as they are, and besides them frames, state and status.
 
 Everything is JSON, but a frame: 133 bytes, little-endian, its sensor_ms (uint32), 64 counts (uint16), and the
-pad's place in `State.pads` (uint8).
+pad's place in `PageState.pads` (uint8).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ CLOCK = struct.Struct("<I")
 CLOCK_MASK = 0xFFFFFFFF
 
 
-class Felt(msgspec.Struct, frozen=True, kw_only=True):
+class PageTouch(msgspec.Struct, frozen=True, kw_only=True):
     """A touch so far: how it began, what was said of it, and how it ended if it has."""
 
     began: TouchBegan
@@ -25,7 +25,7 @@ class Felt(msgspec.Struct, frozen=True, kw_only=True):
     ended: TouchEnded | None
 
 
-class State(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
+class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
     """All that a page must know when it comes, or was too slow for a while.
 
     pad: which it is of, of all pads.
@@ -50,7 +50,7 @@ class State(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="st
     action: RobotAction | None
     sensor: SensorEvent | None
     robot: RobotEvent | None
-    touches: tuple[Felt, ...]
+    touches: tuple[PageTouch, ...]
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):

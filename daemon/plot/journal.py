@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from daemon.events import Stage
-from daemon.kept.touches import Touch
+from daemon.kept.touches import ReportedTouch
 from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
 from drivers.frame import FRAME_RATE_HZ
 
@@ -27,7 +27,7 @@ COLUMN_OF: Mapping[Stage, int] = {
 COLUMN_NAMES = ("early", "revised", "final", "later, the last")
 
 
-def draw(touches: Sequence[Touch], title: str) -> Figure:
+def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
     """Return the picture of touches, the oldest at the top; raises PlotError when there is none."""
     if not touches:
         raise PlotError(f"{title}: no touch in it yet, so nothing to draw")
@@ -42,7 +42,7 @@ def draw(touches: Sequence[Touch], title: str) -> Figure:
     return figure
 
 
-def _draw_answers(axes: Axes, touches: Sequence[Touch], gestures: Sequence[str]) -> None:
+def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
     for row, touch in enumerate(touches):
         last = {COLUMN_OF[answer.stage]: answer for answer in touch.predictions}
         for column, answer in last.items():
@@ -58,7 +58,7 @@ def _draw_answers(axes: Axes, touches: Sequence[Touch], gestures: Sequence[str])
     axes.tick_params(length=0)
 
 
-def _draw_lengths(axes: Axes, touches: Sequence[Touch], gestures: Sequence[str]) -> None:
+def _draw_lengths(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
     for row, touch in enumerate(touches):
         told = touch.ended.gesture if touch.ended else "not over"
         colour = colour_of(told, gestures) if touch.ended else PALE
@@ -71,11 +71,11 @@ def _draw_lengths(axes: Axes, touches: Sequence[Touch], gestures: Sequence[str])
     axes.tick_params(axis="y", length=0, labelleft=False)
 
 
-def _length_s(touch: Touch) -> float:
+def _length_s(touch: ReportedTouch) -> float:
     if touch.ended is not None:
         return touch.ended.frames / FRAME_RATE_HZ
     return max((answer.elapsed_s for answer in touch.predictions), default=0.0)
 
 
-def _name(touch: Touch) -> str:
+def _name(touch: ReportedTouch) -> str:
     return f"{touch.began.time[:10]} {touch.began.time[11:19]}   touch {touch.began.touch}"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from daemon.config import Settings
 from daemon.decide import NO_TOUCH, ProbabilityModel
 from daemon.events import UNCERTAIN, Event, Stage, TouchBegan
-from daemon.kept.touches import Touch, gather
+from daemon.kept.touches import ReportedTouch, gather
 from daemon.pipeline import Pipeline
 from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
 from drivers.frame import FRAME_RATE_HZ, Frame
@@ -42,7 +42,7 @@ LEAST_SCALE_COUNTS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class Felt:
+class Trace:
     """A stream as the pipeline felt it: when each frame came, in seconds, its rise above rest, the touches.
 
     time_s: (T,). rise: (T, 8, 8) counts. starts_s: when each touch began.
@@ -51,7 +51,7 @@ class Felt:
     stream: Stream
     time_s: NDArray[np.float64]
     rise: NDArray[np.float64]
-    touches: list[Touch]
+    touches: list[ReportedTouch]
     starts_s: list[float]
 
     def ends_s(self, number: int) -> float:
@@ -70,7 +70,7 @@ class Felt:
         return max(self.stream.spans, key=overlap_s).gesture
 
 
-def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Felt:
+def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Trace:
     """Send a stream through the pipeline; raises PlotError when it is too long for one picture."""
     steps_ms = np.diff(stream.sensor_ms)
     # A clock that starts anew goes back, time does not.
@@ -92,10 +92,10 @@ def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Felt:
     touches = gather(events)
     began_at = [at for at, event in zip(told_at, events, strict=False) if isinstance(event, TouchBegan)]
     starts_s = [_start_s(stream, time_s, at, touch) for at, touch in zip(began_at, touches, strict=True)]
-    return Felt(stream, time_s, _rise(stream, restarts), touches, starts_s)
+    return Trace(stream, time_s, _rise(stream, restarts), touches, starts_s)
 
 
-def _start_s(stream: Stream, time_s: NDArray[np.float64], noticed_at: int, touch: Touch) -> float:
+def _start_s(stream: Stream, time_s: NDArray[np.float64], noticed_at: int, touch: ReportedTouch) -> float:
     """Return when a touch truly began, which was a little before it was noticed."""
     noticed_ms = int(stream.sensor_ms[noticed_at])
     return float(time_s[noticed_at]) - (noticed_ms - touch.began.sensor_ms) / 1000
@@ -112,7 +112,7 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
     return rise
 
 
-def draw(felt: Felt, title: str) -> Figure:
+def draw(felt: Trace, title: str) -> Figure:
     """Return the picture of a stream."""
     gestures = sorted({span.gesture for span in felt.stream.spans} - {NO_TOUCH})
     rows = _rows(felt)
@@ -139,7 +139,7 @@ def draw(felt: Felt, title: str) -> Figure:
     return figure
 
 
-def _rows(felt: Felt) -> list[tuple[float, float]]:
+def _rows(felt: Trace) -> list[tuple[float, float]]:
     """Return from when to when, in seconds, each row shows the stream: of like length, broken in a quiet."""
     end_s = float(felt.time_s[-1])
     count = max(1, math.ceil(end_s / ROW_S))
@@ -154,7 +154,7 @@ def _rows(felt: Felt) -> list[tuple[float, float]]:
     return list(pairwise(sorted(breaks_s)))
 
 
-def _draw_pressure(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+def _draw_pressure(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
     """Draw the pad's whole pressure in the true gesture's colour, and shade the touches that were felt."""
     first, last = np.searchsorted(felt.time_s, [begin_s, end_s]).tolist()
     load = felt.rise.sum(axis=(1, 2))
@@ -188,7 +188,7 @@ def _draw_pressure(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: flo
     bare(axes, "left", "bottom")
 
 
-def _draw_answers(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
     """Draw each answer in the lane of its stage, at its time."""
     for number, touch in enumerate(felt.touches):
         truth = felt.truth(number)
@@ -208,7 +208,7 @@ def _draw_answers(axes: Axes, felt: Felt, gestures: Sequence[str], begin_s: floa
     axes.tick_params(length=0)
 
 
-def _draw_pads(figure: SubFigure, felt: Felt, gestures: Sequence[str], rows: int, columns: int) -> None:
+def _draw_pads(figure: SubFigure, felt: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
     """Draw the mean pad of each gesture, each on a scale of its own: a light touch would else not show."""
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in all_axes[len(gestures) :]:

@@ -45,7 +45,7 @@ class Capture:
         return Recording(participant, substrate, cover, gesture, counts, clock_ms.astype(np.int64), "live")
 
 
-class Pad:
+class PadReader:
     """Reads the pad from beginning to end of a session; a context manager."""
 
     def __init__(self, settings: Settings) -> None:
@@ -57,7 +57,7 @@ class Pad:
         self._troubles: dict[Kind, str] = {}
         self._away = ""
 
-    def __enter__(self) -> Pad:
+    def __enter__(self) -> PadReader:
         self._sensor.start()
         return self
 

@@ -13,7 +13,7 @@ from rich.console import Console
 from daemon.config import Settings
 from daemon.events import timestamp
 from daemon.kept.recording_file import keep
-from daemon.recorder.capture import Capture, Contact, Pad, PadLost, complaints
+from daemon.recorder.capture import Capture, Contact, PadLost, PadReader, complaints
 from daemon.recorder.progress import progress
 from daemon.recorder.session import Session, Take
 from daemon.setup.destinations import description_of
@@ -57,7 +57,7 @@ class Dialogue:
     """Asks for every recording of a session that is not there yet."""
 
     def __init__(
-        self, console: Console, pad: Pad, settings: Settings, session: Session, terms: Terms
+        self, console: Console, pad: PadReader, settings: Settings, session: Session, terms: Terms
     ) -> None:
         self._console = console
         self._pad = pad

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from daemon.events import UNCERTAIN, Prediction
 from daemon.kept.touch_store import KeptFrames, KeptTouch
-from daemon.kept.touches import Touch
+from daemon.kept.touches import ReportedTouch
 from daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from daemon.terminal.palette import palette_for
 from drivers.frame import FRAME_RATE_HZ
@@ -45,7 +45,7 @@ class Offered:
     """A kept touch, and what the journal says of it; None where its lines are gone."""
 
     kept: KeptTouch
-    said: Touch | None
+    said: ReportedTouch | None
 
     @property
     def taken_for(self) -> str:

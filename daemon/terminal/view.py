@@ -55,7 +55,7 @@ GAP = 2
 
 
 @dataclass
-class Felt:
+class ShownTouch:
     """A touch so far. trace: seconds since it began, and counts in all."""
 
     number: int
@@ -106,7 +106,7 @@ class View:
         self._pressure = np.zeros((ROWS, COLUMNS))
         self._recent: deque[float] = deque([0.0], maxlen=LATE_FRAMES)
         self._last_ms: int | None = None
-        self._touches: deque[Felt] = deque(maxlen=TOUCHES)
+        self._touches: deque[ShownTouch] = deque(maxlen=TOUCHES)
         self._labels: dict[str, str] = {}
         self._now: LivePrediction | None = None
         self._pad = ""
@@ -167,7 +167,7 @@ class View:
                 self._now = None
             match event:
                 case TouchBegan():
-                    felt = Felt(event.touch)
+                    felt = ShownTouch(event.touch)
                     felt.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
                     self._touches.append(felt)
                     self._said_by_robot = ""
@@ -231,7 +231,7 @@ class View:
             lines.append(line)
         return [*lines, self._robot_line(), self._note_line()]
 
-    def _going_on(self) -> Felt | None:
+    def _going_on(self) -> ShownTouch | None:
         touch = self._touches[-1] if self._touches else None
         return touch if touch is not None and touch.ended is None else None
 
@@ -276,7 +276,7 @@ class View:
         ramp = [Segment("▄", palette.paper + Style(color=shade)) for shade in shades]
         return [Segment(f"{light} ", palette.muted), *ramp, Segment(f" {firm}", palette.muted)]
 
-    def _last_touch(self, touch: Felt) -> Line:
+    def _last_touch(self, touch: ShownTouch) -> Line:
         palette = self._palette
         changes = list(dict.fromkeys(said.gesture for said in touch.said))
         line = [
@@ -323,13 +323,13 @@ class View:
             lines += [bar, []] if is_high else [bar]
         return lines
 
-    def _which(self, touch: Felt | None) -> str:
+    def _which(self, touch: ShownTouch | None) -> str:
         if touch is None:
             return self._term("no touch")
         key = "touch" if touch.ended is None else "last"
         return self._term(key, number=touch.number, length=f"{touch.length_s:.1f}")
 
-    def _answer(self, touch: Felt | None) -> tuple[str, Style]:
+    def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
         palette = self._palette
         if touch is None or (touch.ended is not None and not touch.said):
             return self._term("no pad" if self._pad == "down" else "touch me"), palette.faint
@@ -340,7 +340,7 @@ class View:
             return word, palette.muted
         return word, palette.changed if self._before(touch, len(touch.said) - 1) else palette.accent
 
-    def _remarks(self, touch: Felt | None) -> list[Line]:
+    def _remarks(self, touch: ShownTouch | None) -> list[Line]:
         palette = self._palette
         if touch is None or not touch.said:
             return [[], []]
@@ -361,14 +361,14 @@ class View:
             remark.append(Segment(f" · {likelier}", palette.muted))
         return [sure, remark]
 
-    def _flag(self, touch: Felt, at: int) -> Flag:
+    def _flag(self, touch: ShownTouch, at: int) -> Flag:
         said = touch.said[at]
         before = self._before(touch, at)
         told = " ✓" if said.told else ""
         text = f"{'↻ ' if before else ''}{self._name(said.gesture)} {said.confidence:.0%}{told}"
         return Flag(said.elapsed_s, text, bool(before))
 
-    def _before(self, touch: Felt, at: int) -> str:
+    def _before(self, touch: ShownTouch, at: int) -> str:
         """Return the name of the answer that this one replaced, "" for none."""
         said = touch.said[at]
         earlier = [one.gesture for one in touch.said[:at] if one.gesture != said.gesture]

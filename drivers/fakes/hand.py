@@ -212,7 +212,7 @@ def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
     ]
 
 
-def record(path: Path, script: Sequence[tuple[str, float]], seed: int) -> None:
+def write_simulated(path: Path, script: Sequence[tuple[str, float]], seed: int) -> None:
     """Write what `simulate` returns to a new .csv or .csv.gz file that says of itself what it is.
 
     Raises RecordingError when the file is there already or cannot be written.

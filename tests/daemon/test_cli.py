@@ -26,7 +26,7 @@ from daemon.setup.parts import check_fit
 from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
 from docs.studies.__main__ import STUDIES
-from drivers.fakes.hand import record
+from drivers.fakes.hand import write_simulated
 from drivers.recording import Recording, Selection, read_recordings, write_recordings
 from drivers.robot.session import qi_installed
 from model.classifier import Classifier
@@ -225,7 +225,7 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], with_qi: bool
 ) -> None:
     recording = tmp_path / "demo.csv.gz"
-    record(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
+    write_simulated(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
     monkeypatch.setattr(demo, "DEMO_RECORDING", recording)
     monkeypatch.setattr(demo, "PACE", 5.0)
     monkeypatch.setattr(demo, "qi_installed", lambda: with_qi)

@@ -22,9 +22,9 @@ from daemon.kept.touches import gather, read_journal
 from daemon.plot import journal as plot_journal
 from daemon.plot import recording as plot_recording
 from daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
-from daemon.plot.recording import Felt, feel
+from daemon.plot.recording import Trace, feel
 from daemon.setup.parts import load_model
-from drivers.fakes.hand import record, simulate
+from drivers.fakes.hand import simulate, write_simulated
 from drivers.recording import UNLABELLED, Recording, splice
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
@@ -36,7 +36,7 @@ def recordings(seed: int = 4) -> list[Recording]:
 
 
 @pytest.fixture(scope="module")
-def felt() -> Felt:
+def felt() -> Trace:
     return feel(splice(recordings()), Settings(), load_model(Settings()))
 
 
@@ -47,7 +47,7 @@ def words(figure: object) -> list[str]:
     return [text.get_text() for text in figure.findobj(Text)]  # type: ignore[attr-defined]
 
 
-def test_touches_are_placed_where_they_truly_began_and_ended(felt: Felt) -> None:
+def test_touches_are_placed_where_they_truly_began_and_ended(felt: Trace) -> None:
     spans = [span for span in felt.stream.spans if span.gesture != "notouch"]
     assert len(felt.touches) == 2
     for number, span in enumerate(spans):
@@ -56,7 +56,7 @@ def test_touches_are_placed_where_they_truly_began_and_ended(felt: Felt) -> None
         assert felt.truth(number) == span.gesture
 
 
-def test_pressure_is_told_above_rest(felt: Felt) -> None:
+def test_pressure_is_told_above_rest(felt: Trace) -> None:
     load = felt.rise.sum(axis=(1, 2))
     rest, rub = felt.stream.spans[:2]
     assert abs(load[rest.start : rest.stop].mean()) < 10
@@ -84,7 +84,7 @@ def test_an_answer_is_wrong_only_where_labels_exist(gesture: str, is_red: bool) 
     assert ("#c00000" in colours) == is_red
 
 
-def test_every_answer_stands_at_its_mark(felt: Felt) -> None:
+def test_every_answer_stands_at_its_mark(felt: Trace) -> None:
     figure = plot_recording.draw(felt, "a title")
     marks = {
         round(float(np.asarray(line.get_xdata())[0]), 2)
@@ -108,7 +108,7 @@ def test_every_answer_stands_at_its_mark(felt: Felt) -> None:
 @pytest.fixture
 def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    record(tmp_path / "mine.csv.gz", SCRIPT, 4)
+    write_simulated(tmp_path / "mine.csv.gz", SCRIPT, 4)
     return tmp_path / "mine.csv.gz"
 
 

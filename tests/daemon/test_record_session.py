@@ -15,7 +15,7 @@ from rigs.terminal import Terminal
 from daemon import cli
 from daemon.config import SensorSettings, Settings
 from daemon.kept.recording_file import keep
-from daemon.recorder.capture import Pad, PadLost
+from daemon.recorder.capture import PadLost, PadReader
 from daemon.recorder.session import Session
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.hand import simulate
@@ -51,7 +51,7 @@ def port(hand: Hand) -> Iterator[FakePort]:
 
 
 def test_a_pad_unplugged_while_it_is_recorded_is_told(port: FakePort) -> None:
-    with Pad(Settings(sensor=SensorSettings(port=port.path))) as pad:
+    with PadReader(Settings(sensor=SensorSettings(port=port.path))) as pad:
         assert pad.await_frame(5.0) == ""
         frames = pad.follow(60.0)
         next(frames)

@@ -10,7 +10,7 @@ import pytest
 from rigs.haart_folder import needs_haart
 
 from daemon.playback.stream import DEMO_RECORDING as DEMO
-from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, record, simulate
+from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from drivers.recording import Recording, RecordingError, Selection, read_recordings, splice
 from model.classifier import Classifier
@@ -129,7 +129,7 @@ def test_the_demo_recording_is_small_and_says_simulated(tmp_path: Path) -> None:
     assert DEMO.stat().st_size < MAX_DEMO_BYTES
 
     plain = tmp_path / "demo.csv"
-    record(plain, [("notouch", 0.1)], seed=5)
+    write_simulated(plain, [("notouch", 0.1)], seed=5)
     head = [line for line in plain.read_text().splitlines() if line.startswith("#")]
     assert head[0].startswith("# source: SIMULATED")
     assert "# seed: 5" in head
@@ -141,7 +141,7 @@ def test_a_recording_is_never_written_over_another(tmp_path: Path) -> None:
     path.write_text("keep me")
 
     with pytest.raises(RecordingError):
-        record(path, [("notouch", 0.1)], seed=5)
+        write_simulated(path, [("notouch", 0.1)], seed=5)
     assert path.read_text() == "keep me"
 
 

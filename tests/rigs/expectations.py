@@ -20,7 +20,7 @@ from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
 from daemon.playback.stream import DEMO_RECORDING as DEMO
 from daemon.setup.parts import load_model
-from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, record
+from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 from drivers.recording import Stream, read_recordings, splice
 from model.classifier import Classifier
 
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> None:
     if "--record" in arguments:
         for path, (script, seed) in RECORDINGS.items():
             path.unlink(missing_ok=True)
-            record(path, script, seed)
+            write_simulated(path, script, seed)
     classifier = load_model(Settings())
     for path in RECORDINGS:
         lines = [json.dumps(line) for line in outline(answers(stream_of(path), classifier))]

@@ -48,7 +48,7 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Felt:
+class TrackedTouch:
     """A touch as the tracker had it, in frame indices; ended is None while it goes on."""
 
     noticed: int
@@ -94,7 +94,7 @@ def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
     return cases
 
 
-def feel(scans: Scans, settings: TouchSettings) -> Iterator[Felt]:
+def feel(scans: Scans, settings: TouchSettings) -> Iterator[TrackedTouch]:
     """Run a tracker over (T, 8, 8) counts; yield each touch when noticed (ended None) and when ended."""
     tracker = TouchTracker(settings)
     noticed = first = 0
@@ -102,12 +102,12 @@ def feel(scans: Scans, settings: TouchSettings) -> Iterator[Felt]:
         match tracker.update(GridFrame(index, index * 1000 / FRAME_RATE_HZ, 0.0, scan, False, index == 0)):
             case Onset(first):
                 noticed = index
-                yield Felt(noticed, first, index, None)
+                yield TrackedTouch(noticed, first, index, None)
             case Release(_, last, _):
-                yield Felt(noticed, first, last, index)
+                yield TrackedTouch(noticed, first, last, index)
 
 
-def notice(case: Case, settings: TouchSettings) -> Felt | None:
+def notice(case: Case, settings: TouchSettings) -> TrackedTouch | None:
     """Return the first touch noticed in the gesture, None if it is missed."""
     for felt in feel(case.scans[: case.stop], settings):
         if felt.noticed >= case.start:
@@ -117,7 +117,7 @@ def notice(case: Case, settings: TouchSettings) -> Felt | None:
 
 def outcome(case: Case, settings: TouchSettings) -> Outcome:
     """Run one case to its end. lost_frames: with visible pressure, after the first touch but in none."""
-    touches: dict[int, Felt] = {}
+    touches: dict[int, TrackedTouch] = {}
     for felt in feel(case.scans, settings):
         touches[felt.noticed] = felt
     within = [felt for felt in touches.values() if case.start <= felt.noticed < case.stop]
