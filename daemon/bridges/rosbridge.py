@@ -49,6 +49,8 @@ class RosbridgeBridge(Bridge):
 
     def open(self) -> None:
         """Begin to connect."""
+        # What comes of each attempt is told here, once.
+        logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
         self._keeper.start()
 
     def write(self, item: Event | Frame) -> None:
@@ -89,8 +91,6 @@ class RosbridgeBridge(Bridge):
             self._ending.wait(backoff.pause_s())
 
     def _connect(self, url: str) -> ClientConnection:
-        quiet = logging.getLogger(f"{__name__}.connection")
-        quiet.setLevel(logging.CRITICAL)
         return connect(
             url,
             open_timeout=CONNECT_S,
@@ -100,7 +100,6 @@ class RosbridgeBridge(Bridge):
             max_size=MOST_HEARD_BYTES,
             compression=None,
             proxy=None,
-            logger=quiet,
         )
 
     def _send(self, messages: Sequence[str]) -> bool:

@@ -135,6 +135,8 @@ class LiveServer:
             self._loop.close()
 
     async def _serve(self) -> None:
+        # The comings, goings and mistakes of clients stay out of the daemon's log.
+        logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         door = Door(MOST_CONNECTIONS)
         server = await serve(
             self._watch,
@@ -149,7 +151,6 @@ class LiveServer:
             close_timeout=GOODBYE_S,
             max_size=MOST_HEARD_BYTES,
             max_queue=1,
-            logger=_quiet_logger(),
         )
         status = asyncio.create_task(self._tell_status())
         await self._stopping.wait()
@@ -221,10 +222,3 @@ class LiveServer:
     def _state(self) -> list[str]:
         pads = tuple(self._pads)
         return [encode_message(self._pads[pad].memory.state(self._page.stamp, pad, pads)) for pad in pads]
-
-
-def _quiet_logger() -> logging.Logger:
-    """Return a logger that keeps the comings, goings and mistakes of clients out of the daemon's log."""
-    quiet = logging.getLogger(f"{__name__}.connections")
-    quiet.setLevel(logging.CRITICAL)
-    return quiet

@@ -233,6 +233,23 @@ def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_pat
     assert published[1:] == printed[-len(published) + 1 :]
 
 
+def test_a_reload_ends_the_bridge_that_it_replaces(port: int, tmp_path: Path) -> None:
+    daemon = Daemon(tmp_path)
+    try:
+        with subscribed(port, "#") as messages:
+            daemon.await_event(SensorEvent)
+            for number, topic in enumerate(("old", "new"), 1):
+                daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
+                daemon.await_log(number)
+                wait_for(lambda topic=topic: payloads(messages, f"{topic}/pad/state")[-1:] == ["up"])
+            wait_for(lambda: payloads(messages, "old/pad/state")[-1:] == ["stopped"])
+            heard = len(payloads(messages, "old/pad/event"))
+            wait_for(lambda: len(payloads(messages, "new/pad/event")) > 2)
+            assert len(payloads(messages, "old/pad/event")) == heard
+    finally:
+        daemon.close()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_one_broker_carries_fifty_pads(port: int) -> None:

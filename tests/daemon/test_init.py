@@ -90,6 +90,7 @@ def test_without_a_pad_the_file_is_written_all_the_same(tmp_path: Path) -> None:
 
 
 @needs_qi
+@pytest.mark.timeout(60)
 def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
