@@ -16,6 +16,7 @@ STUDIES = {
     "stability": ("docs.studies.training.commands:stability", "checks a model's arithmetic on hard cases"),
     "accuracy": ("docs.studies.accuracy", "rewrites the accuracy page from the stored scores"),
     "report": ("docs.studies.report.page", "the paper's tables and figures beside ours"),
+    "stages": ("docs.studies.stages", "where the time goes from a frame's last byte to the robot"),
     "speed": ("docs.studies.speed", "times an answer against the paper's network"),
     "quantize": ("docs.studies.quantize", "compares int8 copies of the model with float32"),
     "adapting": ("docs.studies.adapting.study", "what adapting to a person gains and costs"),

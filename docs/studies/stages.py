@@ -1,0 +1,201 @@
+"""Where the time goes from a frame's last byte to the robot: a bar a stage in docs/speed.md.
+
+`python -m docs.studies stages` runs the daemon's own service on a fake pad in another process, which is
+touched over and over, and notes when each answer that is told at a mark passed each stage. The robot is a
+stand-in behind real qi on loopback. What was measured is kept in docs/speed.json. Needs the extra `nao`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import math
+import multiprocessing
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from daemon.commands.bench import BETWEEN_S, SEED, TOUCH_S, TOUCHES
+from daemon.commands.run import favour_latency
+from daemon.config import SensorSettings, Settings
+from daemon.events import Event, Prediction
+from daemon.health import Health, Notifier
+from daemon.pipeline import STAGES as MARKS
+from daemon.pipeline import Pipeline
+from daemon.service import Service
+from daemon.setup.destinations import encoder_for
+from daemon.sinks import EventFanout
+from docs.studies.marked import fill, table
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.fakes.hand import simulate
+from drivers.frame import Frame
+from drivers.pad.sensor import FrameQueue
+from drivers.recording import splice
+from drivers.robot.settings import RobotSettings
+from model.classifier import Classifier
+
+STAGES = (
+    "the port and the reader's waking",
+    "parsing",
+    "the loop's waking",
+    "grid and touch tracker",
+    "the network",
+    "decision and event",
+    "link, qi and ALMemory",
+)
+BAR_MS = 0.05
+"""What one block of a bar stands for."""
+GESTURE = "TouchGesture/Gesture"
+REST_S = 4.0
+PASSED = ("arrived", "parsed", "taken", "asked", "answered", "told")
+
+
+class Times(msgspec.Struct, frozen=True, kw_only=True):
+    """Milliseconds of each of STAGES, median over the answers told at a mark, and from first to last."""
+
+    answers: int
+    stages_ms: tuple[float, ...]
+    p50_ms: float
+    p99_ms: float
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure, keep the figures under a name, and fill the page's table; returns 0."""
+    parser = argparse.ArgumentParser(prog="python -m docs.studies stages")
+    parser.add_argument("--seconds", type=float, default=60.0, help="how long to touch the pad (%(default)s)")
+    parser.add_argument("--as", dest="name", default="now", choices=("before", "now"), help="(%(default)s)")
+    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the page")
+    chosen = parser.parse_args(arguments)
+    kept = chosen.docs / "speed.json"
+    times = msgspec.json.decode(kept.read_bytes(), type=dict[str, Times]) if kept.exists() else {}
+    times[chosen.name] = measure(chosen.seconds)
+    kept.write_bytes(msgspec.json.format(msgspec.json.encode(times)) + b"\n")
+    fill(chosen.docs / "speed.md", {"stages": stages_table(times)})
+    sys.stdout.write(f"{chosen.docs / 'speed.md'}: {times[chosen.name]}\n")
+    return 0
+
+
+def stages_table(times: dict[str, Times]) -> str:
+    """Return a row a stage with its milliseconds and a bar, for each name."""
+    rows: list[tuple[object, ...]] = [
+        (stage, *(cell for each in times.values() for cell in (f"{each.stages_ms[n]:.2f}", _bar(each, n))))
+        for n, stage in enumerate(STAGES)
+    ]
+    rows.append(
+        ("in all, p50 / p99", *(c for t in times.values() for c in (f"{t.p50_ms:.2f} / {t.p99_ms:.2f}", "")))
+    )
+    return table(("stage", *(c for name in times for c in (f"{name}, ms", ""))), rows)
+
+
+def _bar(times: Times, stage: int) -> str:
+    return "█" * round(times.stages_ms[stage] / BAR_MS)
+
+
+def measure(seconds: float) -> Times:
+    """Touch a pad for so long, and return how long the answers told at a mark took."""
+    ours, theirs = multiprocessing.Pipe()
+    pad = multiprocessing.get_context("spawn").Process(target=_pad, args=(theirs, seconds), daemon=True)
+    pad.start()
+    rows: list[tuple[float, ...]] = []
+    sent_s: list[NDArray[np.float64]] = []
+    stop = threading.Event()
+
+    def end() -> None:
+        sent_s.append(ours.recv())
+        stop.set()
+
+    with LoopbackRobot() as robot, _noted(rows):
+        settings = Settings(sensor=SensorSettings(port=ours.recv()), robot=RobotSettings(url=robot.url))
+        service = Service(settings, Health(Notifier({})))
+        favour_latency()
+        threading.Thread(target=end, daemon=True).start()
+        service.run(stop)
+        raised_s = [
+            call.time_s
+            for call in robot.calls.all()
+            if call.method == "raiseEvent" and call.arguments[0] == GESTURE
+        ]
+    pad.join()
+    rows = rows[: len(raised_s)]
+    frames = np.searchsorted(sent_s[0], [row[0] for row in rows]) - 1
+    since_boot_s = np.array(raised_s) - (time.time() - time.monotonic())
+    passed = np.column_stack([sent_s[0][frames], rows, since_boot_s])
+    steps_ms = 1000 * np.diff(passed, axis=1)
+    # An answer that waited until a quiet was over was asked about before.
+    steps_ms = steps_ms[(steps_ms >= 0).all(axis=1)]
+    in_all_ms = steps_ms.sum(axis=1)
+    return Times(
+        answers=len(steps_ms),
+        stages_ms=tuple(np.median(steps_ms, axis=0).round(3).tolist()),
+        p50_ms=round(float(np.median(in_all_ms)), 3),
+        p99_ms=round(float(np.percentile(in_all_ms, 99)), 3),
+    )
+
+
+def _pad(to: Connection, seconds: float) -> None:
+    """Be a pad that rests and is then touched; tell its port and, at its end, when each frame was sent."""
+    script = [("notouch", REST_S)]
+    for turn in range(max(1, round(seconds / (TOUCH_S + BETWEEN_S)))):
+        script += [(TOUCHES[turn % len(TOUCHES)], TOUCH_S), ("notouch", BETWEEN_S)]
+    with FakePort(splice(simulate(script, SEED)), encoder_for(SensorSettings())) as port:
+        to.send(port.path)
+        port.wait(REST_S + seconds + 60)
+        to.send(port.sent_s)
+
+
+@contextmanager
+def _noted(rows: list[tuple[float, ...]]) -> Iterator[None]:
+    """Meanwhile, append when each answer that is told passed each stage, from the frame's arrival on."""
+    at: dict[str, float] = {}
+
+    def note(before: str = "", after: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        def noting(function: Callable[..., Any]) -> Callable[..., Any]:
+            @functools.wraps(function)
+            def noted(*arguments: Any) -> Any:
+                at[before] = time.monotonic()
+                returned = function(*arguments)
+                at[after] = time.monotonic()
+                return returned
+
+            return noted
+
+        return noting
+
+    def on_frame(function: Callable[..., Any]) -> Callable[..., Any]:
+        def noted(pipeline: Pipeline, frame: Frame) -> None:
+            at["arrived"], at["taken"] = frame.host_s, time.monotonic()
+            function(pipeline, frame)
+
+        return noted
+
+    def emit(function: Callable[..., Any]) -> Callable[..., Any]:
+        def noted(fanout: EventFanout, event: Event) -> None:
+            if isinstance(event, Prediction) and event.told:
+                at["told"] = time.monotonic()
+                # What is told at a touch's end was not asked by steps.
+                rows.append(tuple(at[name] if event.stage in MARKS else math.nan for name in PASSED))
+            function(fanout, event)
+
+        return noted
+
+    with ExitStack() as undo:
+        for owner, name, noting in (
+            (FrameQueue, "put", note("parsed")),
+            (Pipeline, "on_frame", on_frame),
+            (Classifier, "step", note("asked", "answered")),
+            (EventFanout, "emit", emit),
+        ):
+            own = getattr(owner, name)
+            setattr(owner, name, noting(own))
+            undo.callback(setattr, owner, name, own)
+        yield
