@@ -83,10 +83,14 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
     """Return the port, a baud rate and what a pad sends there, None when nothing there is a pad's."""
     first_byte_s = FIRST_BYTE_S
     try:
-        with open_port(port, bauds[0]) as opened:
+        # The last is the slowest, which every adapter can do.
+        with open_port(port, bauds[-1]) as opened:
             for baud in bauds if "://" not in port else bauds[:1]:
                 console.print(f"listening at {port}, {baud} baud ...")
-                opened.baudrate = baud
+                try:
+                    opened.baudrate = baud
+                except (OSError, ValueError):
+                    continue
                 opened.reset_input_buffer()
                 data = _heard(opened, first_byte_s)
                 # A pad that says nothing at one baud rate says nothing at any, but may answer.
@@ -94,7 +98,7 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
                 if described is not None:
                     return port, baud, described
                 first_byte_s = LISTEN_S if data else 0.0
-    except (SensorError, OSError, ValueError) as error:
+    except (SensorError, OSError) as error:
         console.print(str(error), style="yellow", markup=False)
     return None
 
