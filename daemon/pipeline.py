@@ -113,7 +113,7 @@ class Pipeline:
     """Takes frames and the sensor's comings and goings in their order, and emits events as they fall due.
 
     What it says depends only on the frames, not on when or how they arrived; the times in events are the
-    clock's. While nothing touches, the model is not run.
+    clock's. While nothing touches, the model is asked three times a second.
     before: the pipeline whose place this one takes between two touches. What that knew of the pad, and the
     numbers of touches, go on.
     viewers: returns whoever looks now, to be called with what the model makes of a touch as it goes on.

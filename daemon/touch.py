@@ -16,7 +16,6 @@ docs/touch.md.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,10 +25,9 @@ from numpy.typing import NDArray
 
 from daemon.events import EndReason
 from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
+from daemon.pad.sight import DOUBT, NoTouch, Sight
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from drivers.pad.grid import GridFrame
-
-NoTouch = Callable[[NDArray[np.float32]], float]
 
 # A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
 SMOOTH_FRAMES = 3
@@ -46,9 +44,11 @@ FIRM_RESTLESS = 3.0
 STEP_FRAMES = 2
 MOVED_COUNTS = 6.0
 SURE_MOVEMENT = 4.0
+# Later movement may be a breathing body's.
+SURE_FRAMES = 9
 LEAST_ASKED_FRAMES = 18
 ASK_LIGHT_FRAMES = 9
-NO_TOUCH_MOVING = 0.7
+NO_TOUCH_MOVING = 0.5
 NO_TOUCH_STILL = 0.3
 # What the untouched pad's contact reached lately has to be exceeded by half, and is forgotten in 20 seconds.
 RESTLESS_FACTOR = 1.5
@@ -67,9 +67,14 @@ MAX_SPREAD_COUNTS = 4.0
 LOAD_NOISE = 0.03
 STILL_FRAMES = 36
 CALM_FRAMES = 90
-ASK_FRAMES = 24
-NO_TOUCH = 0.5
-NO_TOUCH_FRAMES = 72
+# Light contact that keeps still may be a light pat's lift-off, if the network surely sees one, for so long.
+LEFT_ANYHOW_FRAMES = 200
+# A pad whose rest the network takes for a touch is untouched when it moves hardly more than it did at rest.
+RESTFUL = 1.1
+# The network is asked three times a second: while nothing touches the pad, about its last two thirds of a
+# second, for some touches are in no single taxel above the noise; else about its last second.
+ASK_FRAMES = 18
+GLANCE_FRAMES = 36
 ABOVE_AND_BELOW = np.array([[1], [-1]], np.float32)
 # The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.
 DISTURBED_FLOOR = 2.2
@@ -141,7 +146,6 @@ class _Held:
     activity: float = 0.0
     still_frames: int = 0
     calm_frames: int = 0
-    untouched_frames: int = 0
 
 
 class TouchTracker:
@@ -164,11 +168,13 @@ class TouchTracker:
         self._sunken_frames = 0
         self._unsteady_index = 0
         self._restless = 0.0
+        self._watched_frames = 0
+        self._rest_activity = 0.0
         self._light: _Light | None = None
         self._held: _Held | None = None
         if before is not None:
             vars(self).update(vars(before))
-        self._no_touch = no_touch
+        self._sight = Sight(no_touch)
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
         self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)
@@ -197,7 +203,7 @@ class TouchTracker:
     def may_be_over(self) -> bool:
         """Whether the touch that goes on has lately looked like an untouched pad."""
         held = self._held
-        return held is not None and bool(held.still_frames or held.calm_frames or held.untouched_frames)
+        return held is not None and bool(held.still_frames or held.calm_frames or self._sight.last_is_none)
 
     @property
     def is_disturbed(self) -> bool:
@@ -211,7 +217,7 @@ class TouchTracker:
             release = self._end("gap")
             self._clear()
             if not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS:
-                self._baseline = Baseline()
+                self._forget_rest()
         self._index, self._sensor_ms = frame.index, frame.sensor_ms
         self._recent.push(frame.pressure.reshape(TAXELS))
         if not self._baseline.is_known:
@@ -226,7 +232,7 @@ class TouchTracker:
     def forget(self, reason: EndReason) -> Release | None:
         """End the touch, if one goes on, and calibrate anew from what comes: it may be another pad."""
         release = self._end(reason)
-        self._baseline = Baseline()
+        self._forget_rest()
         self._clear()
         return release
 
@@ -249,8 +255,22 @@ class TouchTracker:
             self._calibrate()
         elif self._is_time_to_look and self._index - self._unsteady_index >= SECOND_FRAMES:
             older, newer = self._recent.halves()
-            self._baseline.track_sway(np.abs(newer - older))
-        return None
+            change = np.abs(newer - older)
+            self._baseline.track_sway(change)
+            activity = float(change.sum() + self._recent.spread().sum())
+            self._rest_activity = max(self._rest_activity * 0.995, activity)
+        return self._glance()
+
+    def _glance(self) -> Onset | None:
+        """Ask the network about a pad without contact."""
+        self._watched_frames += 1
+        if self._index % ASK_FRAMES or self._watched_frames < GLANCE_FRAMES or not self._sight.is_there:
+            return None
+        if not self._sight.look_at_rest(self._recent.last(GLANCE_FRAMES)):
+            return None
+        self._sight.forget_looks()
+        self._held = _Held(self._index - GLANCE_FRAMES - ASK_FRAMES, self._index)
+        return Onset(self._held.first)
 
     @property
     def _is_time_to_look(self) -> bool:
@@ -275,8 +295,11 @@ class TouchTracker:
         light.moved = max(light.moved, float(moved.sum()))
         movement = light.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
         is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
-        if is_firm or movement >= SURE_MOVEMENT or self._is_light_touch(waited, movement):
+        may_breathe = waited > SURE_FRAMES and self._sight.is_there
+        is_sure = is_firm or (movement >= SURE_MOVEMENT and not may_breathe)
+        if is_sure or self._is_light_touch(waited, movement):
             self._light = None
+            self._sight.forget_looks()
             self._held = _Held(self._backdate(light), self._index)
             return Onset(self._held.first)
         if self._index - light.last >= CALIBRATION_FRAMES:
@@ -287,25 +310,23 @@ class TouchTracker:
         return None
 
     def _is_light_touch(self, waited: int, movement: float) -> bool:
-        """Ask the network about light contact, sooner if it moves; on a disturbed pad it cannot tell."""
+        """Ask the network about light contact, sooner if it moves; on some disturbed pads it cannot tell."""
         if movement >= 1.0 and waited >= LEAST_ASKED_FRAMES:
             is_due, least = self._index % ASK_LIGHT_FRAMES == 0, NO_TOUCH_MOVING
         else:
-            is_due, least = waited == SECOND_FRAMES and self._no_touch is not None, NO_TOUCH_STILL
-        return is_due and (self.is_disturbed or self._ask(waited - STEP_FRAMES) < least)
-
-    def _ask(self, frames: int) -> float:
-        """Return the network's probability that nothing touches the pad; without a network, a hand does."""
-        if self._no_touch is None:
-            return 0.0
-        return self._no_touch(self._recent.last(frames).reshape(-1, ROWS, COLUMNS))
+            is_due, least = waited == SECOND_FRAMES and self._sight.is_there, NO_TOUCH_STILL
+        if not is_due or (self.is_disturbed and self._sight.is_lost):
+            return is_due
+        return self._sight.is_below(least, self._recent.last(waited - STEP_FRAMES))
 
     def _hold(self, smooth: Taxels, held: _Held) -> Release | None:
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
         if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
             held.last = self._index
         elif self._index - held.last >= self._quiet_frames:
-            return self._end("released")
+            if not self._sight.sees_touch(self._recent.last(GLANCE_FRAMES)):
+                return self._end("released")
+            held.last = self._index - self._quiet_frames + ASK_FRAMES
         if self._index - held.first >= self._longest_frames:
             return self._take_for_rest(held, "longest")
         if self._is_time_to_look and self._index - held.first >= SECOND_FRAMES:
@@ -324,22 +345,24 @@ class TouchTracker:
         is_low = is_far_below or level <= LOW_COUNTS
         is_calm = is_far_below and activity <= LOW_SHARE * held.activity
         held.calm_frames = held.calm_frames + END_STRIDE_FRAMES if is_calm else 0
-        held.still_frames = (
-            held.still_frames + END_STRIDE_FRAMES if self._is_still(change, spread, rise) else 0
-        )
-        if not (is_far_below or held.still_frames or (is_low and not self.is_disturbed)):
-            held.untouched_frames = 0
+        is_restful = self._sight.is_lost and activity <= RESTFUL * self._rest_activity
+        is_still = self._is_still(change, spread, rise) or (is_low and is_restful)
+        held.still_frames = held.still_frames + END_STRIDE_FRAMES if is_still else 0
+        may_be_none = is_low and (self._sight.knows_rest or not self.is_disturbed)
+        if not (is_far_below or held.still_frames or may_be_none):
+            self._sight.forget_looks()
         elif self._index % ASK_FRAMES == 0 and self._index - held.last <= END_STRIDE_FRAMES:
-            held.untouched_frames = (
-                held.untouched_frames + ASK_FRAMES if self._ask(SECOND_FRAMES) >= NO_TOUCH else 0
-            )
-        if (
-            (is_low and held.still_frames >= STILL_FRAMES)
-            or held.calm_frames >= CALM_FRAMES
-            or held.untouched_frames >= NO_TOUCH_FRAMES
-        ):
+            self._sight.look(self._recent.last(SECOND_FRAMES))
+        seems_left = (is_low and held.still_frames >= STILL_FRAMES) or held.calm_frames >= CALM_FRAMES
+        if self._sight.is_none or (seems_left and self._is_left(held, level)):
             return self._take_for_rest(held, "released")
         return self._take_for_rest(held, "settled") if held.still_frames >= self._settled_frames else None
+
+    def _is_left(self, held: _Held, level: float) -> bool:
+        """Whether a pad that seems left is: not if the network surely sees a light touch."""
+        seemed_frames = max(held.still_frames, held.calm_frames)
+        is_clear = level >= LOW_COUNTS or seemed_frames >= LEFT_ANYHOW_FRAMES
+        return is_clear or not self._sight.sees_touch(self._recent.last(SECOND_FRAMES), DOUBT)
 
     def _is_still(self, change: Taxels, spread: Taxels, rise: Taxels) -> bool:
         allowed = np.maximum(STILL_SWAYS * self._baseline.sway, STILL_SPREADS * spread)
@@ -349,7 +372,10 @@ class TouchTracker:
     def _take_for_rest(self, held: _Held, reason: EndReason) -> Release | None:
         """End the touch, and take what the pad reads now for its rest."""
         if reason == "released":
-            over_frames = max(held.still_frames, held.calm_frames, held.untouched_frames) + SECOND_FRAMES // 2
+            over_frames = (
+                max(held.still_frames, held.calm_frames, SECOND_FRAMES if self._sight.is_none else 0)
+                + SECOND_FRAMES // 2
+            )
             held.last = max(held.first, min(held.last, self._index - over_frames))
         release = self._end(reason)
         self._calibrate(SECOND_FRAMES)
@@ -374,9 +400,14 @@ class TouchTracker:
         self._unsteady_index = self._index
         self._light = None
 
+    def _forget_rest(self) -> None:
+        self._baseline = Baseline()
+        self._sight.forget_rest()
+
     def _clear(self) -> None:
         self._recent.clear()
-        self._sunken_frames = 0
+        self._sight.forget_looks()
+        self._sunken_frames = self._watched_frames = 0
         self._light = None
 
     def _end(self, reason: EndReason) -> Release | None:
@@ -384,6 +415,8 @@ class TouchTracker:
             return None
         release = Release(self._held.first, self.last_contact_index, reason)
         self._held = None
+        self._watched_frames = 0
+        self._sight.forget_looks()
         return release
 
 

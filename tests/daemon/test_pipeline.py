@@ -156,7 +156,7 @@ def test_the_lift_offs_of_a_pat_are_part_of_it() -> None:
     assert [event.frames for event in predictions(events)] == [54, 81, 144]
 
 
-def test_without_a_touch_the_model_is_not_run() -> None:
+def test_without_a_touch_the_model_only_glances() -> None:
     bench = Bench()
     assert bench.feel(nothing(60.0)) == []
     assert bench.model.asked == bench.model.stepped == []

@@ -275,20 +275,81 @@ def test_a_touch_ends_at_the_longest_it_may_last() -> None:
     assert (release.last_index - release.first_index) / 54 == pytest.approx(5.0, abs=0.1)
 
 
-def test_the_network_ends_a_touch_that_is_none() -> None:
-    heard: list[int] = []
+def breath(seconds: float, counts: float = 3.0) -> Scans:
+    """The body below breathes at 0.5 Hz."""
+    depth = counts / 2 * (1 - np.cos(2 * np.pi * 0.5 * np.arange(round(54 * seconds)) / 54))
+    return (depth[:, None, None] * np.ones((8, 8))).astype(np.float32)
 
-    def no_touch(window: NDArray[np.float32]) -> float:
-        heard.append(len(window))
-        return 0.9
 
-    pad = Pad(no_touch=no_touch)
-    pad.feel(2.0)
-    breathing = 1.5 + 1.5 * np.sin(2 * np.pi * 0.5 * np.arange(54 * 8) / 54 - np.pi / 2)
-    scans = (breathing[:, None, None] * np.ones((8, 8))).astype(np.float32)
-    _, release = pad.feel(scans)[:2]
+class Network:
+    """Sees a touch in windows that the test makes one; windows: what it was asked about."""
+
+    def __init__(self) -> None:
+        self.no_touch = 0.9
+        self.windows: list[int] = []
+
+    def __call__(self, window: NDArray[np.float32]) -> float:
+        self.windows.append(len(window))
+        return self.no_touch
+
+
+@pytest.fixture
+def network() -> Network:
+    return Network()
+
+
+@pytest.fixture
+def seen(network: Network) -> Pad:
+    """A pad at rest that the network has known."""
+    pad = Pad(no_touch=network)
+    assert pad.feel(2.0) == []
+    return pad
+
+
+def test_the_network_ends_a_touch_that_is_none(seen: Pad) -> None:
+    onset, *_ = seen.feel(palm(1.0, counts=150.0) + breath(1.0))
+    left = seen.index
+    (release,) = seen.feel(breath(2.0, counts=6.0))
+    assert isinstance(onset, Onset)
     assert isinstance(release, Release)
-    assert heard[-1] == 54
+    assert release.last_index - left <= 54
+
+
+def test_a_touch_that_only_the_network_sees_is_felt(seen: Pad, network: Network) -> None:
+    began = seen.index
+    network.no_touch = 0.02
+    (onset,) = seen.feel(nothing(1.5))
+    assert isinstance(onset, Onset)
+    assert abs(onset.first_index - began) <= 27
+    network.no_touch = 0.9
+    (release,) = seen.feel(2.0)
+    assert isinstance(release, Release)
+
+
+def test_one_look_of_the_network_makes_no_touch(seen: Pad, network: Network) -> None:
+    for _ in range(5):
+        network.no_touch = 0.02
+        assert seen.feel(nothing(1 / 3)) == []
+        network.no_touch = 0.9
+        assert seen.feel(nothing(1.0)) == []
+
+
+def test_a_network_that_sees_touches_at_rest_is_not_believed(network: Network) -> None:
+    network.no_touch = 0.02
+    pad = Pad(no_touch=network)
+    assert pad.feel(20.0) == []
+    assert [type(change) for change in pad.feel(palm(1.0, counts=80.0), 2.0)] == [Onset, Release]
+
+
+def test_a_pause_in_which_the_network_sees_the_hand_splits_no_touch(seen: Pad, network: Network) -> None:
+    network.no_touch = 0.02
+    changes = seen.feel(pat(2.0), nothing(1.8), pat(2.0))
+    network.no_touch = 0.9
+    assert [type(change) for change in [*changes, *seen.feel(2.0)]] == [Onset, Release]
+
+
+def test_slow_movement_of_a_body_is_no_touch(seen: Pad) -> None:
+    assert seen.feel(breath(20.0, counts=2.3)) == []
 
 
 def test_light_contact_needs_the_network_to_see_a_touch() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.touch import GLANCE_FRAMES
 from model.classifier import State
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -15,7 +16,8 @@ LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 class Scripted:
     """A model that gives one gesture a probability of 0.94, which one by how many whole windows were asked.
 
-    asked: the whole windows it was asked about. stepped: the touches' frames up to then, at each step.
+    asked: the whole windows it was asked about, apart from glances at a pad without contact, which it takes
+    for a touch. stepped: the touches' frames up to then, at each step.
     """
 
     labels = LABELS
@@ -27,6 +29,8 @@ class Scripted:
         self.stepped: list[NDArray[np.float32]] = []
 
     def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
+        if len(frames) == GLANCE_FRAMES:
+            return np.array([0.94 if label == "stroke" else 0.01 for label in LABELS])
         self.asked.append(frames)
         return self.answer()
 

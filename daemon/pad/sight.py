@@ -1,0 +1,102 @@
+"""What the network makes of a pad: whether it sees a touch, measured by what it makes of the pad at rest."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import COLUMNS, ROWS
+
+NoTouch = Callable[[NDArray[np.float32]], float]
+Frames = NDArray[np.float32]
+
+# Below this probability of no touch, in the mean of three looks, the network sees a touch; from that, none.
+TOUCH, NONE = 0.15, 0.5
+# A single look this low speaks against the end of a touch.
+DOUBT = 0.2
+LOOKS = 3
+# On a pad that it knows less well, as under mains hum, these are lower; far below, its word is nothing.
+REST_SHARE = 0.6
+KNOWN_REST = 0.2
+# What it makes of the rest is learned over ten looks, and forgotten more slowly, for a touch may go unseen.
+RISES, FALLS = 0.1, 0.05
+
+
+class Sight:
+    """Asks the network now and then. no_touch: its probability that nothing touches the pad in (T, 8, 8)."""
+
+    def __init__(self, no_touch: NoTouch | None) -> None:
+        self._no_touch = no_touch
+        self._at_rest: float | None = None
+        self._looks: deque[float] = deque(maxlen=LOOKS)
+
+    @property
+    def is_there(self) -> bool:
+        """Whether there is a network to ask."""
+        return self._no_touch is not None
+
+    @property
+    def knows_rest(self) -> bool:
+        """Whether the network has known this pad at rest."""
+        return self._at_rest is not None and self._at_rest >= KNOWN_REST
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the network takes this pad at rest for a touch."""
+        return self._at_rest is not None and self._at_rest < KNOWN_REST
+
+    @property
+    def last_is_none(self) -> bool:
+        """Whether it saw no touch in its last look."""
+        return bool(self._looks) and self._looks[-1] >= self._than(NONE)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether it saw no touch in its last looks together."""
+        few = len(self._looks) < LOOKS
+        return not few and self._mean >= self._than(NONE) and min(self._looks) >= self._than(DOUBT)
+
+    def forget_rest(self) -> None:
+        """It may be another pad."""
+        self._at_rest = None
+        self._looks.clear()
+
+    def forget_looks(self) -> None:
+        """The next look is the first."""
+        self._looks.clear()
+
+    def is_below(self, no_touch: float, frames: Frames) -> bool:
+        """Whether no touch is less probable than that in (T, 64) counts; without a network, always."""
+        return self._ask(frames) < self._than(no_touch)
+
+    def sees_touch(self, frames: Frames, doubt: float = TOUCH) -> bool:
+        """Whether the network, which knows the pad at rest, sees a touch in these."""
+        return self.knows_rest and self.is_below(doubt, frames)
+
+    def look(self, frames: Frames) -> None:
+        """Look at the last second of a touch."""
+        self._looks.append(self._ask(frames))
+
+    def look_at_rest(self, frames: Frames) -> bool:
+        """Look at a pad that seems at rest; return whether there has been a touch in the last looks."""
+        self.look(frames)
+        seen = self._looks[-1]
+        if self._at_rest is None:
+            self._at_rest = seen
+        self._at_rest += (seen - self._at_rest) * (RISES if seen > self._at_rest else FALLS)
+        return self.knows_rest and len(self._looks) == LOOKS and self._mean < self._than(TOUCH)
+
+    @property
+    def _mean(self) -> float:
+        return sum(self._looks) / len(self._looks)
+
+    def _ask(self, frames: Frames) -> float:
+        return 0.0 if self._no_touch is None else self._no_touch(frames.reshape(-1, ROWS, COLUMNS))
+
+    def _than(self, no_touch: float) -> float:
+        if self._at_rest is None or not self.knows_rest:
+            return no_touch
+        return min(no_touch, REST_SHARE * self._at_rest)
