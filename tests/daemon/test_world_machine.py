@@ -1,28 +1,45 @@
-"""Pad, clock, line, robot, journal, log and reloads, all at once in any order; the events stay in order."""
+"""Pad, clock, line, robot, page, journal, disk, log and signals in any order; the events stay in order."""
 
 from __future__ import annotations
 
 import itertools
 import os
+import random
+import resource
+import signal
+import socket
 import tempfile
-from collections.abc import Sequence
-from contextlib import ExitStack
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
+import yaml
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from rigs.expectations import DEMO, stream_of
+from rigs.live_rig import free_port
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.scripted_model import Scripted
+from websockets.sync.client import ClientConnection, connect
 
+from daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.journal import Journal
 from daemon.kept.touches import gather
+from daemon.live.scene import Scene
+from daemon.live.server import LiveServer
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from daemon.playback.rig import SpawnedDaemon
+from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
+from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import StubRobot
 from drivers.frame import Frame
 from drivers.pad.sensor_state import SensorState
@@ -32,6 +49,27 @@ from drivers.robot.settings import RobotSettings
 PERIOD_MS = 1000 / 54
 ORDER = {"early": 0, "revised": 1, "final": 2, "ongoing": 3, "released": 4, "uncertain": 4}
 SECONDS = st.floats(0.1, 4.0)
+MOST_VIEWERS = 4
+# What a thousand touches, their answers and the viewers may take; the first example loads libraries.
+MOST_GROWTH_MB = 60.0
+MOST_DAEMON_MB = 200.0
+memory_mb: list[float] = []
+
+
+def resident_mb(pid: int | str = "self") -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
+
+
+def flood(port: int) -> socket.socket:
+    """A viewer that asks for the stream, sends far more than it may, and reads nothing."""
+    viewer = socket.create_connection(("127.0.0.1", port), timeout=2)
+    with suppress(OSError):
+        viewer.sendall(
+            f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
+            + (b"\x89\xbc" + bytes(64)) * 1000
+        )
+    return viewer
 
 
 class World(RuleBasedStateMachine):
@@ -51,10 +89,16 @@ class World(RuleBasedStateMachine):
         # A log that nobody reads.
         self.ends = os.pipe()
         self.log = LogSink(self.ends[1], capacity=10)
+        listening = socket.create_server(("127.0.0.1", 0))
+        self.page_port = listening.getsockname()[1]
+        scene = Scene(PipelineSettings(), Scripted(), robot_configured=True)
+        self.page = LiveServer(listening, LiveSettings(), {"pad": scene})
+        self.viewers: list[ClientConnection | socket.socket] = []
         self.fanout = EventFanout()
         self.fanout.sinks = (
             JournalSink(Journal(self.path, max_bytes=20_000, keep=1)),
             RobotSink(link, itertools.count(1)),
+            self.page,
         )
         for sink in (*self.fanout.sinks, self.log):
             sink.start()
@@ -75,7 +119,9 @@ class World(RuleBasedStateMachine):
             self.sent += 1
             self.sensor_ms += PERIOD_MS
             self.now_s += 0.0 if held_up else PERIOD_MS / 1000
-            self.pipeline.on_frame(Frame(self.sent, round(self.sensor_ms) % 2**32, self.now_s, counts))
+            frame = Frame(self.sent, round(self.sensor_ms) % 2**32, self.now_s, counts)
+            self.pipeline.on_frame(frame)
+            self.page.put_frame(frame, 0)
 
     @rule(seconds=SECONDS)
     def rest(self, seconds: float) -> None:
@@ -117,6 +163,23 @@ class World(RuleBasedStateMachine):
     def journal_is_deleted(self) -> None:
         self.path.unlink(missing_ok=True)
 
+    @rule(is_full=st.booleans())
+    def disk(self, is_full: bool) -> None:
+        # No file may grow any more: a write fails as on a full disk.
+        hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 if is_full else hard, hard))
+
+    @rule(is_hostile=st.booleans())
+    def viewer_comes(self, is_hostile: bool) -> None:
+        if len(self.viewers) < MOST_VIEWERS:
+            url = f"ws://127.0.0.1:{self.page_port}/stream"
+            self.viewers.append(flood(self.page_port) if is_hostile else connect(url, close_timeout=0.1))
+
+    @rule()
+    def viewer_goes(self) -> None:
+        if self.viewers:
+            self.viewers.pop(0).close()
+
     @invariant()
     def numbers_rise_and_one_touch_is_open_at_most(self) -> None:
         marks = [event for event in self.events if isinstance(event, TouchBegan | TouchEnded)]
@@ -125,6 +188,7 @@ class World(RuleBasedStateMachine):
         assert all(isinstance(mark, TouchEnded) == bool(i % 2) for i, mark in enumerate(marks))
 
     def teardown(self) -> None:
+        self.disk(is_full=False)
         self.feel(nothing(15.0))
         try:
             assert not self.pipeline.has_touch
@@ -133,13 +197,18 @@ class World(RuleBasedStateMachine):
                 check(felt.predictions)
             assert all(event.pad == "pad" for event in self.events if isinstance(event, SensorEvent))
         finally:
+            for viewer in self.viewers:
+                viewer.close()
             for sink in (*self.fanout.sinks, self.log):
                 sink.stop(2.0)
             self.robot.kill()
             for fd in self.ends:
                 os.close(fd)
+            sizes = [file.stat().st_size for file in self.path.parent.glob("events*")]
             self.closing.close()
-        assert all(file.stat().st_size <= 20_000 for file in self.path.parent.glob("events*"))
+        assert max(sizes, default=0) <= 20_000
+        memory_mb.append(resident_mb())
+        assert memory_mb[-1] < memory_mb[0] + MOST_GROWTH_MB
 
 
 def check(answers: Sequence[Prediction]) -> None:
@@ -156,10 +225,90 @@ def check(answers: Sequence[Prediction]) -> None:
     assert all(one != two for one, two in itertools.pairwise(told))
 
 
-World.TestCase.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
+World.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 class TestWorld(World.TestCase):  # type: ignore[name-defined,misc]
     """Whatever happens in whatever order, the events stay true."""
+
+
+class Process:
+    """The spawned daemon with a page and a journal, on a pad that is touched again and again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.closing = folder, ExitStack()
+        self.journal = folder / "events.jsonl"
+        self.pad = FakePort(stream_of(DEMO), encoder_for(SensorSettings()), speed=10.0, loop=True)
+        self.closing.enter_context(self.pad)
+        self.page_port = free_port()
+        self.settings = Settings(
+            sensor=SensorSettings(port=self.pad.path),
+            journal=JournalSettings(path=str(self.journal), max_mb=0.1, keep=1),
+            live=LiveSettings(port=self.page_port),
+            log_level="debug",
+        )
+        self.unread = os.pipe()
+        log = self.closing.enter_context(os.fdopen(self.unread[1], "wb"))
+        self.daemon = SpawnedDaemon(self.settings, folder, log)
+        self.events: list[Event] = []
+        self.reader = threading.Thread(target=lambda: self.events.extend(self.daemon.events()))
+        self.reader.start()
+        self.viewers: list[socket.socket] = []
+
+    def reload(self, text: str) -> None:
+        (self.folder / "touchd.yaml").write_text(text)
+        self.daemon.process.send_signal(signal.SIGHUP)
+
+    def reload_other_settings(self) -> None:
+        scene = msgspec.structs.replace(self.settings.scene, stale_s=random.choice([0.5, 1.0, 2.0]))
+        self.reload(yaml.safe_dump(msgspec.to_builtins(msgspec.structs.replace(self.settings, scene=scene))))
+
+    def reload_nonsense(self) -> None:
+        self.reload(random.choice(["{", "scene: 7", "journal: {path: /dev/null}", "live: {port: 1}"]))
+
+    def delete_the_journal(self) -> None:
+        self.journal.unlink(missing_ok=True)
+
+    def flood_the_page(self) -> None:
+        with suppress(OSError):
+            self.viewers = [*self.viewers, flood(self.page_port)][-MOST_VIEWERS:]
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_process_holds_until_it_is_told_to_end(tmp_path: Path, seed: int) -> None:
+    process = Process(tmp_path)
+    random.seed(seed)
+    try:
+        while not process.events:
+            time.sleep(0.1)
+        does: list[Callable[[], None]] = [
+            process.reload_other_settings,
+            process.reload_nonsense,
+            process.delete_the_journal,
+            process.flood_the_page,
+        ]
+        until_s, most_mb = time.monotonic() + 60, 0.0
+        while time.monotonic() < until_s:
+            random.choice(does)()
+            time.sleep(random.uniform(0.0, 1.0))
+            most_mb = max(most_mb, resident_mb(process.daemon.process.pid))
+        process.daemon.process.send_signal(signal.SIGTERM)
+        asked_s = time.monotonic()
+        assert process.daemon.process.wait(10) == 0
+        assert time.monotonic() - asked_s < 5.0
+        process.reader.join()
+    finally:
+        process.daemon.stop()
+        process.closing.close()
+        os.close(process.unread[0])
+    assert most_mb < MOST_DAEMON_MB
+    felt = list(gather(process.events))
+    assert len(felt) > 20
+    for touch in felt:
+        assert touch.ended is not None
+        check(touch.predictions)
+    assert all(line.startswith(b'{"type":') for line in process.journal.read_bytes().splitlines())
