@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import os
 import signal
@@ -49,40 +50,27 @@ MOVED = ("data", "export", "evaluate", "stability", "report", "speed", "quantize
 """Commands for researchers, which a clone of the repository has and an installed touchd has not."""
 
 
+class UsageError(TouchdError):
+    """The command line names no command."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
-    words = [word for word in words if word != "--debug"]
-    if not words or words[0] in ("-h", "--help", "help"):
-        sys.stdout.write(_help())
-        return 0 if words else USERS_MISTAKE
-    if words[0] == "--version":
-        sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
-        return 0
-    command = next((command for command in COMMANDS if command.name == words[0]), None)
-    if words[0] in MOVED:
-        sys.stderr.write(
-            f"touchd: {words[0]} is for researchers: python -m docs.studies {words[0]}, in the repository\n"
-        )
-        return USERS_MISTAKE
-    if command is None:
-        known = [command.name for command in COMMANDS]
-        near = difflib.get_close_matches(words[0], known, n=1, cutoff=0.5)
-        advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(known)}"
-        sys.stderr.write(f"touchd: {words[0]} is no command; {advice}\n")
-        return USERS_MISTAKE
-    # What a command sets up it takes down, also when its terminal goes or it is told to end.
+    _open_missing_streams()
+    # Commands clean up after themselves, also when their terminal closes or they are told to end.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     try:
-        return int(importlib.import_module(command.module).main(words[1:]))
+        code = _run([word for word in words if word != "--debug"])
+        sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         return 0
     except BrokenPipeError:
-        # Whoever read our output has had enough; what is still buffered must not raise once more at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()
         return 0
     except Exception as error:
         if debug:
@@ -90,17 +78,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(error)
 
 
+def _run(words: Sequence[str]) -> int:
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(_help())
+        return 0 if words else USERS_MISTAKE
+    name, *rest = words
+    if name == "--version":
+        sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
+        return 0
+    if name in MOVED:
+        raise UsageError(f"{name} is for researchers: python -m docs.studies {name}, in the repository")
+    commands = {command.name: command for command in COMMANDS}
+    if name not in commands:
+        near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)
+        advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
+        raise UsageError(f"{name} is no command; {advice}")
+    return int(importlib.import_module(commands[name].module).main(rest))
+
+
+def _open_missing_streams() -> None:
+    """Open /dev/null for standard streams that are closed, lest another file take their number."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
+
+
+def _discard_output() -> None:
+    """Let what is still buffered go nowhere, so that it raises nothing at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def _complain(error: Exception) -> int:
     """Write one line about an error that a command raised; returns the exit code."""
-    if isinstance(error, TouchdError):
-        sys.stderr.write(f"touchd: {error}\n")
-        return USERS_MISTAKE
+    what, code = str(error), USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        sys.stderr.write(f"touchd: {error.name} is not installed (extra {extra}): {how_to_install(extra)}\n")
-        return USERS_MISTAKE
-    what = f"{type(error).__name__}: {error}"
-    sys.stderr.write(f"touchd: internal error: {' '.join(what.split())}; --debug shows the trace\n")
-    return OUR_MISTAKE
+        what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}"
+    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        _discard_output()
+        what = f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
+    elif not isinstance(error, TouchdError):
+        what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
+        code = OUR_MISTAKE
+    sys.stderr.write(f"touchd: {what}\n")
+    return code
 
 
 def _help() -> str:

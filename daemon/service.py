@@ -25,6 +25,7 @@ from drivers.queue import Signal
 # Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
 SENSORS_STOP_S = 0.6
+DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
 REPLACED_STOP_S = 1.0
 
@@ -160,12 +161,14 @@ class Service:
         until_s = time.monotonic() + SENSORS_STOP_S
         for pad in self._pads.values():
             pad.sensor.stop(max(0.0, until_s - time.monotonic()))
-        # Process frames already queued before flushing.
+        # Process frames already queued before flushing; an overloaded machine must not be killed over them.
+        until_s = time.monotonic() + DRAIN_S
         for pad in self._pads.values():
-            for _ in range(len(pad.queue)):
+            while len(pad.queue) and time.monotonic() < until_s:
                 self._take(pad)
             pad.pipeline.flush()
-        self._health.end(self._events.touches, self._dropped())
+        left = sum(len(pad.queue) for pad in self._pads.values())
+        self._health.end(self._events.touches, self._dropped() + left)
         _stop(self._events.sinks, SINKS_STOP_S)
 
     def _dropped(self) -> int:

@@ -115,10 +115,14 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
         with _open_text(path, "r") as file:
             recordings = list(islice(_parse(path, file, select), MOST_RECORDINGS + 1))
     except (*DAMAGED, csv.Error) as error:
-        raise RecordingError(f"{path}: cannot be read as a recording ({error})") from error
+        raise RecordingError(f"{path}: cannot be read as a recording ({_why(error)})") from error
     if len(recordings) > MOST_RECORDINGS:
         raise RecordingError(f"{path}: more than {MOST_RECORDINGS} recordings; split the file")
     return recordings
+
+
+def _why(error: Exception) -> str:
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def read_provenance(path: Path) -> dict[str, str]:
@@ -135,7 +139,7 @@ def read_provenance(path: Path) -> dict[str, str]:
                 key, _, value = line[2:].partition(": ")
                 provenance[key] = value.rstrip("\n")
     except DAMAGED as error:
-        raise RecordingError(f"{path}: cannot be read as a recording ({error})") from error
+        raise RecordingError(f"{path}: cannot be read as a recording ({_why(error)})") from error
     return provenance
 
 

@@ -77,5 +77,7 @@ def read(path: Path) -> Iterator[Event]:
                         yield decode(line)
                     except EventError as error:
                         raise JournalError(f"{path}, line {number}: {error}") from error
+                elif len(line) == MAX_LINE_BYTES:
+                    raise JournalError(f"{path}, line {number}: longer than any event; not a journal")
     except OSError as error:
         raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error

@@ -37,10 +37,11 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
     parser.add_argument("--port", help="read this port instead of the configured one")
-    parser.add_argument(
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument(
         "--view", action="store_true", help="show pad, answers and robot in the whole terminal instead"
     )
-    parser.add_argument("--json", action="store_true", help="JSON lines to a terminal too")
+    form.add_argument("--json", action="store_true", help="JSON lines to a terminal too")
     parser.add_argument(
         "--live",
         nargs="?",
@@ -54,6 +55,8 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Run the daemon until Ctrl-C or SIGTERM; returns 0."""
     options = parser().parse_args(arguments)
+    if options.view and not sys.stdout.isatty():
+        parser().error("--view needs a terminal")
 
     def read() -> Settings:
         settings = load(options.config) if options.config else Settings()

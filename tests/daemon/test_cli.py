@@ -145,8 +145,21 @@ def test_answers_later_than_the_model_can_take_are_refused() -> None:
         check_fit(SceneSettings(), short)
 
 
+@pytest.mark.parametrize(
+    ("options", "said"), [(["--view"], "--view needs a terminal"), (["--view", "--json"], "not allowed with")]
+)
+def test_the_view_is_for_terminals_alone(
+    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["run", *options])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+
+
 def test_a_missing_recording_is_one_line(refusal: Refusal) -> None:
-    assert "nowhere.csv" in refusal("classify", "nowhere.csv")
+    said = refusal("classify", "nowhere.csv")
+    assert "nowhere.csv: cannot be read as a recording (No such file or directory)" in said
     assert "no recording matches" in refusal("replay", str(GESTURES), "--participant", "nobody")
 
 

@@ -100,12 +100,14 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
         ("nowhere", "events.csv", "cannot be read (No such file or directory)"),
         ("events.jsonl", "events.jsonl.csv/x.csv", "No such file or directory"),
         ("text", "events.csv", "text, line 1: not an event"),
+        ("zeros", "events.csv", "zeros, line 1: longer than any event"),
     ],
 )
 def test_what_cannot_be_converted_is_said_in_one_line(
     journal: Path, capsys: pytest.CaptureFixture[str], file: str, out: str, said: str
 ) -> None:
     (journal.parent / "text").write_text("hello\n")
+    (journal.parent / "zeros").write_bytes(bytes(100_000))
     assert main(["convert", str(journal.parent / file), "-o", str(journal.parent / out)]) == 2
     assert said in capsys.readouterr().err
     assert not (journal.parent / out).exists()

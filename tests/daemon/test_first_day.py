@@ -72,7 +72,7 @@ def test_every_command_helps_without_any_extra() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "extra"), [("plot", "plot"), ("train", "train"), ("demo --live", "live")]
+    ("command", "extra"), [("plot", "plot"), ("train --extra .", "train"), ("demo --live", "live")]
 )
 def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str) -> None:
     done = python(f"sys.exit(cli.main({command.split()!r}))")
@@ -80,6 +80,29 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
     assert len(done.stderr.splitlines()) == 1
     assert how_to_install(extra) in done.stderr
     assert how_to_install(extra).split()[0] == sys.executable
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said"),
+    [
+        ("--help >&-", 0, ""),
+        ("convert nowhere -o x.csv >&-", 2, "journal nowhere: cannot be read"),
+        ("clasify 2>&-", 2, ""),
+        ("--version <&-", 0, ""),
+        ("--help >/dev/full", 2, "standard output: cannot be written (No space left on device)"),
+        ("--help | true", 0, ""),
+    ],
+)
+def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, said: str) -> None:
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", f"{sys.executable} -m daemon {command}"],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=25,
+    )
+    assert (done.returncode, said in done.stderr) == (code, True)
+    assert len(done.stderr.splitlines()) == bool(said)
 
 
 def test_a_mistyped_command_gets_a_proposal(capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import free_port
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.scripted_model import Scripted
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
@@ -93,7 +93,7 @@ class World(RuleBasedStateMachine):
         self.page_port = listening.getsockname()[1]
         scene = Scene(PipelineSettings(), Scripted(), robot_configured=True)
         self.page = LiveServer(listening, LiveSettings(), {"pad": scene})
-        self.viewers: list[ClientConnection | socket.socket] = []
+        self.viewers: list[ExitStack] = []
         self.fanout = EventFanout()
         self.fanout.sinks = (
             JournalSink(Journal(self.path, max_bytes=20_000, keep=1)),
@@ -173,7 +173,9 @@ class World(RuleBasedStateMachine):
     def viewer_comes(self, is_hostile: bool) -> None:
         if len(self.viewers) < MOST_VIEWERS:
             url = f"ws://127.0.0.1:{self.page_port}/stream"
-            self.viewers.append(flood(self.page_port) if is_hostile else connect(url, close_timeout=0.1))
+            self.viewers.append(ExitStack())
+            viewer = flood(self.page_port) if is_hostile else connect(url, close_timeout=0.1)
+            self.viewers[-1].enter_context(viewer)
 
     @rule()
     def viewer_goes(self) -> None:
@@ -225,7 +227,7 @@ def check(answers: Sequence[Prediction]) -> None:
     assert all(one != two for one, two in itertools.pairwise(told))
 
 
-World.TestCase.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+World.TestCase.settings = settings(max_examples=200, stateful_step_count=30, deadline=None)
 
 
 @pytest.mark.slow
@@ -298,8 +300,9 @@ def test_a_process_holds_until_it_is_told_to_end(tmp_path: Path, seed: int) -> N
             most_mb = max(most_mb, resident_mb(process.daemon.process.pid))
         process.daemon.process.send_signal(signal.SIGTERM)
         asked_s = time.monotonic()
-        assert process.daemon.process.wait(10) == 0
-        assert time.monotonic() - asked_s < 5.0
+        assert process.daemon.process.wait(20) == 0
+        # Ten times the pad's pace on a machine that others use: what waits is not all processed.
+        assert time.monotonic() - asked_s < 8.0
         process.reader.join()
     finally:
         process.daemon.stop()
