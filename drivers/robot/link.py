@@ -73,9 +73,10 @@ class RobotLink:
             self._actions = RobotWorker(
                 "touchd-robot-actions",
                 opener,
-                ReactionDuty(limits, words, on_act or _tell_nobody),
+                ReactionDuty(limits, words, on_act or (lambda *_: None)),
                 limits,
-                _say_nothing,
+                # The worker of the events says when the robot comes and goes; twice would be a flood.
+                lambda *_: None,
             )
 
     @property
@@ -144,11 +145,3 @@ def _open(
     open_session: OpenSession, url: str, login: Login | None, limits: RobotLimits, hurry: Event
 ) -> RobotSession:
     return open_session(url, login, limits, hurry)
-
-
-def _tell_nobody(message: RobotMessage, kind: Kind, what: str) -> None:
-    """For who does not want to know what the robot does."""
-
-
-def _say_nothing(state: State, reason: str) -> None:
-    """The worker of the events says when the robot comes and goes; twice would be a flood."""
