@@ -1,4 +1,4 @@
-"""What the doctor says of one thing it looked at."""
+"""The result of one check."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Verdict = Literal["ok", "warning", "to do", "not checked"]
 
 @dataclass(frozen=True)
 class Check:
-    """One thing looked at, and what was found, in words for a person.
+    """The result of one check. found: in words for the user.
 
-    verdict: "ok"; "warning" (touchd copes, but it is worth knowing); "to do" (it does not work, or not well,
-    until `advice` is followed); "not checked" (`found` says why).
-    figures: what was measured, by names that carry their units.
+    verdict: "ok"; "warning" (touchd copes); "to do" (does not work, or not well, until `advice` is
+    followed); "not checked" (`found` says why).
+    figures: measurements; names carry units.
     """
 
     name: str

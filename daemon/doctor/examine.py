@@ -1,4 +1,4 @@
-"""The examination: every check in turn, each bounded in time, and those left out that cannot be made."""
+"""Runs all checks in turn, each bounded in time; skips those that cannot be made."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from drivers.pad.port import Line, open_port
 from drivers.pad.sensor import SensorError, check_port
 
 PRESS_S = 15.0
-# Too few to say anything of a rate.
+# Too few to measure a rate.
 LEAST_FRAMES = 10
 
 Say = Callable[[str], None]
@@ -40,8 +40,8 @@ Say = Callable[[str], None]
 def examine(settings: Settings, seconds: float, say: Say, with_press: bool = False) -> Iterator[Check]:
     """Yield each check as soon as it is made.
 
-    seconds: how long the pad is listened to. say: shows a line to the person at the pad. with_press: the
-    person is asked to press a corner, to tell which way round the pad lies.
+    seconds: how long to listen to the pad. say: shows a line to the user. with_press: ask for a press on a
+    corner to find the orientation.
     """
     yield from _examine_pad(settings, seconds, say, with_press)
     yield check_model(settings)

@@ -1,4 +1,4 @@
-"""Whether frames come over the pad's line: the port, what is spoken on it, how clean and how fast it is."""
+"""Checks of the pad's line: port, protocol, damage and frame rate."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from drivers.pad.pace import pace_of, steps_ms
 from drivers.pad.port import Line
 from drivers.pad.sensor import SensorError
 
-# What boards are usually set to: the lab's Mega and Teensy builds first.
+# Usual baud rates, the lab's Mega and Teensy builds first.
 USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
 TRY_BAUD_S = 0.5
-# The ring lays such rates on the model's 54 Hz.
+# Rates that the ring resamples to the model's 54 Hz.
 SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
-# A frame in a thousand is bridged without harm; one in fifty is a fault that will grow.
+# One lost frame in a thousand is harmless; one in fifty is a fault that will grow.
 CLEAN_SHARE, BROKEN_SHARE = 0.001, 0.02
 COMPARABLE_S = 1.5
 CLOCK_TOLERANCE = 0.05
@@ -43,20 +43,20 @@ ADVICE_FOR_BYTES = {
 
 
 def port_is_open(sensor: SensorSettings) -> Check:
-    """Say that the port could be opened, and which device a link stands for."""
+    """Report that the port can be opened, and the device that a link points to."""
     device = os.path.realpath(sensor.port)
     is_link = os.path.islink(sensor.port)
     return Check("port", "ok", f"{sensor.port}{f' ({device})' if is_link else ''}, found and permitted")
 
 
 def port_is_taken() -> Check:
-    """Say that the daemon itself reads the port, which is as it should be."""
+    """Report that the daemon reads the port, as it should."""
     advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
     return Check("port", "not checked", "the service touchd reads it", advice)
 
 
 def port_is_not_open(error: SensorError) -> Check:
-    """Say why the port could not be opened, and which ports there are."""
+    """Report why the port cannot be opened, and list the ports."""
     others = ", ".join(sorted(port.device for port in comports()))
     advice = ADVICE_FOR_PORT[error.kind]
     if error.kind in ("missing", "unusable"):
@@ -65,7 +65,7 @@ def port_is_not_open(error: SensorError) -> Check:
 
 
 def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
-    """Say whether frames were understood; if not, what the bytes look like, trying other baud rates."""
+    """Report whether frames were decoded; if not, try other baud rates and diagnose the bytes."""
     expected = parser_for(sensor).description
     if heard.frames:
         return Check("protocol", "ok", f"{expected} at {sensor.baud} baud, as configured")
@@ -90,7 +90,7 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
 
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
-    """Return the baud rate at which the pad's frames are understood, None if there is none of the usual."""
+    """Return the usual baud rate at which frames are decoded, or None."""
     for baud in USUAL_BAUDS:
         if baud == sensor.baud:
             continue
@@ -105,7 +105,7 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
 
 
 def check_damage(heard: Heard) -> Check:
-    """Say how many frames arrived damaged."""
+    """Report how many frames were damaged."""
     share = heard.damaged / (heard.damaged + len(heard.frames))
     figures = {"frames": float(len(heard.frames)), "damaged": float(heard.damaged)}
     found = f"{len(heard.frames)} frames intact, {heard.damaged} damaged"
@@ -115,7 +115,7 @@ def check_damage(heard: Heard) -> Check:
 
 
 def check_rate(heard: Heard) -> Check:
-    """Say how many frames a second the pad sends, how evenly, and whether its clock is right."""
+    """Report frame rate, jitter, and the accuracy of the pad's clock."""
     arrival_s = heard.arrival_s()
     if heard.broke_off:
         return Check("rate", "to do", heard.broke_off, "try another cable")
@@ -150,12 +150,12 @@ def check_rate(heard: Heard) -> Check:
 
 
 def _clock_by_ours(heard: Heard) -> float:
-    """Return how fast the pad's clock runs by this machine's; 1 where too little was heard to tell."""
+    """Return the pad's clock rate relative to this machine's; 1 with too few frames."""
     arrival_s = heard.arrival_s()
     since_s = arrival_s - arrival_s[0]
     if since_s[-1] < COMPARABLE_S:
         return 1.0
-    # A line through all frames: one that arrived late must not tip the scales.
+    # A fit through all frames, so that one late frame does not matter.
     clock_s = np.concatenate([[0.0], np.cumsum(steps_ms(heard.frames))]) / 1000
     slope, _ = np.polyfit(since_s, clock_s, 1)
     return float(slope)

@@ -1,4 +1,4 @@
-"""Listening to a pad for a while: what came over its line, however it ended."""
+"""Listens to a pad for a while."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from drivers.pad.port import Line, SensorError, read_waiting
 START_S = 4.0
 # Enough to see many frames of any geometry.
 RECENT_BYTES = 8192
-# No pad sends more than a frame for each tick of its clock.
+# No pad sends more than one frame per tick of its clock.
 TICK_MS = 1
 LONGEST_STEP_MS = 1000
 
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What came over the line.
+    """What was received.
 
-    frames: in order. damaged: frames refused as damaged after the first intact one. recent: the last bytes of
-    which no frame could be made. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port
-    went away meanwhile, "" when it did not.
+    frames: in order. damaged: frames refused as damaged after the first intact one. recent: the last
+    bytes that gave no frame. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went
+    away, "" if it did not.
     """
 
     frames: tuple[Frame, ...]
@@ -56,8 +56,8 @@ def listen(
 ) -> Heard:
     """Listen for `seconds` from the first frame on, by the pad's clock or this machine's, whichever is first.
 
-    start_s: how long the first frame may take. enough: ends it at once when true of a frame. Takes at most
-    start_s + seconds, whatever comes.
+    start_s: how long the first frame may take. enough: stops at the first frame for which it is true.
+    Takes at most start_s + seconds.
     """
     frames: list[Frame] = []
     recent, broke_off = b"", ""

@@ -1,4 +1,4 @@
-"""What is around the pad: the model, the robot, the service."""
+"""Checks of the model, the robot and the service."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from model.classifier import ModelError
 
 UNIT = "touchd"
 SYSTEMCTL_S = 3.0
-# As systemctl(1) and org.freedesktop.systemd1(5) name them.
+# See systemctl(1) and org.freedesktop.systemd1(5).
 PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result", "NRestarts", "StatusText")
-# An answer within one frame of the pad, so that none waits for the one before.
+# An answer must not take longer than a frame.
 SLOW_ANSWER_MS = 18.5
 TIMED_ANSWERS = 5
 
 
 def check_model(settings: Settings) -> Check:
-    """Load the model as the daemon would, and ask it the longest question that the scene asks."""
+    """Load the model as the daemon does, and time its longest answer."""
     try:
         classifier = load_model(settings)
     except ModelError as error:
@@ -50,7 +50,7 @@ def check_model(settings: Settings) -> Check:
 
 
 def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Check:
-    """Connect to the configured robot and ask for its version, within its limits of a few seconds."""
+    """Connect to the configured robot and ask for its version, within a few seconds."""
     if settings.robot is None:
         return Check("robot", "ok", "none is configured")
     wanted = settings.robot
@@ -70,7 +70,7 @@ def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Ch
 
 
 def _ask_version(wanted: RobotSettings, open_session: OpenSession) -> tuple[str, float]:
-    """Return what the robot says it runs, and how long it took to hear it, in seconds."""
+    """Return the robot's version, and the time this took in seconds."""
     login, limits = read_login(wanted), RobotLimits(call_s=wanted.call_s)
     session = open_session(wanted.url, login, limits, threading.Event())
     begun_s = time.monotonic()
@@ -83,7 +83,7 @@ def _ask_version(wanted: RobotSettings, open_session: OpenSession) -> tuple[str,
 
 
 def check_service() -> Check:
-    """Ask systemd whether the service is installed, runs, and is started at boot."""
+    """Ask systemd whether the service is installed, running and enabled."""
     state = _unit_state()
     if state is None:
         return Check("service", "not checked", "no systemd answers on this machine")
@@ -113,7 +113,7 @@ def service_runs() -> bool:
 
 
 def _unit_state() -> dict[str, str] | None:
-    """Return what systemd knows of the unit, None where there is no systemd to ask."""
+    """Return the unit's properties, None without systemd."""
     try:
         done = subprocess.run(
             ["systemctl", "show", UNIT, f"--property={','.join(PROPERTIES)}"],

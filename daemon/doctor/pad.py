@@ -1,4 +1,4 @@
-"""Whether the pad feels as a pad should: its rest, its noise, its taxels, which way round it lies."""
+"""Checks of the pad: rest, noise, taxels, orientation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivers.pad.pace import steps_ms
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
 LOADED_COUNTS = 50.0
-# How long PadHealth needs to know a still taxel from one that happens to keep still.
+# How long PadHealth needs to tell a stuck taxel from a quiet one.
 HEALTH_S = 6.0
 PRESSED_COUNTS = 40
 NAMED_TAXELS = 3
@@ -35,7 +35,7 @@ ADVICE_FOR: dict[Kind, str] = {
 
 
 def check_rest(heard: Heard, settings: Settings) -> Check:
-    """Say how much the pad reads while nothing touches it, and whether that is the right way round."""
+    """Report the pad's counts at rest, and whether `invert` is right."""
     level = np.median(heard.counts(), axis=0)
     figures = {"rest_counts": round(float(level.mean()), 1), "highest_rest_counts": float(level.max())}
     found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
@@ -50,7 +50,7 @@ def check_rest(heard: Heard, settings: Settings) -> Check:
 
 
 def check_quiet(heard: Heard, settings: Settings) -> Check:
-    """Say whether the daemon would have felt a touch."""
+    """Report whether the daemon would have felt a touch."""
     touches = _touches(heard.frames, settings)
     figures = {"touches": float(touches)}
     if touches == 0:
@@ -73,7 +73,7 @@ def _times(touches: int) -> str:
 
 
 def check_noise(heard: Heard) -> Check:
-    """Say how much the taxels stray from frame to frame; a pad that was touched meanwhile strays more."""
+    """Report the noise between frames; a touch meanwhile raises it."""
     steps = np.diff(heard.counts().astype(np.float64), axis=0)
     noise = steps.std(axis=0) / np.sqrt(2.0)
     usual, highest = float(np.median(noise)), float(noise.max())
@@ -90,7 +90,7 @@ def check_noise(heard: Heard) -> Check:
 
 
 def check_taxels(heard: Heard) -> list[Check]:
-    """Say which taxels are dead or stuck, one check for each kind of trouble."""
+    """Report dead and stuck taxels, one check for each kind of fault."""
     listened_s = float(steps_ms(heard.frames).sum()) / 1000
     if listened_s < HEALTH_S:
         return [
@@ -114,12 +114,12 @@ def check_taxels(heard: Heard) -> list[Check]:
 
 
 def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
-    """Return whether a finger presses the pad in this frame. rest: (8, 8) counts while nothing does."""
+    """Return whether a finger presses the pad in this frame. rest: (8, 8) counts."""
     return bool((frame.pressure - rest).max() >= PRESSED_COUNTS)
 
 
 def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
-    """Say which corner the pad felt when its top left one was pressed, as heard until `is_pressed`."""
+    """Report where the press on the top left corner was felt, in frames up to `is_pressed`."""
     if not heard.frames or not is_pressed(heard.frames[-1], rest):
         return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor --press again")
     pressure = heard.frames[-1].pressure - rest
@@ -135,7 +135,7 @@ def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
 
 
 def _places(mask: NDArray[np.bool_]) -> str:
-    """Name the taxels of a mask (8, 8), counted from 1; only the first few."""
+    """Name the first few taxels of a mask (8, 8), counted from 1."""
     places = np.argwhere(mask)
     named = ", ".join(f"row {row + 1} column {column + 1}" for row, column in places[:NAMED_TAXELS])
     more = len(places) - NAMED_TAXELS

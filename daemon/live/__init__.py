@@ -1,1 +1,1 @@
-"""The live page: what the daemon feels and says, in a browser. Loaded in full only where it is asked for."""
+"""The live page: pad and answers in a browser. Loaded only when configured."""

@@ -1,4 +1,4 @@
-"""Where the live page is served, and by which names a browser may have asked for it."""
+"""Where the live page is served, and the host names it answers to."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from daemon.config import ConfigError, LiveSettings
 from drivers.errors import TouchdError
 from drivers.extras import how_to_install
 
-# What the kernel keeps for a viewer who does not take it: a second or two of frames.
+# Send buffer of a connection: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
 HIGHEST_PORT = 65535
@@ -30,7 +30,7 @@ class LiveError(TouchdError):
 
 
 def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
-    """Return where [HOST:]PORT says; what it leaves out is as configured. Raises ConfigError."""
+    """Return the address for [HOST:]PORT, missing parts as configured; raises ConfigError."""
     settings = configured or LiveSettings()
     if not text:
         return settings
@@ -42,7 +42,7 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
 
 
 def require_library() -> None:
-    """Raise LiveError where what serves the page is not installed."""
+    """Raise LiveError unless the library that serves the page is installed."""
     try:
         import websockets  # noqa: F401 - only whether it is there
     except ImportError as error:
@@ -54,7 +54,7 @@ def require_library() -> None:
 def listen(settings: LiveSettings, beside: socket.socket | None = None) -> socket.socket:
     """Return a socket that listens where these settings say; raises LiveError.
 
-    beside: one of ours that is to be closed, and may meanwhile listen at the same port.
+    beside: our own socket that it replaces; both may share the port for a moment.
     """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     try:
@@ -66,7 +66,7 @@ def listen(settings: LiveSettings, beside: socket.socket | None = None) -> socke
     except OSError as error:
         where = f"the live page cannot listen on {settings.host} port {settings.port}"
         raise LiveError(f"{where}: {_why(error, settings.port)}") from error
-    # Handed down to every connection.
+    # Inherited by every connection.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     return listening
 
@@ -82,9 +82,9 @@ def _why(error: OSError, port: int) -> str:
 
 
 def urls_of(settings: LiveSettings, port: int) -> list[str]:
-    """Return the page's addresses for a person, the likeliest first; where all are meant, each by its number.
+    """Return the page's addresses, the likeliest first; for 0.0.0.0 one for each IP address.
 
-    A phone may not know this computer's name.
+    Numbers, since a phone may not resolve this computer's name.
     """
     hosts = [settings.host]
     if settings.host in EVERY_ADDRESS:
@@ -93,10 +93,10 @@ def urls_of(settings: LiveSettings, port: int) -> list[str]:
 
 
 def own_addresses() -> list[str]:
-    """Return this computer's IPv4 addresses in the network, that of the way out first."""
+    """Return this computer's IPv4 addresses, that of the default route first."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        # Nothing is sent: the kernel only looks up from where it would be.
+        # Connecting UDP sends nothing; the kernel only picks the source address.
         with suppress(OSError):
             asking.connect(("192.0.2.1", 9))
             found.append(asking.getsockname()[0])
@@ -108,7 +108,7 @@ def own_addresses() -> list[str]:
 
 
 def qr_code(url: str) -> str:
-    """Return an address as lines of half blocks that a phone's camera reads, for a dark terminal."""
+    """Return an address as a QR code in half blocks, for a dark terminal."""
     import segno
 
     drawn = io.StringIO()
@@ -117,7 +117,7 @@ def qr_code(url: str) -> str:
 
 
 def own_names(settings: LiveSettings) -> frozenset[str]:
-    """Return the names, in lower case, by which this computer may be asked for the page."""
+    """Return the host names, in lower case, that the page answers to."""
     name = socket.gethostname().lower()
     short = name.partition(".")[0]
     return frozenset({"localhost", name, short, f"{short}.local", settings.host.lower()})
@@ -126,8 +126,8 @@ def own_names(settings: LiveSettings) -> frozenset[str]:
 def is_own_host(host: str, names: frozenset[str]) -> bool:
     """Whether a Host header, NAME[:PORT], names this computer by one of `names` or by a number.
 
-    A page from elsewhere can have its own name lead here (DNS rebinding), and then comes under that name; it
-    cannot come under a number. The port is free, for it differs at the other end of a tunnel.
+    Another site can point its own name at us (DNS rebinding), but then the Host header carries that name,
+    never a number. Any port is accepted, since it differs at the other end of a tunnel.
     """
     match = re.fullmatch(r"(\[[^\]]*\]|[^:]*)(:\d{1,5})?", host)
     if match is None:

@@ -1,4 +1,4 @@
-"""How many may be connected at once, and how much each may say: files and memory are the daemon's as well."""
+"""Limits on connections and on what each may send: they share the daemon's memory and descriptors."""
 
 from __future__ import annotations
 
@@ -7,18 +7,17 @@ import time
 
 from websockets.asyncio.server import ServerConnection
 
-# What a browser sends: a request with its headers, then ten bytes in five seconds in answer to our pings.
+# A browser sends a request with its headers, then ten bytes every five seconds in answer to our pings.
 FIRST_BYTES = 16 * 1024
 BYTES_PER_S = 16.0
 
 
 class Door:
-    """Lets in so many connections and cuts off any beyond at once, and each that says too much.
+    """Closes connections beyond the limit, and any that sends too much.
 
-    Each ping is answered, and each fragment of a message kept: what a viewer may send bounds what it costs,
-    whatever it sends and whether it reads or not.
+    Every ping is answered and every fragment is kept, so limiting what a viewer sends limits its cost.
 
-    kind: the connections to make, of which the door knows.
+    kind: the class of connections to make.
     """
 
     def __init__(self, limit: int) -> None:
@@ -48,6 +47,6 @@ class Door:
         self.kind: type[ServerConnection] = Counted
 
     def shut(self) -> None:
-        """Cut off whoever is still inside."""
+        """Close all connections."""
         for connection in list(self._inside):
             connection.transport.abort()

@@ -1,4 +1,4 @@
-"""What the live page has been told so far, to be told again to whoever comes later."""
+"""The state of the live page, for viewers who come later."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PREDICTIONS = 24
 
 
 class Memory:
-    """A pad's last touches with their answers, and what was last heard of it and the robot; all bounded."""
+    """The last touches of a pad with their answers, and the last state of pad and robot; bounded."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -36,7 +36,7 @@ class Memory:
         self._touches: deque[PageTouch] = deque(maxlen=TOUCHES)
 
     def put(self, event: Event) -> None:
-        """Remember an event; a touch whose beginning is not known is left out."""
+        """Remember an event, unless its touch began before we listened."""
         match event:
             case SensorEvent():
                 self._sensor = event
@@ -51,7 +51,7 @@ class Memory:
                 self._add(event)
 
     def state(self, page: str, pad: str, pads: tuple[str, ...]) -> PageState:
-        """Return it all; page: stamp of the page's files. pad: which this is of all pads."""
+        """Return the whole state. page: stamp of the page's files. pad: the name of this pad."""
         scene = self.scene
         return PageState(
             page=page,

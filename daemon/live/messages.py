@@ -1,7 +1,7 @@
-"""What the page is sent: the daemon's events as they are, and besides them frames, state and status.
+"""Messages to the page: the daemon's events unchanged, frames, state and status.
 
-Everything is JSON, but a frame: 133 bytes, little-endian, its sensor_ms (uint32), 64 counts (uint16), and the
-pad's place in `PageState.pads` (uint8).
+All but frames are JSON. A frame has 133 bytes, little-endian, its sensor_ms (uint32), 64 counts (uint16), and
+the pad's place in `PageState.pads` (uint8).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CLOCK_MASK = 0xFFFFFFFF
 
 
 class PageTouch(msgspec.Struct, frozen=True, kw_only=True):
-    """A touch so far: how it began, what was said of it, and how it ended if it has."""
+    """A touch so far: its beginning, its answers, and its end if it has ended."""
 
     began: TouchBegan
     predictions: tuple[Prediction, ...]
@@ -26,13 +26,12 @@ class PageTouch(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
-    """All that a page must know when it comes, or was too slow for a while.
+    """What a page needs when it connects, or has fallen behind.
 
-    pad: which it is of, of all pads.
-    page: stamp of the page's files; a page with another one loads itself anew. labels: in the order of the
-    probabilities. answer_at_frames, speak_above, revise_margin: of the scene. model: its name. names: of the
-    gestures, in the page's language. action: what the robot did last about the last touch.
-    touches: the last ones, oldest first; one that goes on is the last.
+    pad: of which of the pads. page: stamp of the page's files; a page with another reloads. labels: in the
+    order of the probabilities. answer_at_frames, speak_above, revise_margin: of the scene. model: its name.
+    names: of the gestures, in the page's language. action: the robot's latest action on the last touch.
+    touches: the last ones, oldest first; an ongoing touch comes last.
     """
 
     page: str
@@ -54,7 +53,7 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):
-    """How it goes, twice a second. rate_hz: of the frames. dropped: frames the daemon was too slow for."""
+    """The status, sent twice a second. rate_hz: frame rate. dropped: frames dropped under overload."""
 
     rate_hz: float
     dropped: int
@@ -63,7 +62,7 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
 
 
 def encode_frame(frame: Frame, pad: int = 0) -> bytes:
-    """Return a frame as the page takes it; pad: the place of its pad."""
+    """Return a frame in the page's format. pad: the index of its pad."""
     return CLOCK.pack(frame.sensor_ms & CLOCK_MASK) + frame.pressure.astype("<u2").tobytes() + bytes([pad])
 
 

@@ -1,4 +1,4 @@
-"""The page's own files, and the answer to whoever asks for one of them or for something else."""
+"""The page's files and the answers to HTTP requests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TYPES = {
     ".js": "text/javascript; charset=utf-8",
     ".svg": "image/svg+xml",
 }
-# Everything comes from here, nothing is inline, nobody frames it.
+# Same origin only, nothing inline, no framing.
 POLICY = "; ".join(
     [
         "default-src 'none'",
@@ -43,9 +43,9 @@ HEADERS = {
 
 
 class Page:
-    """The files, read once. names: those by which a browser may ask for this computer.
+    """The files, read once. names: accepted host names.
 
-    stamp: changes with the files, so that a page can tell that it is an old one.
+    stamp: changes with the files, so that a page notices that it is outdated.
     """
 
     def __init__(self, names: frozenset[str]) -> None:
@@ -55,13 +55,13 @@ class Page:
         self.stamp = hashlib.sha256(b"".join(self._files.values())).hexdigest()[:12]
 
     def respond(self, request: Request) -> Response | None:
-        """Return the answer to a request, None where the stream is asked for as it should be."""
+        """Return the answer to a request, None for a valid request for the stream."""
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not is_own_host(hosts[0], self._names):
             return _answer(HTTPStatus.FORBIDDEN, "The page is not known by this name.\n")
         path = request.path.partition("?")[0]
         if path == STREAM:
-            # Only browsers send an origin, and always: that of the page which asks.
+            # Browsers always send the origin of the asking page; other clients send none.
             origins = {origin.partition("://")[2] for origin in request.headers.get_all("Origin")}
             if origins - {hosts[0]}:
                 return _answer(HTTPStatus.FORBIDDEN, "Only the page itself gets the stream.\n")

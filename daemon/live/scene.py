@@ -1,4 +1,4 @@
-"""What the live page is told of how answers are made."""
+"""What the live page knows of the configuration."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from daemon.setup.words import Language, Vocabulary
 
 @dataclass(frozen=True)
 class Scene:
-    """What answers are made with: the pipeline's settings, the model, whether there is a robot, and words."""
+    """The pipeline's settings, the model, whether a robot is configured, and words."""
 
     settings: PipelineSettings
     model: ProbabilityModel

@@ -1,4 +1,4 @@
-"""Serves the live page: a thread with an event loop of its own, handed what there is to show."""
+"""Serves the live page from a thread with its own event loop."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from drivers.queue import DroppingQueue
 
 log = logging.getLogger(__name__)
 
-# Ten seconds of frames, which wait only when the machine is far too busy.
+# Ten seconds of frames; they wait only when the machine is overloaded.
 CAPACITY = 540
 STATUS_EVERY_S = 0.5
-# Four seconds: a rate that one late frame does not move.
+# Four seconds, so that one late frame does not move the rate.
 RATE_SAMPLES = 9
-# Connections of any kind, those that ask for a file and those that ask for nothing among them.
+# Connections of any kind, including those for files and idle ones.
 MOST_CONNECTIONS = 64
 MOST_HEARD_BYTES = 64
 HANDSHAKE_S = 5.0
@@ -49,14 +49,14 @@ Item: TypeAlias = Event | LivePrediction | tuple[Frame, str] | Scenes
 
 @dataclass
 class _Shown:
-    """What is shown of one pad. frames: so far."""
+    """One pad. frames: number so far."""
 
     memory: Memory
     frames: int = 0
 
 
 class LiveServer:
-    """A sink that serves the page on a socket that listens already; takes events and frames at once."""
+    """A sink that serves the page on a listening socket; taking events and frames never blocks."""
 
     name = "live"
 
@@ -76,34 +76,33 @@ class LiveServer:
 
     @property
     def dropped(self) -> int:
-        """Events and frames that the page's own thread was too slow for; slow viewers do not count."""
+        """Events and frames that the page's thread was too slow for; slow viewers do not count."""
         return self._items.dropped
 
     def start(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         urls = urls_of(self._settings, self.listening.getsockname()[1])
         log.info("live page: %s", " ".join(urls))
         self._thread.start()
 
     def put(self, item: Event | LivePrediction | Scenes) -> None:
-        """Take an event, a live prediction or the scenes from now on, to be shown with the next frame.
+        """Queue an event, a live prediction or new scenes, to be shown with the next frame or status.
 
-        Without a frame it is shown with the next status. Waking the page's thread here would have it compete
-        with passing an answer on.
+        Waking the page's thread here would make it compete with the other sinks for this answer.
         """
         self._items.put(item)
 
     @property
     def is_watched(self) -> bool:
-        """Whether anybody looks."""
+        """Whether there are viewers."""
         return bool(self._viewers)
 
     def put_live(self, prediction: LivePrediction) -> None:
-        """Take what the model makes of a touch at this moment."""
+        """Queue a live prediction."""
         self._items.put(prediction)
 
     def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:
-        """Take a frame, and how many the daemon was too slow for so far; all that was put is now shown."""
+        """Queue a frame and show everything queued. dropped: frames dropped so far."""
         self._pads[pad].frames += 1
         self._frames_dropped = dropped
         if not self._viewers:
@@ -116,7 +115,7 @@ class LiveServer:
                 self._loop.call_soon_threadsafe(self._take)
 
     def stop(self, timeout_s: float) -> None:
-        """Say goodbye to all viewers and stop listening, without showing what is queued; may be repeated."""
+        """Close all connections and stop listening; what is queued is not shown. May be repeated."""
         self._is_stopping = True
         with suppress(RuntimeError):
             self._loop.call_soon_threadsafe(self._stopping.set)
@@ -135,7 +134,7 @@ class LiveServer:
             self._loop.close()
 
     async def _serve(self) -> None:
-        # The comings, goings and mistakes of clients stay out of the daemon's log.
+        # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         door = Door(MOST_CONNECTIONS)
         server = await serve(
@@ -162,7 +161,7 @@ class LiveServer:
         await asyncio.wait([closed, status], timeout=GOODBYE_S)
 
     async def _watch(self, connection: ServerConnection) -> None:
-        """Keep a viewer until it leaves or says something, for nothing is read here."""
+        """Keep a viewer until it leaves; close it if it sends a message, since none is expected."""
         if not self._viewers.add(connection):
             await connection.close(CloseCode.TRY_AGAIN_LATER, "too many are looking already")
             return
@@ -191,11 +190,11 @@ class LiveServer:
         return {name: pad.frames for name, pad in self._pads.items()}
 
     def _take(self) -> None:
-        """Show all that was put since the last time."""
+        """Show everything queued."""
         self._is_woken = False
         items = self._items.take_all()
         for item in items:
-            # A thread that still works when Python ends would take the process down with it.
+            # A thread still at work when Python exits would crash the process.
             if self._is_stopping:
                 return
             try:

@@ -1,4 +1,4 @@
-"""Everyone who looks at the live page: each gets what there is room for, and none waits for another."""
+"""The viewers of the live page; a slow one does not hold up the others."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from collections.abc import Callable
 from websockets.asyncio.server import ServerConnection, broadcast
 
 MOST_VIEWERS = 16
-# What may wait for a slow viewer, besides what the kernel holds: about half a second of frames. One who is
-# behind by more gets the newest once there is room again, not what was missed.
+# Backlog per viewer besides the kernel's buffer, about half a second of frames. A viewer that is further
+# behind skips frames until there is room again.
 MOST_WAITING_BYTES = 4096
 
 
 class Viewers:
-    """Sends to all who look; a viewer who is too slow misses frames, and is told the state anew.
+    """Sends to all viewers; one that is too slow misses frames and then gets the whole state.
 
-    state: returns all that a viewer must know, as JSON a pad. To be used in the event loop's thread only.
+    state: returns the whole state, one JSON text for each pad. Use in the event loop's thread only.
     """
 
     def __init__(self, state: Callable[[], list[str]]) -> None:
@@ -27,7 +27,7 @@ class Viewers:
         return len(self._all)
 
     def add(self, viewer: ServerConnection) -> bool:
-        """Send to this one too, from the state on; False when there are too many already."""
+        """Add a viewer and send it the state; False when there are too many."""
         if len(self._all) >= MOST_VIEWERS:
             return False
         self._all.add(viewer)
@@ -36,23 +36,23 @@ class Viewers:
         return True
 
     def discard(self, viewer: ServerConnection) -> None:
-        """Send nothing more to this one."""
+        """Remove a viewer."""
         self._all.discard(viewer)
         self._behind.discard(viewer)
 
     def tell(self, message: str) -> None:
-        """Send what nobody may miss; the message counts as part of the state from now on."""
+        """Send what no viewer may miss; the state must contain it already."""
         self._behind.update(viewer for viewer in self._all if not _has_room(viewer))
         broadcast(self._all - self._behind, message)
         self._catch_up()
 
     def show(self, message: str | bytes) -> None:
-        """Send what whoever is too slow for it may miss."""
+        """Send what a slow viewer may miss."""
         self._catch_up()
         broadcast([viewer for viewer in self._all - self._behind if _has_room(viewer)], message)
 
     def _catch_up(self) -> None:
-        """Send the state to those who are behind and have room again."""
+        """Send the state to viewers that had fallen behind and have room again."""
         ready = [viewer for viewer in self._behind if _has_room(viewer)]
         if ready:
             self._behind.difference_update(ready)

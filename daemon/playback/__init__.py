@@ -1,1 +1,1 @@
-"""Recordings played as a pad would send them."""
+"""Recordings played as a pad sends them."""

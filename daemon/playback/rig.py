@@ -1,4 +1,4 @@
-"""The real daemon on a fake pad: what the demo shows, the bench measures and the end-to-end tests try."""
+"""The daemon in a process of its own, for the demo, the bench and end-to-end tests."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ OUTLINE: Mapping[type, tuple[str, ...]] = {
 
 
 class SpawnedDaemon:
-    """`touchd run` in a process of its own, on a configuration written for it.
+    """`touchd run` in a process of its own, with its own configuration file.
 
-    folder: where the configuration goes. log: gets what it writes to standard error, ours when left out.
-    environment: what to add to ours.
+    folder: where the configuration goes. log: its standard error, ours by default. environment: added to
+    ours.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class SpawnedDaemon:
             yield decode(line)
 
     def stop(self) -> int:
-        """Ask it to end (SIGTERM), wait, and return its exit code; may be called again."""
+        """Send SIGTERM, wait, and return the exit code; may be repeated."""
         if self.process.poll() is None:
             self.process.terminate()
         try:
@@ -67,7 +67,7 @@ class SpawnedDaemon:
 
 
 def outline(events: Iterable[Event]) -> list[dict[str, object]]:
-    """Return what is said of a stream however it is played: touches and answers, without their figures."""
+    """Return touches and answers without what differs between playbacks of the same stream."""
     return [
         {"type": event.__struct_config__.tag, **{name: getattr(event, name) for name in OUTLINE[type(event)]}}
         for event in events

@@ -1,4 +1,4 @@
-"""Recordings made into the stream of a pad: chosen, realigned, with notouch before, between and after."""
+"""Makes a pad's stream of recordings: selects, realigns, and puts notouch around touches."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from drivers.recording import (
 )
 
 DEMO_RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
-# Long enough for a touch to end and the pad's rest to be found again, short enough to wait for.
+# Long enough for a touch to end and the baseline to settle, short enough to wait for.
 QUIET_FRAMES = round(4.0 * FRAME_RATE_HZ)
 MOST_HOURS = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the recording files and the options that choose among what they hold."""
+    """Add the recording files and the options that select among their recordings."""
     parser.add_argument(
         "files",
         nargs="*",
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen_stream(arguments: argparse.Namespace) -> Stream:
-    """Return what the arguments of `add_arguments` chose, as one stream; raises RecordingError."""
+    """Return the recordings selected by the arguments as one stream; raises RecordingError."""
     condition = Selection(
         tuple(arguments.participant), tuple(arguments.substrate), tuple(arguments.cover), ()
     )
@@ -84,9 +84,9 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
 def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> Stream:
     """Splice recordings with four seconds of notouch before, between and after those that touch.
 
-    Before and after a change of participant, substrate or cover, each side has the quiet of its own.
-    quiet: notouch recordings to take it from: one of the same participant and condition where there is one,
-    else of the same participant, else any; where there is none, each taxel rests at the least it showed.
+    Each participant and condition gets its own quiet before and after.
+    quiet: notouch recordings to use, preferably of the same participant and condition, else of the same
+    participant, else any. Without any, the least reading of each taxel is used.
     """
     parts: list[Recording] = []
     for _, together in groupby(recordings, key=set_up):

@@ -1,4 +1,4 @@
-"""What was recorded against what was answered, for a person who has classified recordings."""
+"""Recorded against answered gestures, for `touchd classify`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.recording import NO_TOUCH, Stream
 
 
 class Tally:
-    """Counts touches by the recording in which they began and by what they were settled on."""
+    """Counts touches by recorded and by settled gesture."""
 
     def __init__(self, stream: Stream, words: Vocabulary, language: Language) -> None:
         self._language = language
@@ -23,7 +23,7 @@ class Tally:
         self._touches: Counter[tuple[str, str]] = Counter()
 
     def at(self, frame: int) -> None:
-        """Take note of the number of the frame that comes next."""
+        """Set the number of the next frame."""
         self._frame = frame
 
     def put(self, event: Event) -> None:
@@ -36,7 +36,7 @@ class Tally:
             self._touches[self._recorded, event.gesture] += 1
 
     def summary(self) -> str:
-        """Return a line for each gesture recorded, and how many touches were right."""
+        """Return a line for each recorded gesture, and how many touches were right."""
         name = {gesture: name_of(self._words, gesture) for pair in self._touches for gesture in pair}
         head = term(self._language, "recorded")
         width = max([len(head), *map(len, name.values())])

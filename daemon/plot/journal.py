@@ -1,4 +1,4 @@
-"""A journal as a picture: its last touches below each other, what was said of each, how long it was."""
+"""A journal as a picture: the last touches with answers and lengths, one below the other."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
-# What comes after the final answer shares a column, in which the last counts.
+# Answers after the final one share a column; the last is shown.
 COLUMN_OF: Mapping[Stage, int] = {
     "early": 0,
     "revised": 1,
@@ -28,7 +28,7 @@ COLUMN_NAMES = ("early", "revised", "final", "later, the last")
 
 
 def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
-    """Return the picture of touches, the oldest at the top; raises PlotError when there is none."""
+    """Return the picture of touches, the oldest at the top; raises PlotError without touches."""
     if not touches:
         raise PlotError(f"{title}: no touch in it yet, so nothing to draw")
     gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
@@ -37,7 +37,7 @@ def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
     answers, lengths = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
     _draw_answers(answers, touches, gestures)
     _draw_lengths(lengths, touches, gestures)
-    # The first at the top; both pictures share this axis.
+    # The oldest at the top; both plots share this axis.
     answers.set_ylim(len(touches) - 0.4, -0.6)
     return figure
 

@@ -1,4 +1,4 @@
-"""What the pictures of recordings and of journals share: paper, colours, marks."""
+"""Shared by the pictures of recordings and journals: colours, marks, saving."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
 FORMATS = (".png", ".svg", ".pdf")
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
-# Okabe and Ito's colours, told apart by colour-blind people too; gestures of a lab's own take the last ones.
+# Okabe and Ito's colours, safe for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
 COLOURS: Mapping[str, str] = {
     "constant": "#0072b2",
     "pat": "#e69f00",
@@ -33,11 +33,11 @@ OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
 
 
 class PlotError(TouchdError):
-    """A picture cannot be made; the message is one line that says what to do."""
+    """A picture cannot be made; the message says what to do."""
 
 
 def colour_of(gesture: str, gestures: Iterable[str]) -> str:
-    """Return a gesture's colour among all that a picture shows."""
+    """Return a gesture's colour. gestures: all in the picture."""
     if gesture in COLOURS:
         return COLOURS[gesture]
     others = sorted(set(gestures) - COLOURS.keys())
@@ -52,7 +52,7 @@ def new_figure(height_inches: float) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format that its file's name asks for; raises PlotError."""
+    """Write a figure in the format of its suffix; raises PlotError."""
     if path.suffix not in FORMATS:
         raise PlotError(f"{path}: a picture's name ends with {', '.join(FORMATS)}; give one with -o")
     try:
@@ -64,7 +64,7 @@ def save(figure: Figure, path: Path) -> None:
 def draw_answer(
     axes: Axes, at_s: float, height: float, answer: Prediction, colour: str, *, wrong: bool
 ) -> None:
-    """Mark an answer where it was given: filled when the robot was told, in words beside it."""
+    """Mark an answer with its gesture; filled when the robot was told."""
     axes.plot(
         [at_s],
         [height],
@@ -90,7 +90,7 @@ def draw_answer(
 
 
 def bare(axes: Axes, *keep: str) -> None:
-    """Take away the frame around axes, but for the sides that are kept."""
+    """Remove the frame around axes except for the kept sides."""
     for side, spine in axes.spines.items():
         spine.set_visible(side in keep)
         spine.set_color(QUIET_INK)

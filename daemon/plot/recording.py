@@ -1,4 +1,4 @@
-"""A recording as a picture: pressure over time, touches as they were felt, answers, the mean pad."""
+"""A recording as a picture: pressure over time, tracked touches, answers, mean pads."""
 
 from __future__ import annotations
 
@@ -37,16 +37,13 @@ LANES: tuple[tuple[Stage, ...], ...] = (
 LANE_NAMES = ("early", "revised", "final", "later")
 ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
 LEAST_COLUMNS, MOST_COLUMNS = 4, 7
-# Noise alone is not blown up to a mountain range.
+# Do not scale noise up to look like touches.
 LEAST_SCALE_COUNTS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A stream as the pipeline felt it: when each frame came, in seconds, its rise above rest, the touches.
-
-    time_s: (T,). rise: (T, 8, 8) counts. starts_s: when each touch began.
-    """
+    """A stream after the pipeline. time_s: (T,). rise: (T, 8, 8) counts above rest. starts_s: of touches."""
 
     stream: Stream
     time_s: NDArray[np.float64]
@@ -55,12 +52,12 @@ class Trace:
     starts_s: list[float]
 
     def ends_s(self, number: int) -> float:
-        """Return when a touch was over."""
+        """Return when a touch ended."""
         ended = self.touches[number].ended
         return self.starts_s[number] + (ended.frames if ended else 0) / FRAME_RATE_HZ
 
     def truth(self, number: int) -> str:
-        """Return the gesture that most of a touch shows in truth."""
+        """Return the recorded gesture of most of a touch."""
         start_s, end_s = self.starts_s[number], self.ends_s(number)
 
         def overlap_s(span: Span) -> float:
@@ -73,7 +70,7 @@ class Trace:
 def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Trace:
     """Send a stream through the pipeline; raises PlotError when it is too long for one picture."""
     steps_ms = np.diff(stream.sensor_ms)
-    # A clock that starts anew goes back, time does not.
+    # A restarted clock jumps back; the time axis must not.
     restarts = np.flatnonzero(steps_ms <= 0) + 1
     steps_ms = np.where(steps_ms > 0, steps_ms, 1000 / FRAME_RATE_HZ)
     time_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000
@@ -96,13 +93,13 @@ def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Trace:
 
 
 def _start_s(stream: Stream, time_s: NDArray[np.float64], noticed_at: int, touch: ReportedTouch) -> float:
-    """Return when a touch truly began, which was a little before it was noticed."""
+    """Return when a touch began, a little before it was noticed."""
     noticed_ms = int(stream.sensor_ms[noticed_at])
     return float(time_s[noticed_at]) - (noticed_ms - touch.began.sensor_ms) / 1000
 
 
 def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (T, 8, 8) counts above rest, which is another where the pad was set up anew."""
+    """Return (T, 8, 8) counts above rest; each setup of the pad has its own rest."""
     is_quiet = np.zeros(len(stream.counts), dtype=np.bool_)
     for span in stream.spans:
         is_quiet[span.start : span.stop] = span.gesture == NO_TOUCH
@@ -140,7 +137,7 @@ def draw(felt: Trace, title: str) -> Figure:
 
 
 def _rows(felt: Trace) -> list[tuple[float, float]]:
-    """Return from when to when, in seconds, each row shows the stream: of like length, broken in a quiet."""
+    """Return start and end in seconds of each row: of similar length, split at a quiet moment."""
     end_s = float(felt.time_s[-1])
     count = max(1, math.ceil(end_s / ROW_S))
     length_s = end_s / count
@@ -155,7 +152,7 @@ def _rows(felt: Trace) -> list[tuple[float, float]]:
 
 
 def _draw_pressure(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw the pad's whole pressure in the true gesture's colour, and shade the touches that were felt."""
+    """Draw the total pressure in the recorded gesture's colour, and shade the tracked touches."""
     first, last = np.searchsorted(felt.time_s, [begin_s, end_s]).tolist()
     load = felt.rise.sum(axis=(1, 2))
     highest = max(float(load[first : last + 1].max()), LEAST_SCALE_COUNTS)
@@ -189,7 +186,7 @@ def _draw_pressure(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: fl
 
 
 def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw each answer in the lane of its stage, at its time."""
+    """Draw each answer at its time, in a lane for its stage."""
     for number, touch in enumerate(felt.touches):
         truth = felt.truth(number)
         for answer in touch.predictions:
@@ -209,7 +206,7 @@ def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: flo
 
 
 def _draw_pads(figure: SubFigure, felt: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
-    """Draw the mean pad of each gesture, each on a scale of its own: a light touch would else not show."""
+    """Draw the mean pad of each gesture, each on its own scale so that light touches show."""
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in all_axes[len(gestures) :]:
         axes.set_visible(False)

@@ -1,4 +1,4 @@
-"""The pad while recordings are made: is it alive, was it touched, which frames came."""
+"""Reads the pad while recordings are made, and checks what it read."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ NO_FRAME = "no frame comes: is the pad plugged in, and does it run?"
 
 
 class PadLost(Exception):  # noqa: N818 - says what happened; it is told and the recording done again
-    """The pad went away, or restarted, while it was followed; the message is for a person."""
+    """The pad went away or restarted during a recording; the message is for the user."""
 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Frames that were recorded, and for what share of them the pad was touched."""
+    """Recorded frames, and the share of them in which the pad was touched."""
 
     frames: tuple[Frame, ...]
     touched_share: float
@@ -46,7 +46,7 @@ class Capture:
 
 
 class PadReader:
-    """Reads the pad from beginning to end of a session; a context manager."""
+    """Reads the pad for a whole session; a context manager."""
 
     def __init__(self, settings: Settings) -> None:
         sensor = settings.sensor
@@ -68,11 +68,11 @@ class PadReader:
 
     @property
     def troubles(self) -> list[str]:
-        """What is wrong with the pad's taxels now, in words for a person."""
+        """Current faults of the pad's taxels, in words."""
         return list(self._troubles.values())
 
     def await_frame(self, within_s: float) -> str:
-        """Forget what came while nobody followed, wait for a frame; return why none came, "" if one did."""
+        """Drop queued frames and wait for a new one; return why none came, "" if one did."""
         for _ in range(len(self._queue)):
             self._note(self._queue.get(timeout_s=0))
         until_s = time.monotonic() + within_s
@@ -84,7 +84,7 @@ class PadReader:
         return self._away or NO_FRAME
 
     def follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:
-        """Yield frames for so long, each after the seconds since the first, both by the pad's clock.
+        """Yield (seconds since the first frame, frame) for so many seconds of the pad's clock.
 
         Raises PadLost when the pad goes away or restarts.
         """
@@ -120,7 +120,7 @@ class PadReader:
 
 
 class Contact:
-    """Whether a hand is on the pad, from the first frame on, which must be of a pad at rest."""
+    """Tracks whether a hand is on the pad; the first frames must be of a pad at rest."""
 
     def __init__(self, settings: Settings) -> None:
         self._ring = Ring(settings.ring, 1)
@@ -139,7 +139,7 @@ class Contact:
 
 
 def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:
-    """Return why a recording of a gesture had better be made again, a line each; none when it is sound."""
+    """Return reasons to repeat a recording, a line each; none when it is sound."""
     found = list(troubles)
     lost = pace_of(capture.frames).lost
     if lost > MOST_LOST_SHARE * len(capture.frames):

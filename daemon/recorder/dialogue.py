@@ -1,4 +1,4 @@
-"""The guidance through a session of recordings: one gesture after the other, checked and kept."""
+"""Guides a person through a session: records each gesture, checks it, keeps it."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from daemon.terminal.ask import ask
 from drivers.pad.pace import pace_of
 from drivers.recording import Recording
 
-# As HAART did: of ten seconds of one gesture again and again, the middle eight are kept.
+# As in HAART: of ten seconds of a repeated gesture, keep the middle eight.
 EDGE_S = 1.0
-# The pad's board may restart when its port is opened, which takes two seconds.
+# A board may restart when its port is opened, which takes two seconds.
 ALIVE_WITHIN_S = 5.0
 
 HOW = {
@@ -41,10 +41,10 @@ Choice = Literal["keep", "redo", "skip"]
 
 @dataclass(frozen=True)
 class Terms:
-    """What holds for every recording.
+    """Settings of every recording.
 
     seconds: length that is kept. countdown_s: how long the pad rests before. licence: what others may do.
-    flowing: one gesture follows the other; only a recording that looks wrong is asked about.
+    flowing: ask only about recordings that look wrong.
     """
 
     seconds: float
@@ -54,7 +54,7 @@ class Terms:
 
 
 class Dialogue:
-    """Asks for every recording of a session that is not there yet."""
+    """Asks for every recording of a session that is still missing."""
 
     def __init__(
         self, console: Console, pad: PadReader, settings: Settings, session: Session, terms: Terms
@@ -67,7 +67,7 @@ class Dialogue:
         self._waits = True
 
     def run(self) -> None:
-        """Guide through what is left to record; raises `Stopped` when the person wants no more."""
+        """Record what is missing; raises `Stopped` when the person stops."""
         takes = self._session.takes()
         for place, take in enumerate(takes, 1):
             if not take.path.exists():
@@ -125,7 +125,7 @@ class Dialogue:
         return Capture(tuple(frames), touched / len(frames))
 
     def _choose(self, capture: Capture, take: Take) -> Choice:
-        """Show what was recorded, and let the person decide."""
+        """Show what was recorded and ask what to do with it."""
         peak = max(int(frame.pressure.max()) for frame in capture.frames)
         pace = pace_of(capture.frames)
         self._say(

@@ -1,4 +1,4 @@
-"""Goes through kept touches with a person: each is shown, and a key says what it was."""
+"""Shows kept touches one by one and asks what each was."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from daemon.recorder.touch_picture import Offered, draw
 from daemon.terminal.ask import ask, ask_name
 from drivers.recording import RecordingError
 
-# Digits first, then letters but for l, q, u and w, which mean something else.
+# Digits first, then letters; l, q, u and w are commands.
 KEYS = "123456789abcdefghijkmnoprstvxyz"
 WHO, UNDER, OVER = "Who touched the pad?", "What was under the pad?", "What was over the pad?"
 
 
 class LabelDialogue:
-    """Asks of one kept touch after the other what it was."""
+    """Asks what each kept touch was."""
 
     def __init__(
         self, console: Console, folder: LabelFolder, gestures: Sequence[str], setting: Setting
@@ -29,7 +29,7 @@ class LabelDialogue:
         self._setting = setting
 
     def run(self, touches: Sequence[Offered]) -> None:
-        """Go through touches in their order; raises `Stopped` when the person wants no more."""
+        """Go through touches in order; raises `Stopped` when the person stops."""
         place = 0
         asked: list[int] = []
         while place < len(touches) or self._is_slip(asked):
@@ -61,19 +61,19 @@ class LabelDialogue:
                 place += 1
 
     def _is_slip(self, asked: Sequence[int]) -> bool:
-        """After the last touch, ask whether what was said of it shall be undone."""
+        """After the last touch, ask whether to undo its answer."""
         self._say("\nThat was the last of them.", "bold")
         return bool(asked) and ask(self._console, "Enter to end, u undo: ", ("", "u")) == "u"
 
     def _undo(self, touches: Sequence[Offered], asked: list[int]) -> int:
-        """Forget the latest answer; returns the place of the touch that it was about."""
+        """Undo the latest answer; returns the index of its touch."""
         place = asked.pop()
         self._folder.undo(touches[place].kept)
         self._say("  undone", "green")
         return place
 
     def _decide(self, kept: KeptTouch, answer: str) -> None:
-        """Do as the person says of a touch; "l" does nothing, so that it is asked for again another time."""
+        """Carry out an answer; "l" (later) does nothing, so the next session asks again."""
         if answer == "":
             self._folder.find_right(kept)
             self._say("  right", "green")

@@ -1,8 +1,8 @@
-"""What kept touches truly were: each that is labelled becomes a recording, each that was right is remembered.
+"""Labels of kept touches: a labelled touch becomes a recording, a correct one is marked.
 
 A recording is FOLDER/participant_substrate_cover_gesture_TIME-NUMBER.csv.gz, TIME and NUMBER being those of
-the kept touch; FOLDER/.right holds an empty file for each touch that was found right. So FOLDER itself tells
-what has been looked at, after a crash too.
+the kept touch; FOLDER/.right holds an empty file for each touch whose answer was right. So FOLDER alone
+records the progress, also after a crash.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RIGHT = ".right"
 
 @dataclass(frozen=True)
 class Setting:
-    """Who touched what: substrate is under the pad, cover over it."""
+    """Who touched what. substrate: under the pad. cover: over it."""
 
     participant: str
     substrate: str
@@ -44,19 +44,18 @@ class LabelFolder:
         prepare(folder)
 
     def labelled(self) -> dict[str, Path]:
-        """Return the recordings that are there, by the name of the kept touch's file they were made from."""
+        """Return the existing recordings by the file name of their kept touch."""
         found = [path for path in self.path.glob(f"*_*{SUFFIX}") if not path.name.startswith(".")]
         return {path.name.rpartition("_")[2]: path for path in found}
 
     def found_right(self) -> set[str]:
-        """Return the names of the files of the kept touches that were found right."""
+        """Return the file names of kept touches marked as right."""
         return {path.name for path in (self.path / RIGHT).glob("*")}
 
     def label(self, kept: KeptTouch, setting: Setting, gesture: str) -> Path:
         """Write a kept touch as a recording of a gesture, and return where; raises RecordingError.
 
-        Of a touch it is what lies between its first frame and its last contact; where in truth nothing
-        touched, the rest before and after belongs to it as well.
+        It spans the first to the last contact; with the label notouch, also the rest before and after.
         """
         if already := self.labelled().get(kept.path.name):
             raise RecordingError(f"{already}: is there already; delete it to label touch {kept.number} anew")
@@ -71,7 +70,7 @@ class LabelFolder:
         return path
 
     def find_right(self, kept: KeptTouch) -> None:
-        """Remember that what was said of a touch was right."""
+        """Mark the answer to a touch as right."""
         mark = self.path / RIGHT / kept.path.name
         try:
             mark.parent.mkdir(exist_ok=True)
@@ -80,7 +79,7 @@ class LabelFolder:
             raise RecordingError(f"{mark}: cannot be written ({error.strerror})") from error
 
     def undo(self, kept: KeptTouch) -> None:
-        """Forget what was said of a kept touch here: delete its recording, or the mark that it was right."""
+        """Undo the label of a kept touch: delete its recording or its mark."""
         (self.path / RIGHT / kept.path.name).unlink(missing_ok=True)
         if path := self.labelled().get(kept.path.name):
             path.unlink(missing_ok=True)
@@ -95,7 +94,7 @@ class LabelFolder:
 
 
 def find(kept: Sequence[KeptTouch], name: str) -> KeptTouch:
-    """Return the kept touch of a number, or of a time's beginning; raises RecordingError unless it is one."""
+    """Return the one kept touch with this number or time prefix; raises RecordingError."""
     found = [
         touch
         for touch in kept
@@ -115,7 +114,7 @@ def find(kept: Sequence[KeptTouch], name: str) -> KeptTouch:
 
 
 def _whole(frames: KeptFrames) -> Recording:
-    """Return all of a kept touch's file as one recording."""
+    """Return the whole file of a kept touch as one recording."""
     parts = [part for part in (frames.before, frames.touch, frames.after) if part is not None]
     counts = np.concatenate([part.counts for part in parts])
     return replace(frames.touch, counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))

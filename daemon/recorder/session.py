@@ -1,8 +1,7 @@
-"""A lab's own recordings: what is to be recorded, in which order, and each kept in a file of its own.
+"""A session of recordings: what to record in which order, a file each.
 
 One file a recording, FOLDER/participant_substrate_cover_gesture_number.csv.gz, in our own layout with its
-provenance. A file is there whole or not at all and is never written over, so a session that was cut off goes
-on where it ended.
+provenance. Files are written whole and never overwritten, so an interrupted session can be continued.
 """
 
 from __future__ import annotations
@@ -14,14 +13,14 @@ from pathlib import Path
 
 from daemon.kept.recording_file import SUFFIX
 
-# Names are parts of file names, divided by "_", and cells of a CSV file.
+# Names are parts of file names, separated by "_", and cells of a CSV file.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
 NAME_RULE = "a name has letters, digits and - only, 32 at most"
 
 
 @dataclass(frozen=True)
 class Take:
-    """One recording to be made: the `number`-th (from 1) of a gesture, and the file for it."""
+    """A recording to make: the `number`-th (from 1) of a gesture, and its file."""
 
     gesture: str
     number: int
@@ -30,9 +29,9 @@ class Take:
 
 @dataclass(frozen=True)
 class Session:
-    """Who does which gestures on what, how many rounds of them; each round in an order of its own.
+    """Who does which gestures on what, in how many rounds, each in a random order.
 
-    The order depends on seed, participant and condition alone: the same session asks in the same order.
+    The order depends only on seed, participant and condition.
     """
 
     folder: Path
@@ -44,7 +43,7 @@ class Session:
     seed: int
 
     def takes(self) -> list[Take]:
-        """Return every recording of the session, in the order in which they are asked for."""
+        """Return all recordings of the session in order."""
         return [
             Take(gesture, number, self.folder / f"{self._setting}_{gesture}_{number}{SUFFIX}")
             for number in range(1, self.rounds + 1)

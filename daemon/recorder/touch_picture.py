@@ -1,4 +1,4 @@
-"""Kept touches in the terminal: a list of them, and one with mean pad, pressure over time and answers."""
+"""Kept touches in the terminal: as a list, or one with mean pad, pressure over time and answers."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from drivers.frame import FRAME_RATE_HZ
 
 WIDTH = 80
 PAD_SCALE = 2
-# With a border.
+# Including the border.
 PAD_WIDTH = 8 * PAD_SCALE + 2
 CHART_WIDTH, CHART_HEIGHT = WIDTH - 4, 5
 MOST_ANSWERS = 8
-# Noise alone is not blown up to a touch.
+# Do not scale noise up to look like a touch.
 LEAST_SCALE_COUNTS = 20.0
 UNKNOWN = "?"
 COLUMNS = {
@@ -42,14 +42,14 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Offered:
-    """A kept touch, and what the journal says of it; None where its lines are gone."""
+    """A kept touch, and its touch in the journal; None if the journal has lost it."""
 
     kept: KeptTouch
     said: ReportedTouch | None
 
     @property
     def taken_for(self) -> str:
-        """The gesture that the robot was last told."""
+        """The gesture it was settled on."""
         return self.said.ended.gesture if self.said and self.said.ended else UNKNOWN
 
     @property
@@ -61,7 +61,7 @@ class Offered:
 
 
 def list_touches(offered: Sequence[Offered]) -> Table:
-    """Return touches a line each: when, number, length, what was said at each stage, what it was told as."""
+    """Return a table of touches: time, number, length, answers by stage, final gesture."""
     table = Table(box=None, padding=(0, 1, 0, 0), width=WIDTH, header_style="dim")
     for name, width in COLUMNS.items():
         table.add_column(name, width=width, no_wrap=True, overflow="ellipsis")
@@ -77,7 +77,7 @@ def list_touches(offered: Sequence[Offered]) -> Table:
 
 
 def draw(offered: Offered, frames: KeptFrames, title: str, console: Console) -> Group:
-    """Return a touch as a picture of 20 lines of 80 characters."""
+    """Return a touch drawn on 20 lines of 80 characters."""
     rise = rise_above_rest(frames)
     mean = rise.mean(axis=0)
     lines = pad_picture(level_of(mean, max(float(mean.max()), 1.0)), PAD_SCALE, palette_for(console))
@@ -94,7 +94,7 @@ def draw(offered: Offered, frames: KeptFrames, title: str, console: Console) -> 
 
 
 def rise_above_rest(frames: KeptFrames) -> NDArray[np.float64]:
-    """Return the touch's (T, 8, 8) counts above each taxel's rest, its least where that is unknown."""
+    """Return (T, 8, 8) counts above rest; the least reading of a taxel stands in for an unknown rest."""
     counts = frames.touch.counts.astype(np.float64)
     rest = np.median(frames.before.counts, axis=0) if frames.before is not None else counts.min(axis=0)
     rise: NDArray[np.float64] = np.maximum(counts - rest, 0.0)
@@ -102,7 +102,7 @@ def rise_above_rest(frames: KeptFrames) -> NDArray[np.float64]:
 
 
 def _answers_in_columns(answers: Sequence[Prediction]) -> list[str]:
-    """Return what was said early, when revised, and last of all after that."""
+    """Return the early answer, the revised one, and the last one after these."""
     columns = {"early": "", "revised": "", "later": ""}
     for answer in answers:
         column = answer.stage if answer.stage in columns else "later"
@@ -111,7 +111,7 @@ def _answers_in_columns(answers: Sequence[Prediction]) -> list[str]:
 
 
 def _answers(offered: Offered) -> Text:
-    """Return what was said of a touch, a line each, the last ones where there are many."""
+    """Return the last answers to a touch, a line each."""
     if offered.said is None:
         return Text("the journal no longer tells of it", "dim")
     lines = [
@@ -129,12 +129,12 @@ def _in_words(answer: Prediction) -> str:
 
 
 def _chart(load: NDArray[np.float64], clock_s: NDArray[np.float64], offered: Offered) -> Text:
-    """Return (T,) counts over (T,) seconds as columns of #, with a mark below where answers were given."""
+    """Return (T,) counts over (T,) seconds as columns of #, with answers marked below."""
     end_s = float(clock_s[-1]) or 1.0
     places = np.minimum((clock_s / end_s * CHART_WIDTH).astype(np.int64), CHART_WIDTH - 1)
     highs = np.zeros(CHART_WIDTH)
     np.maximum.at(highs, places, load)
-    # A short touch has fewer frames than there are columns.
+    # A short touch has fewer frames than columns.
     highs = np.interp(np.arange(CHART_WIDTH), np.unique(places), highs[np.unique(places)])
     filled = np.rint(highs / max(float(highs.max()), LEAST_SCALE_COUNTS) * CHART_HEIGHT)
     lines = [

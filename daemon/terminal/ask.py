@@ -1,4 +1,4 @@
-"""Questions to a person at a terminal, answered by a line each."""
+"""Questions at the terminal, answered by a line each."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from daemon.recorder.session import NAME_RULE, is_name
 
 
 class Stopped(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
-    """The person wants no more, or nobody is there to answer."""
+    """The person stopped, or standard input ended."""
 
 
 def ask(console: Console, question: str, answers: Collection[str]) -> str:
-    """Return which of the answers a person gives, "" being a bare Enter; q, or no answer, raises Stopped."""
+    """Return one of the answers, "" for Enter alone; raises Stopped on q or the end of input."""
     while True:
         answer = _line(console, question).lower()
         if answer == "q":
@@ -39,7 +39,7 @@ def ask_name(console: Console, question: str, default: str = "") -> str:
 
 
 def _line(console: Console, question: str) -> str:
-    # What was typed ahead was not meant for this question.
+    # Discard what was typed before the question appeared.
     if sys.stdin.isatty():
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
     console.print(Text(question), end="")

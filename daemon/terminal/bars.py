@@ -20,10 +20,9 @@ def bars(
     size: tuple[int, int],
     palette: Palette,
 ) -> list[Line]:
-    """Return a bar a gesture, at most as many as the (width, height) has room for: then the likeliest.
+    """Return one bar for each gesture, only the likeliest where (width, height) has no room for all.
 
-    names: what each is called, in their order. shares: probabilities, empty for bars without any. stands: the
-    gesture that is answered.
+    names: display names, in order. shares: probabilities, empty for empty bars. stands: the gesture answered.
     """
     width, height = size
     likeliest = sorted(names, key=lambda gesture: -shares.get(gesture, 0.0))[:height]

@@ -1,4 +1,4 @@
-"""Words in letters of three lines, to be read from afar."""
+"""Words in large letters, to be read from afar."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ LETTERS = {
     "-": "... ... ### ... ...",
     " ": ".. .. .. .. ..",
 }
-# A half block for the pixels above and below.
+# Block characters for a pixel above and one below.
 BLOCKS = {"..": " ", "#.": "▀", ".#": "▄", "##": "█"}
 
 
 def big(word: str, width: int, is_tall: bool) -> list[str]:
-    """Return a word as three lines, twice as wide where there is room, or as six that are twice as tall too.
+    """Return a word in three lines, twice as wide where there is room, and twice as tall if `is_tall`.
 
-    One line where it does not fit, or has other letters.
+    The plain word if it does not fit or has other letters.
     """
     letters = [LETTERS.get(letter) for letter in word.upper()]
     if None in letters:

@@ -9,7 +9,7 @@ from drivers.frame import FRAME_RATE_HZ
 
 
 def describe(event: Event, words: Vocabulary, language: Language = "en") -> str:
-    """Return the event as one line of at most 78 characters, as long as names and reasons are short."""
+    """Return the event as one line."""
     match event:
         case TouchBegan():
             return term(language, "begins", number=event.touch)

@@ -1,4 +1,4 @@
-"""The name by which this very program can be called again, to be printed in commands for pasting."""
+"""The name by which the shell finds this program, for commands to paste."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PROGRAM = "touchd"
 
 
 def own_name() -> str:
-    """Return "touchd" where the shell finds this program by it, else a path or `python -m daemon`."""
+    """Return "touchd" if the shell finds this program by it, else a path or `python -m daemon`."""
     beside = Path(sys.executable).with_name(PROGRAM)
     found = shutil.which(PROGRAM)
     if found is not None and os.path.realpath(found) == os.path.realpath(beside):
@@ -23,6 +23,6 @@ def own_name() -> str:
 
 
 def short(path: Path) -> str:
-    """Return a path as it is best typed here: from the working directory where it lies in it."""
+    """Return a path relative to the working directory if it lies within."""
     here = Path.cwd()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)

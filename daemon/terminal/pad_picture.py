@@ -1,4 +1,4 @@
-"""The pad in half blocks, so that its taxels are square: as it is pressed now, or as it was on average."""
+"""The pad in half blocks, so that taxels are square."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rich.text import Text
 from daemon.terminal.palette import CHARACTERS, Palette, halves
 from drivers.frame import COLUMNS
 
-# As on the live page: colours rise with the logarithm of pressure, from "light" to "firm" counts.
+# As on the live page: colours follow the logarithm of pressure, from "light" to "firm" counts.
 LIGHT_COUNTS = 4.0
 FIRM_COUNTS = 250.0
 
@@ -56,7 +56,7 @@ def _in_characters(row: NDArray[np.float64]) -> Line:
 
 @cache
 def _weights(scale: int) -> NDArray[np.float64]:
-    """Return the share of each taxel in each pixel, (8 * scale, 8): linear between taxels."""
+    """Return the weights of linear interpolation, (8 * scale, 8)."""
     at = (np.arange(COLUMNS * scale) + 0.5) / scale - 0.5
     distance = np.abs(np.clip(at, 0, COLUMNS - 1)[:, None] - np.arange(COLUMNS)[None, :])
     return np.maximum(0.0, 1.0 - distance)

@@ -1,4 +1,4 @@
-"""The live page's colours in a terminal, and what stands in for them where it has fewer."""
+"""The live page's colours in a terminal, with fall-backs for fewer colours."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rich.style import Style
 
 # The page's dark theme; from no pressure to firm.
 HEAT = ("#171c24", "#42249a", "#85248a", "#d04361", "#f9903f", "#fdf4b5")
-# The same where a terminal has the sixteen colours of old.
+# The same with sixteen colours.
 OLD_HEAT = ("black", "blue", "magenta", "red", "bright_red", "bright_yellow", "bright_white")
 SHADES = 64
-# Where there is no colour at all.
+# Without colours.
 CHARACTERS = " ·:-=+*#%@"
 
 
 @dataclass(frozen=True)
 class Palette:
-    """Styles of everything that is drawn. heat: from no pressure to firm, empty without colours."""
+    """All styles. heat: from no pressure to firm, empty without colours."""
 
     paper: Style
     ink: Style
@@ -38,7 +38,7 @@ class Palette:
 
 
 def palette_for(console: Console) -> Palette:
-    """Return the palette for what a console can show."""
+    """Return the palette for a console's colour system."""
     match console.color_system:
         case "truecolor" | "256":
             paper = "on #0c0f13"
@@ -85,7 +85,7 @@ def palette_for(console: Console) -> Palette:
 
 @cache
 def halves(upper: str, lower: str) -> Style:
-    """Return the style in which ▀ shows one colour above another."""
+    """Return the style of ▀ with one colour above another."""
     return Style(color=upper, bgcolor=lower)
 
 

@@ -1,4 +1,4 @@
-"""The time line of a touch: its pressure, the marks at which answers fall due, and what was said."""
+"""The time line of a touch: pressure, the marks at which answers are due, and the answers."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from daemon.terminal.palette import Palette
 
 SHORTEST_S = 4.0
 AFTER_FINAL = 1.5
-# Counts in all that fill the height, unless a touch is firmer.
+# Sum of counts at full height, unless the touch is firmer.
 LIGHT_LOAD = 600.0
-# From this width on every mark has its unit.
+# From this width on, every mark shows its unit.
 ROOMY = 40
 STEPS = " ▁▂▃▄▅▆▇█"
 
 
 @dataclass(frozen=True)
 class Flag:
-    """What was said, and when."""
+    """An answer and its time."""
 
     at_s: float
     text: str
@@ -36,9 +36,9 @@ def time_line(
     size: tuple[int, int],
     palette: Palette,
 ) -> list[Line]:
-    """Return the time line in (width, height) characters, the last line being the marks' times.
+    """Return the time line in (width, height) characters; the last line labels the marks.
 
-    trace: seconds since the touch began, and counts in all.
+    trace: (seconds since the touch began, sum of counts).
     """
     width, height = size
     end_s = max(SHORTEST_S, marks_s[-1] * AFTER_FINAL)
@@ -74,7 +74,7 @@ def _draw_trace(
             loads[column] = max(loads.get(column, 0.0), load)
     peak = max([LIGHT_LOAD, *loads.values()])
     for column, load in loads.items():
-        # The root lifts light touches, as on the live page.
+        # The square root makes light touches visible, as on the live page.
         eighths = round((load / peak) ** 0.5 * rows * 8)
         for row in range(rows):
             step = min(max(eighths - 8 * (rows - 1 - row), 0), 8)
@@ -85,13 +85,13 @@ def _draw_trace(
 def _draw_flags(
     cells: list[list[tuple[str, Style]]], flags: Sequence[Flag], end_s: float, palette: Palette
 ) -> None:
-    """Put each flag into the highest row in which it covers no other."""
+    """Put each flag into the highest free row."""
     rows, width = len(cells), len(cells[0])
     taken: list[tuple[int, int, int]] = []
     for flag in flags:
         text = f" {flag.text} "[: width - 1]
         mark = _column(flag.at_s, end_s, width)
-        # Where there is no room to the right of the mark, the flag hangs to its left.
+        # Without room to the right of the mark, the flag hangs to its left.
         is_left = mark + len(text) + 1 > width
         first = max(mark - len(text), 0) if is_left else mark
         last = first + len(text) + 1

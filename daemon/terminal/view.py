@@ -1,4 +1,4 @@
-"""The terminal view, the live page's sister: pad, answer, time line, probabilities, and the robot's words."""
+"""The terminal view: pad, answer, time line, probabilities, and the robot's words."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ from drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
 REFRESH_HZ = 12
 TOUCHES = 12
 NOTES = 50
-# Frames in which the pad's rest is followed, and four times its noise in counts, as on the live page.
+# Time constant of the rest in frames, and four times the noise in counts, as on the live page.
 REST_FRAMES = 54
 NOISE_COUNTS = 3.0
-# Frames before a touch is noticed that belong to it.
+# A touch begins this many frames before it is noticed.
 LATE_FRAMES = 3
 LONGEST_TRACE = 60 * 54
 NARROWEST, LOWEST = 40, 16
-# Lines from which letters are large, and from which there is room between things.
+# Minimum heights for large letters, and for blank lines between parts.
 LOW, HIGH = 18, 33
-# The bars' place while nothing was answered yet.
+# Room for bars before the first answer.
 FEWEST_BARS = 7
 LARGEST_SCALE = 8
 GAP = 2
@@ -56,7 +56,7 @@ GAP = 2
 
 @dataclass
 class ShownTouch:
-    """A touch so far. trace: seconds since it began, and counts in all."""
+    """A touch so far. trace: (seconds since it began, sum of counts)."""
 
     number: int
     said: list[Prediction] = field(default_factory=list)
@@ -65,19 +65,17 @@ class ShownTouch:
 
     @property
     def length_s(self) -> float:
-        """How long it has lasted."""
+        """Its duration so far."""
         if self.ended is not None:
             return self.ended.frames / FRAME_RATE_HZ
         return self.trace[-1][0] if self.trace else 0.0
 
 
 class View:
-    """A sink of events that draws them; also takes frames and notes. Safe to use from several threads.
+    """A sink that draws events, frames and notes. Thread-safe.
 
-    title: what is shown, one line. words: what gestures are called. answer_at_frames: the scene's marks.
-    language: of everything but the title and notes.
-    console: where, the terminal on standard output when left out. card: lines to show where there is room.
-    pad: whose touches are shown.
+    words: display names of gestures. answer_at_frames: the scene's marks. language: of all but title and
+    notes. console: standard output by default. card: lines to show if there is room. pad: the pad shown.
     """
 
     name = "view"
@@ -124,10 +122,10 @@ class View:
         )
 
     def start(self) -> None:
-        """Nothing is to be begun: whoever enters this shows it."""
+        """Do nothing; the context manager starts it."""
 
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
-        """Show a frame, (8, 8) counts and the sensor's clock, at the next refresh."""
+        """Show (8, 8) counts at the next refresh. sensor_ms: the sensor's clock."""
         with self._lock:
             touch = self._going_on()
             if self._rest is None:
@@ -143,14 +141,14 @@ class View:
                 touch.trace.append((touch.length_s + min(step_s, 1.0), load))
 
     def put_live(self, prediction: LivePrediction) -> None:
-        """Show what the model makes of the touch at this moment, at the next refresh."""
+        """Show a live prediction at the next refresh."""
         if prediction.pad == self._shown_pad:
             with self._lock:
                 self._now = prediction
                 self._name_labels(prediction.probabilities)
 
     def note(self, text: str, is_bad: bool = False) -> None:
-        """Add a line to what happened."""
+        """Add a line to the notes."""
         with self._lock:
             self._notes.append((text, is_bad))
 
@@ -188,7 +186,7 @@ class View:
             self.note(describe(event, self._words, self._language), event.state != "up")
 
     def stop(self, timeout_s: float = 0.0) -> None:
-        """Leave the terminal as it was; never waits."""
+        """Restore the terminal."""
         self._live.stop()
 
     def __enter__(self) -> View:
@@ -201,7 +199,7 @@ class View:
         self.stop()
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
-        """Yield the whole picture, as wide and as high as the terminal."""
+        """Yield the picture at the size of the terminal."""
         width, height = console.size
         paper = self._palette.paper
         with self._lock:
@@ -369,7 +367,7 @@ class View:
         return Flag(said.elapsed_s, text, bool(before))
 
     def _before(self, touch: ShownTouch, at: int) -> str:
-        """Return the name of the answer that this one replaced, "" for none."""
+        """Return the name of the answer that this one replaced, or ""."""
         said = touch.said[at]
         earlier = [one.gesture for one in touch.said[:at] if one.gesture != said.gesture]
         return self._name(earlier[-1]) if said.changed and earlier else ""
@@ -401,7 +399,7 @@ class View:
 
 
 class ViewHandler(logging.Handler):
-    """Shows log lines in a view, where on standard error they would tear it."""
+    """Shows log lines in the view, since on standard error they would corrupt it."""
 
     def __init__(self, view: View) -> None:
         super().__init__()
@@ -413,5 +411,5 @@ class ViewHandler(logging.Handler):
 
 
 def _fit(line: Line, width: int, paper: Style) -> Line:
-    """Return a line cut or filled to a width."""
+    """Return a line cropped or padded to a width."""
     return Segment.adjust_line_length(line, width, paper)
