@@ -16,7 +16,6 @@ import numpy as np
 from numpy.random import RandomState
 
 from daemon.config import Settings
-from daemon.decide import ProbabilityModel
 from daemon.events import Event, TouchBegan, TouchEnded
 from daemon.pipeline import Clock, Pipeline
 from daemon.setup.parts import load_model
@@ -98,14 +97,14 @@ def table_of(scores: Sequence[tuple[Rung, Score]]) -> str:
     )
 
 
-def score(rung: Rung, hands: int, model: ProbabilityModel | None = None) -> Score:
+def score(rung: Rung, hands: int) -> Score:
     """Play so many hands, each of which does every gesture, on a pad; return how they were answered."""
     gestures = [gesture for gesture in GESTURES if gesture != NO_TOUCH] * hands
     events: list[Event] = []
     now_s = [0.0]
     settings = Settings()
     clock = Clock(monotonic_s=lambda: now_s[0])
-    pipeline = Pipeline(settings.pipeline, model or load_model(settings), events.append, clock)
+    pipeline = Pipeline(settings.pipeline, load_model(settings), events.append, clock)
     for frame in frames_of(rung, gestures):
         now_s[0] = frame.host_s
         pipeline.on_frame(frame)
