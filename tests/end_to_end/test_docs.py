@@ -1,11 +1,29 @@
-"""The tests that docs/reliability.md names are there."""
+"""What README and the pages name is there: tests, files, commands and their options."""
 
 from __future__ import annotations
 
+import importlib
 import re
+import shlex
 from pathlib import Path
 
+import pytest
+
+from daemon.cli import COMMANDS
+from docs.studies.__main__ import STUDIES
+
 ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+MODULES = {command.name: command.module for command in COMMANDS}
+TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+
+
+def typed(page: Path) -> list[list[str]]:
+    """The commands of a page's shell blocks, as words."""
+    blocks = re.findall(r"```sh\n(.*?)```", page.read_text(), re.DOTALL)
+    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    words = [shlex.split(line, comments=True) for line in lines]
+    return [line[line[0] == "sudo" :] for line in words if line]
 
 
 def test_reliability_names_tests_that_there_are() -> None:
@@ -20,3 +38,22 @@ def test_reliability_names_tests_that_there_are() -> None:
         name for name in named if not re.search(rf"^{name.replace('…', '.*')}$", "\n".join(known), re.M)
     }
     assert not unknown
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_and_picture_is_there(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_command_can_be_typed_as_it_stands(page: Path) -> None:
+    for first, *rest in typed(page):
+        if Path(first).name == "touchd" and rest[0] in MODULES:
+            importlib.import_module(MODULES[rest[0]]).parser().parse_args(rest[1:])
+        elif Path(first).name == "touchd":
+            assert rest[0] in ("--help", "--version"), rest
+        elif first == "make":
+            assert {word for word in rest if "=" not in word} <= TARGETS, rest
+        elif rest[:2] == ["-m", "docs.studies"]:
+            assert rest[2] in STUDIES, rest
