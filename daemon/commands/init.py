@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import json
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -14,6 +16,7 @@ from serial.tools.list_ports import comports
 from daemon.config import DEFAULT_PORT, ConfigError, load
 from daemon.doctor.line import USUAL_BAUDS
 from daemon.doctor.machine import check_robot
+from daemon.terminal.own_name import own_name
 from drivers.pad.diagnosis import as_yaml, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, open_port, read_waiting
@@ -44,6 +47,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
+    file = shlex.quote(str(options.file))
     console = Console(stderr=True, highlight=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
@@ -51,8 +55,9 @@ def main(arguments: Sequence[str]) -> int:
     port, baud, described = found or (options.port or DEFAULT_PORT, bauds[0], None)
     robot = _ask_robot() if options.robot is None else options.robot
     robot = None if robot in ("", "none") else robot
-    text = f"sensor:\n  port: {port}\n  baud: {baud}\n  {as_yaml(described or PRESETS['fabric-grid'])}\n"
-    text += f"robot: {f'{{url: {robot}}}' if robot else 'null'}\njournal: {{}}\n"
+    described_as = as_yaml(described or PRESETS["fabric-grid"])
+    text = f"sensor:\n  port: {json.dumps(port)}\n  baud: {baud}\n  {described_as}\n"
+    text += f"robot: {f'{{url: {json.dumps(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
     try:
         options.file.write_text(text)
     except OSError as error:
@@ -61,7 +66,9 @@ def main(arguments: Sequence[str]) -> int:
         ) from error
     settings = load(options.file)
     console.print(
-        f"pad: {described}, at {port}" if described else "pad: none found; plug it in and run touchd doctor"
+        f"pad: {described}, at {port}"
+        if described
+        else f"pad: none found; plug it in and run {own_name()} doctor"
     )
     is_well = described is not None
     if robot:
@@ -69,7 +76,7 @@ def main(arguments: Sequence[str]) -> int:
         console.print(f"robot: {check.found} {check.advice}", markup=False)
         is_well &= check.verdict == "ok"
     console.print(
-        f"wrote {options.file}; next: touchd doctor -c {options.file}, then touchd run -c {options.file}"
+        f"wrote {file}; next: {own_name()} doctor -c {file}, then {own_name()} run -c {file}", markup=False
     )
     return 0 if is_well else 1
 

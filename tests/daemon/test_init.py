@@ -67,6 +67,16 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
         main([str(path)])
 
 
+def test_no_address_can_break_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    address = 'x: {"y": #'
+    assert main([str(path), "--port", str(tmp_path / address), "--baud", "9600", "--robot", address]) == 1
+    settings = load(path)
+    assert settings.sensor.port == str(tmp_path / address)
+    assert settings.robot is not None
+    assert settings.robot.url == address
+
+
 def test_a_pad_that_only_answers_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "touchd.yaml"
     monkeypatch.setattr(init, "FIRST_BYTE_S", 0.3)
@@ -102,7 +112,7 @@ def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
             terminal.until("The robot's address")
             terminal.answer(robot.url)
             assert "pad: fabric-grid 10x10" in terminal.until("robot: ")
-            assert robot.url in terminal.until("next: touchd doctor -c")
+            assert robot.url in terminal.until(" doctor -c")
             assert terminal.process.wait(10) == 0
         assert load(path).robot is not None
         run = [sys.executable, "-m", "daemon", "run", "-c", str(path)]
