@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daemon.decide import Decision, DecisionSettings
+from daemon.decide import Decision, DecisionSettings, Sure
 from daemon.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -179,3 +179,17 @@ def test_a_scene_that_the_model_rules_out_is_answered_evenly() -> None:
 def test_stages_out_of_order_are_refused() -> None:
     with pytest.raises(ValueError, match="must rise"):
         DecisionSettings(answer_at_frames=(54, 54, 144))
+
+
+@pytest.mark.parametrize(("sure", "frames"), [("eager", 1), ("balanced", 5), ("careful", 5)])
+def test_an_answer_is_sure_once_it_has_lasted(sure: Sure, frames: int) -> None:
+    decision = Decision(DecisionSettings(early="when_sure", sure=sure), LABELS)
+    since, given = 20, probabilities(stroke=0.9)
+    assert not decision.is_sure(probabilities(pat=0.9, stroke=0.1), 8)
+    found = [at for at in range(since, since + 8) if decision.is_sure(given, at)]
+    assert found[0] == since + frames - 1
+
+
+def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
+    decision = Decision(DecisionSettings(early="when_sure"), LABELS)
+    assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.9), at)] == [9, 10, 11]

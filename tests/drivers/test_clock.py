@@ -46,6 +46,13 @@ def test_after_a_gap_of_seconds_the_stream_goes_on() -> None:
     assert parser.counts.bad == 0
 
 
+@pytest.mark.parametrize(("lost", "is_late"), [(12, False), (13, True)])
+def test_a_frame_is_on_time_for_a_quarter_second(lost: int, is_late: bool) -> None:
+    parser = FabricGrid()
+    parser.feed(packets([0, 1]), 0.0)
+    assert len(parser.feed(packet(2 + lost), 0.0)) == (0 if is_late else 1)
+
+
 def test_a_single_frame_with_a_wild_clock_is_refused() -> None:
     parser = FabricGrid()
     assert_are(parser.feed(packets([0, 1, 900, 2, 3]), 0.0), [0, 1, 2, 3])

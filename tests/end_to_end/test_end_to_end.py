@@ -18,11 +18,13 @@ from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for, parser_for
+from docs.studies.sessions.plan import SessionSettings, sessions
+from docs.studies.sessions.score import Score, judge, score
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.fakes.hand import simulate
 from drivers.fakes.line_faults import Faults
-from drivers.recording import Recording, Selection, Stream, read_recordings, realign, splice
+from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
@@ -86,6 +88,34 @@ def test_the_daemon_says_what_is_expected_of_a_shipped_recording(
     run: Callable[..., list[Event]], recording: Path
 ) -> None:
     assert outline(run(stream_of(recording))) == expected(recording)
+
+
+def in_use(run: Callable[..., list[Event]], recordings: list[Recording], settings: SessionSettings) -> Score:
+    """How touch after touch of one person fares through the port."""
+    session = next(sessions(recordings, settings))
+    clock_ms = ideal_clock_ms(len(session.counts))
+    return score([judge(session, run(Stream(session.counts, clock_ms, ())))])
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.5])
+def test_touches_of_a_session_stay_apart_through_a_port(
+    run: Callable[..., list[Event]], noise: float
+) -> None:
+    hand = simulate([("notouch", 7.0), ("constant", 4.0), ("pat", 4.0), ("scratch", 4.0)], seed=5)
+    felt = in_use(run, hand, SessionSettings(seconds=3.0, noise=noise))
+    assert (felt.n, felt.missed, felt.merged, felt.split, felt.false) == (3, 0, 0, 0, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+@pytest.mark.skipif("TOUCHD_SECOND_STUDY" not in os.environ, reason="TOUCHD_SECOND_STUDY is not set")
+def test_recorded_touches_stay_apart_through_a_port(run: Callable[..., list[Event]]) -> None:
+    path = Path(os.environ["TOUCHD_SECOND_STUDY"]) / "robot-pad.csv.gz"
+    person = Selection(participants=("R14",), substrates=("static",), covers=("none",))
+    felt = in_use(run, read_recordings(path, person), SessionSettings())
+    assert felt.n == 6
+    assert felt.missed + felt.merged + felt.split <= 17.0
+    assert felt.false == 0
 
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
