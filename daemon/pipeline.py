@@ -29,7 +29,14 @@ from daemon.events import (
 )
 from daemon.pad.age import Age, Feeling
 from daemon.pad.feel import FeelMeter
-from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from daemon.touch import (
+    CALIBRATION_FRAMES,
+    LEFT_ANYHOW_FRAMES,
+    Onset,
+    Release,
+    TouchSettings,
+    TouchTracker,
+)
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
@@ -389,4 +396,4 @@ def _as_sent(frame: GridFrame) -> int:
 def _history_frames(settings: PipelineSettings) -> int:
     """The longest window, and how far from the newest frame it may end: in a quiet, and in a bridged gap."""
     spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s + 2) * FRAME_RATE_HZ)
-    return settings.decision.answer_at_frames[-1] + CALIBRATION_FRAMES + spare_frames
+    return settings.decision.answer_at_frames[-1] + CALIBRATION_FRAMES + LEFT_ANYHOW_FRAMES + spare_frames
