@@ -30,11 +30,11 @@ from docs.studies.checks import evaluate
 from docs.studies.checks.hard_cases import FRAMES, hand
 from docs.studies.checks.timing import Timing, time_in_turn
 from docs.studies.folders import add_haart_argument
+from docs.studies.training import haart
 from docs.studies.training.ship import LEFT_OUT_FOLDER
 from drivers.recording import Recording
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 from model.settings import LENGTHS
-from model.training import haart
 
 FLOAT32 = "float32"
 Quantize = Callable[[Path, Path, Sequence[Recording]], None]

@@ -15,12 +15,12 @@ from tqdm import tqdm
 from drivers.recording import NO_TOUCH, Recording
 from model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
 from model.adapt.head import AdaptSettings, fit, rebuilt
-from model.adapt.measure import Answers, Comparison, compare
+from model.adapt.measure import Answers, Comparison, compare, cross_entropy
 from model.adapt.plan import Plan, plan
 from model.classifier import SHIPPED_MODEL, Classifier
 from model.settings import LENGTHS
 from model.tgc import TGC
-from model.training import checkpoint, metrics
+from model.training import checkpoint
 from model.training.checkpoint import Checkpoint
 
 TEMPERATURES = np.geomspace(0.3, 5.0, 200)
@@ -181,8 +181,6 @@ def _temperature(
 
     def unlikeliness(temperature: float) -> float:
         prior = 0.5 * (np.log(temperature / pretrained) / TEMPERATURE_SPREAD) ** 2
-        return float(
-            prior + (count * metrics.cross_entropy(answers.after / temperature, truth) if count else 0.0)
-        )
+        return float(prior + (count * cross_entropy(answers.after / temperature, truth) if count else 0.0))
 
     return float(min([pretrained, *TEMPERATURES], key=unlikeliness))

@@ -11,8 +11,9 @@ from pathlib import Path
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.grid import on_grid
-from drivers.recording import NO_TOUCH, UNLABELLED, Recording, read_recordings, realign
+from drivers.recording import NO_TOUCH, UNLABELLED, Recording, RecordingError, read_recordings, realign
 
+HAART_TRAINING_FILE = "training.csv"
 SUFFIXES = (".csv", ".csv.gz")
 # Shorter, there is not even an early answer to learn from.
 SHORTEST_FRAMES = 54
@@ -51,6 +52,19 @@ def read_folder(folder: Path, known: Sequence[str]) -> list[Recording]:
             recordings.append(recording)
     _check_gestures(folder, {recording.gesture for recording in recordings}, known)
     return recordings
+
+
+def read_haart(folder: Path) -> list[Recording]:
+    """Return the recordings of HAART's training participants, for rehearsal; raises RecordingError."""
+    return [realign(recording) for recording in read_recordings(find(folder, HAART_TRAINING_FILE))]
+
+
+def find(folder: Path, name: str, hint: str = "`python -m docs.studies data` fetches it") -> Path:
+    """Return the file `name`, or `name`.gz, in the folder; raises RecordingError when neither is there."""
+    for path in (folder / name, folder / f"{name}.gz"):
+        if path.is_file():
+            return path
+    raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; {hint}")
 
 
 def _files(folder: Path) -> list[Path]:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from model.adapt.backbone import CropFeatures
-from model.training.train import GRADIENT_LIMIT, learning_rate_at
+from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -144,6 +144,13 @@ def _gesture(before: Floats, after: Floats, is_known: bool) -> GestureFigures:
     )
 
 
+def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
+    """Return the mean negative log likelihood of the true classes (N,) under logits (N, classes)."""
+    shifted = logits - logits.max(axis=1, keepdims=True)
+    log_sum = np.log(np.exp(shifted).sum(axis=1))
+    return float((log_sum - shifted[np.arange(len(labels)), labels]).mean())
+
+
 def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:
     """Return the 95 % t interval of the mean of the strata's means; None where each holds but one value.
 

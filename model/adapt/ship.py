@@ -14,13 +14,12 @@ from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
 from drivers.whole_file import whole_file
 from model.adapt.adapt import Adapted, Pretrained, adapt, learnable, prepare
-from model.adapt.folder import read_folder
+from model.adapt.folder import read_folder, read_haart
 from model.adapt.head import AdaptSettings
 from model.classifier import SHIPPED_MODEL, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH
 from model.tgc import TGC
-from model.training import haart
-from model.training.checkpoint import code_version
+from model.training.checkpoint import code_version, data_hash
 from model.training.export import export
 from model.training.threads import one_torch_thread
 
@@ -44,7 +43,7 @@ def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings:
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
         if haart_folder is not None:
-            rehearsed = learnable(pretrained, haart.realigned(haart.read_training(haart_folder)), settings)
+            rehearsed = learnable(pretrained, read_haart(haart_folder), settings)
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), rehearsed, settings)
     write(pretrained, adapted, output, settings)
     return adapted
@@ -83,7 +82,7 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
             },
         },
         code_version=code_version(),
-        data_sha256=haart.data_hash(adapted.recordings),
+        data_sha256=data_hash(adapted.recordings),
         scores={"adapted": msgspec.to_builtins(adapted.comparison)},
     )
     # It tells at length what it would do for a library that is not there.

@@ -1,1 +1,1 @@
-"""From recordings to the shipped files: data, augmentation, training, calibration, export."""
+"""What every training shares, a lab's and that of the shipped model."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -14,6 +15,7 @@ import torch
 from torch import Tensor
 
 from drivers.errors import TouchdError
+from drivers.recording import Recording
 from drivers.whole_file import whole_file
 from model.settings import TrainSettings
 from model.tgc import TGC
@@ -21,7 +23,7 @@ from model.tgc import TGC
 # Our widest network's, with all that resuming needs, is 17 MB.
 MAX_FILE_BYTES = 128 * 1024 * 1024
 ADVICE = "make one with `python -m docs.studies train`"
-SOURCES = ("training/haart.py", "training/augment.py", "tgc.py", "settings.py", "training/train.py")
+SOURCES = ("training/augment.py", "tgc.py", "settings.py")
 
 
 class CheckpointError(TouchdError):
@@ -94,9 +96,17 @@ def load(path: Path) -> Checkpoint:
         raise CheckpointError(f"{path}: not a checkpoint of touchd; {ADVICE}") from error
 
 
-def code_version() -> str:
+def code_version(*more: Path) -> str:
     """Return the installed version and a digest of the sources that decide what a training yields."""
     digest = hashlib.sha256()
-    for name in SOURCES:
-        digest.update((Path(__file__).parents[1] / name).read_bytes())
+    for path in (*(Path(__file__).parents[1] / name for name in SOURCES), *more):
+        digest.update(path.read_bytes())
     return f"{metadata.version('touchd')}+{digest.hexdigest()[:12]}"
+
+
+def data_hash(recordings: Iterable[Recording]) -> str:
+    """Return the sha256 of all counts (int16, little-endian, in order), to say which data made a model."""
+    digest = hashlib.sha256()
+    for recording in recordings:
+        digest.update(recording.counts.astype("<i2").tobytes())
+    return digest.hexdigest()

@@ -28,7 +28,11 @@ from drivers.robot.settings import RobotSettings
 from model.settings import SettingsError
 
 ROOT = Path(__file__).parents[2]
-SOURCES = sorted(path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("*.py"))
+SOURCES = sorted(
+    path
+    for floor in ("daemon", "drivers", "model", "docs/studies/training")
+    for path in (ROOT / floor).rglob("*.py")
+)
 LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 # Modules that run what they read.
 RUNS_WHAT_IT_READS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}

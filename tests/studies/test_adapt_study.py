@@ -16,12 +16,12 @@ from docs.studies.adapting.cells import DRAWS, FILE_NAME, SHOTS, TEST_PARTICIPAN
 from docs.studies.adapting.page import gains, tables  # noqa: E402
 from docs.studies.adapting.study import draw, score  # noqa: E402
 from docs.studies.marked import fill  # noqa: E402
+from docs.studies.training import haart  # noqa: E402
 from docs.studies.training.recipe import HAART_RECIPE, read_recipe  # noqa: E402
 from model.adapt.adapt import Pretrained, adapt, prepare  # noqa: E402
 from model.adapt.backbone import windows  # noqa: E402
 from model.adapt.head import AdaptSettings  # noqa: E402
 from model.settings import LENGTHS  # noqa: E402
-from model.training import haart  # noqa: E402
 from model.training.threads import one_torch_thread  # noqa: E402
 
 DOCS = Path(__file__).parents[2] / "docs"

@@ -14,9 +14,9 @@ from docs.studies import quantize  # noqa: E402
 from docs.studies.checks.hard_cases import hand  # noqa: E402
 from docs.studies.checks.timing import Timing  # noqa: E402
 from docs.studies.quantize import FLOAT32, Variant, decide  # noqa: E402
+from docs.studies.training import haart  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError  # noqa: E402
-from model.training import haart  # noqa: E402
 
 
 def made_up(participant: str, gesture: str, strength: float) -> Recording:

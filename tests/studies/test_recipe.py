@@ -9,9 +9,9 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 
+from docs.studies.training import second_study
 from docs.studies.training.recipe import HAART_RECIPE, final_jobs, fold_jobs, plan, read_recipe
 from drivers.recording import Recording, ideal_clock_ms
-from model.training import second_study
 
 
 def test_every_network_is_trained_after_the_one_it_begins_from() -> None:

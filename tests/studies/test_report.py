@@ -17,9 +17,9 @@ from docs.studies.checks import evaluate
 from docs.studies.marked import fill
 from docs.studies.report import page, paper_cells, paper_training, representation, tables23
 from docs.studies.report.paper_cells import predictions_path, trained_cells
+from docs.studies.training import haart
 from drivers.recording import Recording
 from model.classifier import Classifier
-from model.training import haart
 from model.training.threads import one_torch_thread
 
 ALL_KEYS = RESULTS.keys()

@@ -22,12 +22,12 @@ from docs.studies.report.macs import multiply_adds  # noqa: E402
 from docs.studies.report.paper_tgc import PaperSettings  # noqa: E402
 from docs.studies.report.peak import idle_bytes, peak_bytes  # noqa: E402
 from docs.studies.report.results import Results  # noqa: E402
+from docs.studies.training import haart  # noqa: E402
 from docs.studies.training.recipe import HAART_RECIPE, final_jobs, read_recipe  # noqa: E402
 from docs.studies.training.ship import HAART_MODEL  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.classifier import Classifier  # noqa: E402
 from model.settings import LENGTHS  # noqa: E402
-from model.training import haart  # noqa: E402
 
 measured_front = pytest.mark.skipif(not RESULTS.keys("front/"), reason="the front is not measured yet")
 TOLERANCE = 0.004

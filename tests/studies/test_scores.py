@@ -9,8 +9,8 @@ import pytest
 from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
 
 from docs.studies.checks import evaluate
+from docs.studies.training import haart, second_study
 from model.classifier import SHIPPED_MODEL, Classifier
-from model.training import haart, second_study
 
 pytest.importorskip("torch", reason="needs the extra train")
 

@@ -28,8 +28,8 @@ from docs.studies.report import (
 )
 from docs.studies.report.results import Results, Study
 from docs.studies.report.table1 import SYSTEMS, Data, HandMade, Network, Searched, Shipped, System
+from docs.studies.training import haart
 from drivers.recording import Recording, ideal_clock_ms
-from model.training import haart
 
 CELLS = [key for key in RESULTS.keys(table1.PREFIX) if "/seed" in key]
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")

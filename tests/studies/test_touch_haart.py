@@ -26,8 +26,8 @@ from docs.studies.tracker.figures import (
 from docs.studies.tracker.measure import spliced
 from drivers.frame import Frame
 from drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
+from model.adapt.folder import HAART_TRAINING_FILE, find
 from model.classifier import Classifier
-from model.training.haart import TRAINING_FILE, find
 
 FIGURES = Path(__file__).parents[2] / "docs" / "touch.json"
 SAMPLE = "P6"
@@ -40,7 +40,7 @@ def committed() -> TouchReport:
 
 @pytest.fixture(scope="module")
 def recordings() -> list[Recording]:
-    path = find(Path(os.environ["TOUCHD_HAART"]), TRAINING_FILE)
+    path = find(Path(os.environ["TOUCHD_HAART"]), HAART_TRAINING_FILE)
     return [realign(recording) for recording in read_recordings(path, Selection(participants=(SAMPLE,)))]
 
 

@@ -35,16 +35,17 @@ from docs.studies.adapting.cells import (
 )
 from docs.studies.checks.disturb import DISTURBANCES, Disturb
 from docs.studies.marked import fill
+from docs.studies.training import haart, metrics
 from docs.studies.training.recipe import HAART_RECIPE, Recipe, fold_jobs, read_recipe
 from docs.studies.training.ship import HAART_MODEL, fold_path
+from docs.studies.training.train import CHECKPOINT_NAME
 from drivers.recording import NO_TOUCH, Recording
 from model.adapt.adapt import Pretrained, adapt, learnable, logits, prepare
 from model.adapt.backbone import CropFeatures, WindowFeatures, windows
 from model.adapt.head import AdaptSettings, fit, rebuilt
 from model.settings import LENGTHS
-from model.training import checkpoint, haart, metrics
+from model.training import checkpoint
 from model.training.threads import one_torch_thread
-from model.training.train import CHECKPOINT_NAME
 
 PADS = ("none", "one dead row")
 

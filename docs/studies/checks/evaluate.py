@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from docs.studies.checks.disturb import DISTURBANCES, Disturb
+from docs.studies.training import haart, metrics
 from drivers.recording import Recording
 from model.classifier import Classifier
 from model.settings import LENGTHS
-from model.training import haart, metrics
 
 REPORTED_LENGTHS = (9, 27, 54, 72, 81, 108, 144, 216)
 SCENE = ("constant", "pat", "stroke")

@@ -22,10 +22,10 @@ from docs.studies.decision.report import MOST_HARMED
 from docs.studies.decision.streams import FRAMES, Streams, collect
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
+from docs.studies.training import haart, second_study
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import NO_TOUCH
 from model.classifier import SHIPPED_MODEL
-from model.training import haart, second_study
 
 Frames = NDArray[np.int64]
 Rule = Callable[[Streams], Frames]

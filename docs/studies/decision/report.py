@@ -19,11 +19,11 @@ from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Said, decide, listen
 from docs.studies.marked import fill, table
 from docs.studies.tracker.measure import spliced
+from docs.studies.training import haart
+from docs.studies.training.metrics import expected_calibration_error
 from docs.studies.training.ship import left_out_split
 from drivers.recording import NO_TOUCH, Recording
 from model.classifier import SHIPPED_MODEL
-from model.training import haart
-from model.training.metrics import expected_calibration_error
 
 SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
 # Less than a tenth would let noise change the robot's mind.

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from daemon.pipeline import PipelineSettings
 from docs.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
+from docs.studies.training import haart
 from docs.studies.training.ship import left_out_split
 from drivers.recording import Recording
 from model.classifier import Classifier
-from model.training import haart
 
 FRAMES = 144
 # Rest is learned in half a second; more of the notouch would only take time.

@@ -20,8 +20,8 @@ from sklearn.pipeline import make_pipeline
 
 from docs.studies.report import challenge_features as shared
 from docs.studies.report.challenge_features import TINY
+from docs.studies.training.metrics import Floats
 from drivers.frame import COLUMNS, ROWS
-from model.training.metrics import Floats
 
 ORDER = 4
 SHORTEST_HURST_FRAMES = 8

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from docs.studies.training.metrics import Floats
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
-from model.training.metrics import Floats
 
 Values = NDArray[np.uint16] | NDArray[np.int32] | Floats
 

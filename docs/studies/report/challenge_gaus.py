@@ -23,8 +23,8 @@ from sklearn.ensemble import AdaBoostClassifier, RandomForestClassifier
 from sklearn.tree import DecisionTreeClassifier
 
 from docs.studies.report import challenge_features as shared
+from docs.studies.training.metrics import Floats
 from drivers.frame import COLUMNS, ROWS
-from model.training.metrics import Floats
 
 MOTION_COUNTS = 4
 """A taxel moves when it changes by more in a frame, as fewer than 1 in 1000 do on untouched training pads."""

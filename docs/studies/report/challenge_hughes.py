@@ -21,8 +21,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from tqdm import tqdm
 
+from docs.studies.training.haart import GESTURES, Windows
 from drivers.frame import COLUMNS, ROWS
-from model.training.haart import GESTURES, Windows
 
 STEP_FRAMES = 9
 VIEW_STEPS = 5

@@ -23,8 +23,8 @@ from sklearn.preprocessing import StandardScaler
 from sklearn.svm import SVC
 
 from docs.studies.report import challenge_features as shared
+from docs.studies.training.metrics import Floats
 from drivers.frame import MAX_COUNT
-from model.training.metrics import Floats
 
 BAND_EDGES_HZ = np.linspace(0.0, 13.5, 21)
 COUNT_EDGES = (0, 2, 4, 8, 16, 64, 256, 512, MAX_COUNT + 1)

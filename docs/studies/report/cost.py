@@ -26,11 +26,11 @@ from docs.studies.report.networks import SHIPPED, VARIANTS, export
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.peak import open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values
+from docs.studies.training.haart import GESTURES
 from docs.studies.training.ship import HAART_MODEL
 from drivers.frame import FRAME_RATE_HZ
 from model.classifier import Classifier
 from model.settings import LENGTHS
-from model.training.haart import GESTURES
 
 WINDOWS = (9, 27, 54, 81, 108, 144, 216, 432)
 PADS = (1, 2, 4, 8, 16, 32, 64)

@@ -39,10 +39,10 @@ from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, trained_cells
 from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values
 from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
+from docs.studies.training import haart
 from drivers.recording import Recording
 from model.classifier import Classifier
 from model.settings import LENGTHS
-from model.training import haart
 from model.training.threads import one_torch_thread
 
 ONNX_RUNTIME = "onnx_runtime"

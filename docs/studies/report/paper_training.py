@@ -25,10 +25,10 @@ from tqdm import tqdm
 from docs.studies.report.paper_cells import STORED_FOLDER, Grid, PaperCell, predictions_path
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.results import Study
+from docs.studies.training import haart, metrics
+from docs.studies.training.haart import GESTURES, Windows
 from drivers.whole_file import whole_file
-from model.training import haart, metrics
 from model.training.checkpoint import CheckpointError
-from model.training.haart import GESTURES, Windows
 
 log = logging.getLogger(__name__)
 

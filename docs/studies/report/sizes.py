@@ -12,13 +12,13 @@ from pathlib import Path
 import msgspec
 
 from docs.studies.training.recipe import HAART_RECIPE, Job, Recipe, final_jobs, read_recipe
+from docs.studies.training.studies import Folders
+from docs.studies.training.train import train_studies
 from drivers.frame import FRAME_RATE_HZ
 from model.classifier import ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH, NetworkSettings
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
-from model.training.studies import Folders
-from model.training.train import train_studies
 
 # The small ones, kept with the code; a large one is trained anew where it is wanted.
 SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "haart" / "sizes"

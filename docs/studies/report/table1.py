@@ -32,11 +32,11 @@ from docs.studies.report.challenge_hughes import AUTOENCODER_RNN, CNN, CRNN
 from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, describe, trained_cells, trained_networks
 from docs.studies.report.results import Results, Study, percent
 from docs.studies.report.tables23 import accuracies, model_files
+from docs.studies.training import haart, metrics
+from docs.studies.training.haart import GESTURES, PUBLISHED_FRAMES, Windows
+from docs.studies.training.metrics import Floats, Labels
 from drivers.recording import Recording
 from model.classifier import Classifier
-from model.training import haart, metrics
-from model.training.haart import GESTURES, PUBLISHED_FRAMES, Windows
-from model.training.metrics import Floats, Labels
 from model.training.threads import one_torch_thread
 
 PREFIX = "table1/"

@@ -29,10 +29,10 @@ from docs.studies.report.paper_cells import (
     trained_networks,
 )
 from docs.studies.report.results import Results, Study, percent
+from docs.studies.training import haart
 from docs.studies.training.ship import HAART_MODEL, SEEDS_FOLDER
 from drivers.frame import FRAME_RATE_HZ
 from model.classifier import Classifier
-from model.training import haart
 
 FRAMINGS = ("published", "realigned")
 TABLE2_FRAMES = 144

@@ -13,7 +13,7 @@ import msgspec
 from daemon.touch import TouchSettings
 from docs.studies.marked import fill, table
 from docs.studies.tracker.figures import HeldOut, OnsetPoint, TouchReport, measure
-from model.training.haart import read_test, read_training, realigned
+from docs.studies.training.haart import read_test, read_training, realigned
 
 POINT_HEADER = (
     "onset level",

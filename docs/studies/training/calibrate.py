@@ -13,11 +13,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from docs.studies.training import haart, metrics
 from drivers.recording import Recording
 from model.adapt.adapt import TEMPERATURES
+from model.adapt.measure import cross_entropy
 from model.settings import LENGTHS
 from model.tgc import TGC
-from model.training import haart, metrics
 from model.training.checkpoint import Checkpoint
 
 BATCH = 64
@@ -78,9 +79,7 @@ def accuracies(answers: Sequence[LeftOut]) -> dict[str, float]:
 
 def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
     """Return the temperature from TEMPERATURES with the least negative log likelihood."""
-    return float(
-        min(TEMPERATURES, key=lambda temperature: metrics.cross_entropy(logits / temperature, labels))
-    )
+    return float(min(TEMPERATURES, key=lambda temperature: cross_entropy(logits / temperature, labels)))
 
 
 def _logits(network: TGC, counts: NDArray[np.uint16]) -> NDArray[np.float64]:

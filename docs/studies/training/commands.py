@@ -13,8 +13,8 @@ from rich.console import Console
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.training.download import ARCHIVE_URL, obtain
 from docs.studies.training.recipe import SHIPPED_RECIPE, read_recipe
+from docs.studies.training.studies import Folders
 from model.classifier import SHIPPED_MODEL, ModelError
-from model.training.studies import Folders
 
 
 def data(arguments: Sequence[str]) -> int:

@@ -17,9 +17,10 @@ from pathlib import Path, PurePosixPath
 from rich.console import Console
 from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
 
+from docs.studies.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE
 from docs.studies.training.http_file import DownloadError, fetch
 from drivers.recording import Recording, RecordingError, read_recordings
-from model.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE, find
+from model.adapt.folder import HAART_TRAINING_FILE, find
 
 ARCHIVE_URL = "https://www.cs.ubc.ca/labs/spin/data/HAART%20DataSet.zip"
 ARCHIVE_NAME = "HAART DataSet.zip"
@@ -37,7 +38,7 @@ class Contents:
 
 
 HAART: Mapping[str, Contents] = {
-    TRAINING_FILE: Contents(578, ("P10", "P3", "P4", "P5", "P6", "P7", "P8")),
+    HAART_TRAINING_FILE: Contents(578, ("P10", "P3", "P4", "P5", "P6", "P7", "P8")),
     TEST_FILE: Contents(251, ("T1", "T2", "T9")),
 }
 

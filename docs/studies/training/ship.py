@@ -11,17 +11,17 @@ from pathlib import Path
 import msgspec
 
 from docs.studies.checks import evaluate
-from docs.studies.training import calibrate
+from docs.studies.training import calibrate, haart
 from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name, plan
+from docs.studies.training.studies import Folders
+from docs.studies.training.train import CHECKPOINT_NAME, train_studies
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording
 from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH, Study
-from model.training import checkpoint, haart
+from model.training import checkpoint
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
-from model.training.studies import Folders
-from model.training.train import CHECKPOINT_NAME, train_studies
 
 HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
 """The network that learnt from HAART's training participants alone, which the paper is compared with."""

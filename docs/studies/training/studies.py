@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from docs.studies.training import haart, second_study
 from drivers.recording import Recording
 from model.settings import Study
-from model.training import haart, second_study
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,16 +14,17 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
+from docs.studies.training import haart
+from docs.studies.training.studies import Folders
 from drivers.recording import NO_TOUCH, Recording
 from model.settings import TrainSettings
 from model.tgc import TGC
-from model.training import checkpoint, haart
+from model.training import checkpoint
 from model.training.augment import begin_from_rest, crop, mix, vary
-from model.training.checkpoint import Checkpoint, CheckpointError
-from model.training.studies import Folders
+from model.training.checkpoint import Checkpoint, CheckpointError, data_hash
+from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 
 CHECKPOINT_NAME = "checkpoint.pt"
-GRADIENT_LIMIT = 1.0
 
 
 class Training:
@@ -33,7 +33,7 @@ class Training:
     def __init__(self, recordings: Sequence[Recording], settings: TrainSettings, device: str) -> None:
         self.settings = settings
         self.device = device
-        self.data_sha256 = haart.data_hash(recordings)
+        self.data_sha256 = data_hash(recordings)
         self.labels = tuple(sorted({recording.gesture for recording in recordings}))
         self.counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
         self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
@@ -156,7 +156,7 @@ class Training:
             epoch=self.epoch,
             network={name: value.cpu() for name, value in self.average.state_dict().items()},
             training=training,
-            code_version=checkpoint.code_version(),
+            code_version=checkpoint.code_version(Path(haart.__file__), Path(__file__)),
             data_sha256=self.data_sha256,
         )
 
@@ -179,14 +179,6 @@ def _widened(weights: dict[str, Tensor], wanted: dict[str, Tensor]) -> dict[str,
     name = "stem.convolutions.0.weight"
     missing = wanted[name].shape[1] - weights[name].shape[1]
     return weights | {name: functional.pad(weights[name], (0, 0, 0, 0, 0, missing))}
-
-
-def learning_rate_at(step: int, steps: int, peak: float) -> float:
-    """Return the one-cycle rate: a linear rise over the first tenth, then a cosine to zero (Smith 2018)."""
-    rise = max(1, steps // 10)
-    if step < rise:
-        return peak * (step + 1) / rise
-    return 0.5 * peak * (1.0 + math.cos(math.pi * (step - rise) / max(1, steps - rise)))
 
 
 def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:

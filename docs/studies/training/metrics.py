@@ -40,13 +40,6 @@ def negative_log_likelihood(probabilities: Floats, labels: Labels) -> float:
     return float(-np.log(np.maximum(given, 1e-12)).mean())
 
 
-def cross_entropy(logits: Floats, labels: Labels) -> float:
-    """Return the mean negative log likelihood of the true classes (N,) under logits (N, classes)."""
-    shifted = logits - logits.max(axis=1, keepdims=True)
-    log_sum = np.log(np.exp(shifted).sum(axis=1))
-    return float((log_sum - shifted[np.arange(len(labels)), labels]).mean())
-
-
 def expected_calibration_error(probabilities: Floats, labels: Labels) -> float:
     """Return the mean gap between confidence and accuracy over ten equal bins (Naeini et al. 2015)."""
     confidence = probabilities.max(axis=1)

@@ -5,7 +5,6 @@ Source: Human-Animal Affective Robot Touch set, RTGC 2015, UBC SPIN lab.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Counts
-from drivers.recording import Recording, RecordingError, read_recordings, realign
+from drivers.recording import Recording, read_recordings, realign
+from model.adapt.folder import HAART_TRAINING_FILE, find
 
-TRAINING_FILE = "training.csv"
 TEST_FILE = "testWITHLABELS.csv"
 PUBLISHED_FRAMES = 432
 GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -37,20 +36,12 @@ class Windows:
 
 def read_training(folder: Path) -> list[Recording]:
     """Read the 578 published recordings of participants P3 to P8 and P10."""
-    return read_recordings(find(folder, TRAINING_FILE))
+    return read_recordings(find(folder, HAART_TRAINING_FILE))
 
 
 def read_test(folder: Path) -> list[Recording]:
     """Read the 251 published recordings of participants T1, T2 and T9."""
     return read_recordings(find(folder, TEST_FILE))
-
-
-def find(folder: Path, name: str, hint: str = "fetch them with `python -m docs.studies data`") -> Path:
-    """Return the file `name`, or `name`.gz, in the folder; raises RecordingError when neither is there."""
-    for path in (folder / name, folder / f"{name}.gz"):
-        if path.is_file():
-            return path
-    raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; {hint}")
 
 
 def without(recordings: Iterable[Recording], participants: Sequence[str]) -> list[Recording]:
@@ -92,11 +83,3 @@ def cut(recordings: Sequence[Recording], length: int) -> Windows:
     return Windows(
         np.stack(counts), np.array(labels, dtype=np.int64), np.array(participants), np.array(conditions)
     )
-
-
-def data_hash(recordings: Iterable[Recording]) -> str:
-    """Return the sha256 of all counts (int16, little-endian, in order), to say which data made a model."""
-    digest = hashlib.sha256()
-    for recording in recordings:
-        digest.update(recording.counts.astype("<i2").tobytes())
-    return digest.hexdigest()

@@ -1,0 +1,15 @@
+"""How fast a network learns, step by step."""
+
+from __future__ import annotations
+
+import math
+
+GRADIENT_LIMIT = 1.0
+
+
+def learning_rate_at(step: int, steps: int, peak: float) -> float:
+    """Return the one-cycle rate: a linear rise over the first tenth, then a cosine to zero (Smith 2018)."""
+    rise = max(1, steps // 10)
+    if step < rise:
+        return peak * (step + 1) / rise
+    return 0.5 * peak * (1.0 + math.cos(math.pi * (step - rise) / max(1, steps - rise)))
