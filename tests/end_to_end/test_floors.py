@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -107,6 +108,15 @@ def test_the_running_daemon_imports_no_view_page_or_robot(loaded: set[str]) -> N
 
 def test_the_running_daemon_imports_no_bridge_that_is_not_configured(loaded: set[str]) -> None:
     assert not loaded & {"paho", "pylsl", "cyclonedds", "websockets", "mcap"}
+
+
+def test_the_map_of_the_tree_names_what_is_there() -> None:
+    names = re.findall(
+        r"`((?:daemon|docs|drivers|model|tests)/[\w/]*(?:\.\w+)?)`",
+        (ROOT / "docs/architecture.md").read_text(),
+    )
+    assert len(names) > 30
+    assert [name for name in names if not (ROOT / name).exists()] == []
 
 
 def test_the_command_line_starts_without_loading_anything_heavy() -> None:
