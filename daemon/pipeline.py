@@ -52,11 +52,12 @@ CALM: tuple[PadState, str] = ("up", "the pad is calm again")
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# After the final answer the last second is asked about on its own, twice a second. Another gesture is told
-# when two such stretches are this sure of it: docs/touch.md.
-ONGOING_STRIDE_FRAMES = 27
+# After the final answer the last second is asked about on its own, three times a second. Another gesture is
+# told when in the mean of three such stretches next to nothing is left of the one told: docs/sessions.md.
+ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 54
-ONGOING_CONFIDENCE = 0.9
+ONGOING_STRETCHES = 3
+ONGOING_LEFT = 0.02
 # An answer due in a quiet longer than a pat's lift-off waits until it is clear what the quiet is: a pause,
 # best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
 # with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
@@ -94,8 +95,8 @@ class Touch:
     """The touch that goes on.
 
     due: the stages still to come, with the length at which each is asked. heard: the model's answers so far,
-    by length. state: the model's, after the touch's first `given` frames, of `length` so far. next_gesture:
-    what the last stretch after the final answer was, if it was surely another gesture.
+    by length. state: the model's, after the touch's first `given` frames, of `length` so far. stretches:
+    what the model made of the last few after the final answer.
     """
 
     number: int
@@ -108,7 +109,7 @@ class Touch:
     state: State | None = None
     length: int = 0
     given: int = 0
-    next_gesture: str | None = None
+    stretches: list[NDArray[np.float64]] = field(default_factory=list)
 
     @property
     def waits_until_sure(self) -> bool:
@@ -331,18 +332,15 @@ class Pipeline:
         self._answer(touch, stage, probabilities, (frames, length), since_s)
 
     def _ask_what_goes_on(self, touch: Touch, length: int, since_s: float) -> None:
-        """Tell another gesture once it has lasted: two stretches in a row are surely that one."""
+        """Tell another gesture once it has lasted, and nothing is left of the one told."""
         frames = min(ONGOING_FRAMES, self._final_frames)
         probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
-        scene = touch.decision.weigh(probabilities)
-        best = max(scene, key=lambda label: scene[label])
-        if best in (NO_TOUCH, touch.decision.told) or scene[best] < ONGOING_CONFIDENCE:
-            touch.next_gesture = None
-        elif best != touch.next_gesture:
-            touch.next_gesture = best
-        else:
-            touch.next_gesture = None
-            self._answer(touch, "ongoing", probabilities, (frames, length), since_s)
+        touch.stretches = [*touch.stretches[1 - ONGOING_STRETCHES :], probabilities]
+        lately: NDArray[np.float64] = np.mean(touch.stretches, axis=0)
+        scene = touch.decision.weigh(lately)
+        left = scene.get(touch.decision.told or "", 0.0)
+        if len(touch.stretches) == ONGOING_STRETCHES and left <= ONGOING_LEFT:
+            self._answer(touch, "ongoing", lately, (frames, length), since_s)
 
     def _answer(
         self,

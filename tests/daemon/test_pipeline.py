@@ -253,7 +253,7 @@ def test_a_gesture_that_lasted_is_told_again() -> None:
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
     assert [event.stage for event in predictions(events)] == ["early", "revised", "final", "ongoing"]
     ongoing = predictions(events)[-1]
-    assert (ongoing.frames, ongoing.elapsed_s) == (54, 4.167)
+    assert (ongoing.frames, ongoing.elapsed_s) == (54, 4.0)
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
     assert ended.gesture == "rub"
