@@ -8,7 +8,7 @@ from collections.abc import Callable
 from daemon.commands.demo import actions_in
 from daemon.config import Settings
 from daemon.events import Event, LivePrediction, Prediction, RobotAction, TouchBegan, timestamp
-from daemon.pipeline import Pipeline
+from daemon.pipeline import Clock, Pipeline
 from daemon.playback.stream import DEMO_RECORDING
 from daemon.setup.parts import load_model
 from drivers.frame import Frame
@@ -17,7 +17,7 @@ from drivers.robot.actions import spoken
 from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reactions
 
-# The third touch, a rub that is taken for scratching in between, after its final answer.
+# The third touch, a rub, after its final answer.
 TOUCH, AFTER_S = 3, 3.1
 
 
@@ -45,9 +45,13 @@ def play(
                 words = spoken(template, event.gesture, event.confidence, settings.vocabulary)
                 put(RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time())))
 
-    pipeline = Pipeline(settings.pipeline, load_model(settings), emit, viewers=lambda: [put_live])
+    # Time passes as the sensor says, so that a busy machine makes no answer late.
+    now_s = 0.0
+    clock = Clock(monotonic_s=lambda: now_s)
+    pipeline = Pipeline(settings.pipeline, load_model(settings), emit, clock, viewers=lambda: [put_live])
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-        frame = Frame(number, sensor_ms, time.monotonic(), counts)
+        now_s = sensor_ms / 1000
+        frame = Frame(number, sensor_ms, now_s, counts)
         put_frame(frame)
         pipeline.on_frame(frame)
         if began_ms and sensor_ms - began_ms[0] >= 1000 * AFTER_S:

@@ -17,7 +17,7 @@ function say(element, text) {
 }
 
 export function showClock(store) {
-  say($("clock"), store.touch ? `· ${store.elapsed.toFixed(1)} s` : "");
+  say($("clock"), store.touch ? `· ${seconds(Number(store.elapsed.toFixed(1)), 1)}` : "");
 }
 
 export function showAnswer(store) {

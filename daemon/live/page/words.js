@@ -116,8 +116,9 @@ export function percent(share) {
 }
 
 /** 1 s, 1.5 s, 2.67 s: never broken between two lines. */
-export function seconds(value) {
-  return `${value.toLocaleString(language, { maximumFractionDigits: 2, useGrouping: false })}\u00a0s`;
+export function seconds(value, least = 0) {
+  const digits = { minimumFractionDigits: least, maximumFractionDigits: 2, useGrouping: false };
+  return `${value.toLocaleString(language, digits)}\u00a0s`;
 }
 
 export function timeOfDay(iso) {
