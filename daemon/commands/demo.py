@@ -23,11 +23,11 @@ from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, r
 from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import DEMO_RECORDING
 from daemon.setup.destinations import encoder_for
-from daemon.setup.terms import term
 from daemon.setup.words import Language, name_of
 from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
 from daemon.terminal.own_name import own_name
+from daemon.terminal.terms import term
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.fakes.services import Call

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from daemon.events import Event, TouchBegan, TouchEnded
-from daemon.setup.terms import term
 from daemon.setup.words import Language, Vocabulary, name_of
+from daemon.terminal.terms import term
 from drivers.recording import NO_TOUCH, Stream
 
 

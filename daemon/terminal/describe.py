@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from daemon.events import Event, Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from daemon.setup.terms import term
 from daemon.setup.words import Language, Vocabulary, name_of
+from daemon.terminal.terms import term
 from drivers.frame import FRAME_RATE_HZ
 
 

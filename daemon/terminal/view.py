@@ -26,13 +26,13 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.setup.terms import term
 from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.bars import bars
 from daemon.terminal.big_words import big
 from daemon.terminal.describe import describe
 from daemon.terminal.pad_picture import Line, level_of, pad_picture
 from daemon.terminal.palette import palette_for
+from daemon.terminal.terms import term
 from daemon.terminal.time_line import Flag, time_line
 from drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
 

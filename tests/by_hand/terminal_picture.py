@@ -16,7 +16,7 @@ from rich.console import Console
 
 from daemon.config import Settings
 from daemon.events import RobotEvent, SensorEvent
-from daemon.setup.terms import term
+from daemon.terminal.terms import term
 from daemon.terminal.view import View
 
 WIDTH, HEIGHT, FONT_SIZE = 10, 20, 16

@@ -13,8 +13,8 @@ import pytest
 from daemon.commands.demo import SAYINGS
 from daemon.events import EndReason, PadState, Stage
 from daemon.live.page import FOLDER
-from daemon.setup.terms import LANGUAGES, TERMS
 from daemon.setup.words import SHIPPED
+from daemon.terminal.terms import LANGUAGES, TERMS
 
 SCRIPTS = "".join(path.read_text() for path in sorted(FOLDER.glob("*.js")))
 PAGE = (FOLDER / "page.html").read_text()
