@@ -125,6 +125,8 @@ class Pipeline:
     before: the pipeline whose place this one takes between two touches. What that knew of the pad, and the
     numbers of touches, go on.
     viewers: returns whoever looks now, to be called with what the model makes of a touch as it goes on.
+    lead_frames: so long before a mark the model catches up, 1 to WAIT_FRAMES; pads that are touched at once
+    should not all do it at once.
     """
 
     def __init__(
@@ -135,10 +137,12 @@ class Pipeline:
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,
         viewers: Viewers = tuple,
+        lead_frames: int = 1,
         before: Pipeline | None = None,
     ) -> None:
         self._emit = emit
         self._viewers = viewers
+        self._lead_frames = lead_frames
         self._pad = pad
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
@@ -268,7 +272,7 @@ class Pipeline:
         if viewers:
             is_asked = left == 0 or length % SHOWN_STRIDE_FRAMES == 0
         else:
-            is_asked = left in (0, 1) or length % STRIDE_FRAMES == 0
+            is_asked = left in (0, self._lead_frames) or length % STRIDE_FRAMES == 0
         is_asked |= touch.waits_until_sure
         if length > self._final_frames or not is_asked:
             return

@@ -14,7 +14,7 @@ from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event
 from daemon.kept.touch_sink import TouchSink
-from daemon.pipeline import Pipeline, Viewers
+from daemon.pipeline import WAIT_FRAMES, Pipeline, Viewers
 from daemon.setup.destinations import (
     link_to_robot,
     open_journal,
@@ -39,7 +39,8 @@ class Pad:
     """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
 
     settings: those of this pad. arrived: set whenever something waits in the queue.
-    before: the same pad by other settings; its queue goes on, and its reader where the port does.
+    lead_frames: see `Pipeline`. before: the same pad by other settings; its queue goes on, and its reader
+    where the port does.
     """
 
     def __init__(
@@ -50,12 +51,13 @@ class Pad:
         emit: Emit,
         viewers: Viewers,
         arrived: Signal,
+        lead_frames: int,
         before: Pad | None = None,
     ) -> None:
         self.name = name
         self.settings = settings
         self.model = model
-        self._emit, self._viewers = emit, viewers
+        self._emit, self._viewers, self._lead_frames = emit, viewers, lead_frames
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
         self.watch: PadWatch = before.watch if before else PadWatch(name)
         sensor = settings.sensor
@@ -64,7 +66,9 @@ class Pad:
             self.sensor = before.sensor
         else:
             self.sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
-        self.pipeline = Pipeline(settings.pipeline, model, emit, pad=name, viewers=viewers)
+        self.pipeline = Pipeline(
+            settings.pipeline, model, emit, pad=name, viewers=viewers, lead_frames=lead_frames
+        )
 
     def go_on_from(self, before: Pad) -> None:
         """Take the place of the same pad by other settings, between two touches."""
@@ -74,6 +78,7 @@ class Pad:
             self._emit,
             pad=self.name,
             viewers=self._viewers,
+            lead_frames=self._lead_frames,
             before=before.pipeline,
         )
 
@@ -110,8 +115,17 @@ class Parts:
             check_pad(settings)
         models = load_models(settings, pads_before)
         self.pads: dict[str, Pad] = {
-            name: Pad(name, pad, models[name], emit, viewers, arrived, pads_before.get(name))
-            for name, pad in settings.pads.items()
+            name: Pad(
+                name,
+                pad,
+                models[name],
+                emit,
+                viewers,
+                arrived,
+                1 + number % WAIT_FRAMES,
+                pads_before.get(name),
+            )
+            for number, (name, pad) in enumerate(settings.pads.items())
         }
         acts_alike = before is not None and settings.scene.actions == before.settings.scene.actions
         if before is None or changed & {"robot", "sensors", "language", "words"} or not acts_alike:

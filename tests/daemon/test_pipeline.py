@@ -168,6 +168,13 @@ def test_with_nobody_looking_a_mark_asks_about_one_frame() -> None:
     assert [len(window) for window in bench.model.stepped] == [27, 53, 54, 80, 81, 108, 135, 143, 144]
 
 
+def test_pads_touched_at_once_catch_up_at_different_times() -> None:
+    bench = Bench()
+    bench.pipeline = Pipeline(PipelineSettings(), bench.model, bench.said.append, STOPPED, lead_frames=4)
+    bench.feel(nothing(2.0), palm(1.2))
+    assert [len(window) for window in bench.model.stepped] == [27, 50, 54]
+
+
 def test_no_frame_may_wait_shortly_before_anything_is_said() -> None:
     bench = Bench()
     may_wait: list[bool] = []
