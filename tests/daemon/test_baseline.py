@@ -35,3 +35,10 @@ def test_sway_is_kept_for_a_while_and_bounded() -> None:
     for _ in range(9 * 60):
         baseline.track_sway(np.zeros(64, np.float32))
     assert baseline.sway.max() < 0.5
+
+
+def test_the_noise_floor_lies_above_the_sway() -> None:
+    baseline = known()
+    baseline.track_sway(np.full(64, 3.0, np.float32))
+    baseline.track(np.full(64, 10.0, np.float32))
+    np.testing.assert_allclose(baseline.noise_floor, 3.9, rtol=1e-5)
