@@ -89,6 +89,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whose recordings it learns from: HAART's training participants, the second study's people."""
     left_out: tuple[str, ...] = ()
     epochs: int = 60
+    rate_epochs: int = 0
+    """Epochs over which the learning rate falls to zero, where training stops before; 0: `epochs`."""
     crops_per_recording: int = 3
     batch: int = 32
     window: int = 144
@@ -102,6 +104,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether every person is drawn equally often, however many recordings there are."""
     bfloat16: bool = False
     """Whether the layers compute in bfloat16 while training."""
+    compiled: bool = False
+    """Whether the step is compiled: 1.6 times as fast on a CPU, but takes a C++ compiler and a minute."""
     begins_from: str = ""
     """A checkpoint whose network the training begins from; from random weights without it."""
     teachers: tuple[str, ...] = ()

@@ -73,6 +73,24 @@ def test_the_same_seed_gives_the_same_network(finished: tuple[Checkpoint, Path],
     assert same(train(recordings(), SETTINGS, tmp_path, DEVICE), finished[0])
 
 
+def test_the_rate_may_end_above_zero() -> None:
+    training = Training(recordings(), msgspec.structs.replace(SETTINGS, rate_epochs=6), DEVICE)
+    while training.epoch < SETTINGS.epochs:
+        training.run_epoch()
+    (group,) = training.optimizer.param_groups
+    steps = SETTINGS.epochs * training.steps_per_epoch
+    assert group["lr"] == learning_rate_at(steps - 1, 2 * steps, SETTINGS.learning_rate)
+    assert group["lr"] > 0.4 * SETTINGS.learning_rate
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_a_compiled_step_learns_the_same(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
+    compiled = train(recordings(), msgspec.structs.replace(SETTINGS, compiled=True), tmp_path, DEVICE)
+    for name, value in finished[0].network.items():
+        torch.testing.assert_close(compiled.network[name], value, atol=1e-4, rtol=1e-3)
+
+
 def test_another_seed_gives_another_network(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
     other = msgspec.structs.replace(SETTINGS, seed=4)
     assert not same(train(recordings(), other, tmp_path, DEVICE), finished[0])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,9 @@ class Training:
                 _widened(checkpoint.load(Path(settings.begins_from)).network, self.network.state_dict())
             )
         self.average = copy.deepcopy(self.network)
+        self._at_lengths: Callable[[Tensor, tuple[int, ...]], Tensor] = self.network.at_lengths
+        if settings.compiled:
+            self._at_lengths = torch.compile(self.network.at_lengths, dynamic=False)
         self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
         self.epoch = 0
 
@@ -111,13 +114,12 @@ class Training:
 
     def _step(self, windows: Tensor, targets: Tensor, step: int) -> float:
         settings = self.settings
+        epochs = settings.rate_epochs or settings.epochs
         for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate_at(
-                step, settings.epochs * self.steps_per_epoch, settings.learning_rate
-            )
+            group["lr"] = learning_rate_at(step, epochs * self.steps_per_epoch, settings.learning_rate)
         self.network.train()
         with torch.autocast(self.device, torch.bfloat16, enabled=settings.bfloat16):
-            logits = self.network.at_lengths(windows, settings.lengths).flatten(0, 1).float()
+            logits = self._at_lengths(windows, settings.lengths).flatten(0, 1).float()
         expected = targets.repeat_interleave(len(settings.lengths), dim=0)
         loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
         if self.teachers:
