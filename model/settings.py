@@ -100,6 +100,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     label_smoothing: float = 0.05
     average_decay: float = 0.995
     """Of the exponential moving average of the weights, which is the network that is kept."""
+    averaged_epochs: tuple[int, ...] = ()
+    """Epochs after which that average is set aside; the mean of these is kept then (Izmailov et al. 2018)."""
     balance_people: bool = False
     """Whether every person is drawn equally often, however many recordings there are."""
     bfloat16: bool = False

@@ -83,6 +83,20 @@ def test_the_rate_may_end_above_zero() -> None:
     assert group["lr"] > 0.4 * SETTINGS.learning_rate
 
 
+def test_the_network_is_the_mean_of_those_set_aside(tmp_path: Path) -> None:
+    training = Training(recordings(), msgspec.structs.replace(SETTINGS, averaged_epochs=(2, 3)), DEVICE)
+    training.run_epoch()
+    training.run_epoch()
+    checkpoint.save(training.snapshot(), tmp_path / CHECKPOINT_NAME)
+    second = {name: value.clone() for name, value in training.average.state_dict().items()}
+    resumed = Training(recordings(), training.settings, DEVICE)
+    resumed.resume(checkpoint.load(tmp_path / CHECKPOINT_NAME))
+    resumed.run_epoch()
+    third = resumed.average.state_dict()
+    for name, value in resumed.snapshot().network.items():
+        torch.testing.assert_close(value, (second[name] + third[name]) / 2)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_a_compiled_step_learns_the_same(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:

@@ -61,6 +61,7 @@ class Training:
         if settings.compiled:
             self._at_lengths = torch.compile(self.network.at_lengths, dynamic=False)
         self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
+        self.set_aside: list[dict[str, Tensor]] = []
         self.epoch = 0
 
     @property
@@ -83,6 +84,8 @@ class Training:
             step = self.epoch * self.steps_per_epoch + batch
             total += self._step(windows.to(self.device), targets.to(self.device), step)
         self.epoch += 1
+        if self.epoch in settings.averaged_epochs:
+            self.set_aside.append(copy.deepcopy(self.average.state_dict()))
         return total / self.steps_per_epoch
 
     def _order(self) -> Tensor:
@@ -151,12 +154,15 @@ class Training:
             "optimizer": self.optimizer.state_dict(),
             "rng": self.rng.get_state(),
             "torch_rng": torch.get_rng_state(),
+            "average": self.average.state_dict(),
+            "set_aside": self.set_aside,
         }
+        kept = self.set_aside or [self.average.state_dict()]
         return Checkpoint(
             settings=self.settings,
             labels=self.labels,
             epoch=self.epoch,
-            network={name: value.cpu() for name, value in self.average.state_dict().items()},
+            network={name: torch.stack([each[name] for each in kept]).mean(dim=0).cpu() for name in kept[0]},
             training=training,
             code_version=checkpoint.code_version(Path(haart.__file__), Path(__file__)),
             data_sha256=self.data_sha256,
@@ -168,7 +174,8 @@ class Training:
             raise CheckpointError(
                 "the checkpoint there was made with other settings or data; choose another folder"
             )
-        self.average.load_state_dict(saved.network)
+        self.average.load_state_dict(saved.training["average"])
+        self.set_aside = saved.training["set_aside"]
         self.network.load_state_dict(saved.training["network"])
         self.optimizer.load_state_dict(saved.training["optimizer"])
         self.rng.set_state(saved.training["rng"])
