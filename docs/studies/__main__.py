@@ -19,7 +19,7 @@ STUDIES = {
     "stages": ("docs.studies.stages", "where the time goes from a frame's last byte to the robot"),
     "speed": ("docs.studies.speed", "times an answer against the paper's network"),
     "quantize": ("docs.studies.quantize", "compares int8 copies of the model with float32"),
-    "adapting": ("docs.studies.adapting.study", "what adapting to a person gains and costs"),
+    "adapting": ("docs.studies.adapting", "what adapting to a person gains and costs"),
     "sessions": ("docs.studies.sessions.report", "what the robot hears of a pad in use, touch after touch"),
     "pads": ("docs.studies.pads", "how the answers fare on pads other than the lab's, simulated"),
     "tracker": ("docs.studies.tracker.report", "how well touches are noticed"),

@@ -78,17 +78,15 @@ class Features:
 def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings) -> Features:
     """Return the features of crops to learn from and of windows to evaluate."""
     return Features(
-        recordings, learnable(pretrained, recordings, settings), windows(pretrained.backbone, recordings)
+        recordings,
+        learnable(pretrained, recordings, settings.crops, settings.seed),
+        windows(pretrained.backbone, recordings),
     )
 
 
-def learnable(
-    pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings
-) -> CropFeatures:
-    """Return the features of crops alone."""
-    return crops(
-        pretrained.backbone, recordings, pretrained.saved.settings.augmentation, settings.crops, settings.seed
-    )
+def learnable(pretrained: Pretrained, recordings: Sequence[Recording], each: int, seed: int) -> CropFeatures:
+    """Return the features of `each` crops of every recording alone."""
+    return crops(pretrained.backbone, recordings, pretrained.saved.settings.augmentation, each, seed)
 
 
 def labels_for(pretrained: Pretrained, gestures: set[str], rehearses: bool) -> tuple[str, ...]:

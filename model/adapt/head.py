@@ -1,8 +1,9 @@
 """Fine-tunes the head of a pretrained network on a few recordings, regularised towards where it began.
 
 L2-SP (Li, Grandvalet and Davoine 2018) is a Gaussian prior on every weight around its pretrained value. The
-fewer the recordings, the more it counts. Layers, weight of the penalty and number of steps were chosen on
-HAART's training participants left out; see docs/adapt.md.
+fewer the recordings, the more it counts. In the end the weights lie between the pretrained and the learnt
+ones (Wortsman et al. 2022), which keeps most of what the person gains and spares others. Penalty and share
+were chosen on three people of the second study; see docs/adapt.md.
 """
 
 from __future__ import annotations
@@ -23,20 +24,22 @@ from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that decides what adapting yields, apart from the recordings and where it starts from.
 
-    crops: per recording, augmented as in training. l2_sp: weight of the squared distance from the pretrained
-    head, divided by the number of recordings; rows of new gestures are free. rehearsed: share of each batch
-    that shows HAART, if given; rehearsal_l2_sp: the weight then.
+    crops: per recording, augmented as in training; rehearsal_crops: per recording of HAART. l2_sp: weight of
+    the squared distance from the pretrained head, divided by the number of recordings; rows of new gestures
+    are free. rehearsed: share of each batch that shows HAART, if given. blend: how far the weights go from
+    the pretrained to the learnt ones, 0 to 1; rows of new gestures go all the way.
     """
 
     seed: int = 0
-    crops: int = 6
+    crops: int = 16
+    rehearsal_crops: int = 3
     steps: int = 100
     batch: int = 32
     learning_rate: float = 3e-3
     label_smoothing: float = 0.05
-    l2_sp: float = msgspec.field(default=7.0, name="pull")
+    l2_sp: float = 0.1
     rehearsed: float = 0.5
-    rehearsal_l2_sp: float = msgspec.field(default=0.5, name="rehearsal_pull")
+    blend: float = 0.6
 
 
 def rebuilt(head: nn.Sequential, known: Sequence[str], labels: Sequence[str]) -> nn.Sequential:
@@ -72,7 +75,9 @@ def fit(
     compared = [label for label in labels if label in present]
     columns = torch.tensor([labels.index(label) for label in compared])
     head = copy.deepcopy(start).train()
-    penalty = _L2SP(start, [label in new for label in labels], settings, rehearsed is not None)
+    is_new = torch.tensor([label in new for label in labels])
+    penalties = _each(start, settings.l2_sp, 0.0, is_new)
+    before = [weight.detach().clone() for weight in start.parameters()]
     rng = torch.Generator().manual_seed(settings.seed)
     optimizer = torch.optim.AdamW(head.parameters(), weight_decay=0.0)
     share = settings.rehearsed if rehearsed is not None else 0.0
@@ -90,38 +95,29 @@ def fit(
                 label_smoothing=settings.label_smoothing,
                 reduction="none",
             )
-            loss = losses[within.flatten()].mean() + penalty.distance(head) / len(shown.gestures)
+            distances = [
+                (penalty * (weight - pretrained).square()).sum()
+                for penalty, weight, pretrained in zip(penalties, head.parameters(), before, strict=True)
+            ]
+            loss = losses[within.flatten()].mean() + torch.stack(distances).sum() / len(shown.gestures)
             for group in optimizer.param_groups:
                 group["lr"] = learning_rate_at(step, settings.steps, settings.learning_rate)
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(head.parameters(), GRADIENT_LIMIT)
             optimizer.step()
-    return head.eval().requires_grad_(False)
+    head.eval().requires_grad_(False)
+    shares = _each(start, settings.blend, 1.0, is_new)
+    for weight, pretrained, part in zip(head.parameters(), before, shares, strict=True):
+        weight.copy_(torch.lerp(pretrained, weight, part))
+    return head
 
 
-class _L2SP:
-    """The weights that a head began with, and how strongly each is held there."""
-
-    def __init__(
-        self, head: nn.Sequential, is_new: Sequence[bool], settings: AdaptSettings, rehearses: bool
-    ) -> None:
-        self._weights = [weight.detach().clone() for weight in head.parameters()]
-        weight = settings.rehearsal_l2_sp if rehearses else settings.l2_sp
-        rows = torch.tensor([0.0 if new else weight for new in is_new])
-        last = cast(nn.Linear, head[-1])
-        self._penalties = [torch.tensor(weight) for _ in self._weights]
-        # The last layer's weight and bias are the last two.
-        assert self._weights[-1].shape == last.bias.shape
-        self._penalties[-2:] = [rows[:, None], rows]
-
-    def distance(self, head: nn.Sequential) -> Tensor:
-        """Return the squared distance of a head from the pretrained one, weighted."""
-        apart = [
-            (penalty * (weight - before).square()).sum()
-            for penalty, weight, before in zip(self._penalties, head.parameters(), self._weights, strict=True)
-        ]
-        return torch.stack(apart).sum()
+def _each(head: nn.Sequential, value: float, of_new: float, is_new: Tensor) -> list[Tensor]:
+    """Return `value` for each of a head's parameters, `of_new` for the last layer's rows of new labels."""
+    *lower, weight, _bias = head.parameters()
+    rows = torch.where(is_new, of_new, value)
+    return [*(torch.full_like(each, value) for each in lower), rows[:, None].expand_as(weight), rows]
 
 
 def _draw(

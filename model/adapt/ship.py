@@ -43,7 +43,8 @@ def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings:
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
         if haart_folder is not None:
-            rehearsed = learnable(pretrained, read_haart(haart_folder), settings)
+            theirs = read_haart(haart_folder)
+            rehearsed = learnable(pretrained, theirs, settings.rehearsal_crops, settings.seed)
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), rehearsed, settings)
     write(pretrained, adapted, output, settings)
     return adapted

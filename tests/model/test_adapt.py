@@ -109,7 +109,7 @@ def test_the_file_knows_the_labs_gestures_and_origin(adapted_file: tuple[Path, s
 
 def test_no_name_of_a_person_is_in_the_file(adapted_file: tuple[Path, str]) -> None:
     content = adapted_file[0].read_bytes()
-    assert b"Ann" not in content
+    assert b'"Ann"' not in content
     assert str(adapted_file[0].parent).encode() not in content
 
 

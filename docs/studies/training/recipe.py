@@ -3,7 +3,6 @@
 For the shipped file: one network a seed, on all training participants. For honest figures on them: one
 network a fold, which never sees the fold's participants. With teachers, each of these learns from the
 averaged answers of plain networks trained on the same people first (distillation, Hinton et al. 2015).
-A recipe may begin from another one's networks, each from the one that never saw its fold's people either.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from model.settings import SettingsError, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
-"""Of the network that learnt from HAART alone: for the comparison with the paper, and to begin from."""
+"""Of the network that learnt from HAART alone: for the comparison with the paper."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
 """Of the network that learnt from HAART alone, varied widely: for the figure from one study to the other."""
 MAX_BYTES = 64 * 1024
@@ -35,10 +34,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One network on all training participants each; the first is the one that ships."""
     settings: TrainSettings
     teacher_seeds: tuple[int, ...] = ()
-    begins_from: str = ""
-    """File name, beside this one, of the recipe whose networks this one's begin from."""
-    base: Recipe | None = None
-    """That recipe; filled in when it is read."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +51,9 @@ def read_recipe(path: Path = SHIPPED_RECIPE) -> Recipe:
             text = file.read(MAX_BYTES + 1)
         if len(text) > MAX_BYTES:
             raise SettingsError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a recipe")
-        recipe = msgspec.convert(yaml.safe_load(text), Recipe)
+        return msgspec.convert(yaml.safe_load(text), Recipe)
     except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
         raise SettingsError(f"{path}: {' '.join(str(error).split())}") from error
-    if not recipe.begins_from:
-        return recipe
-    return msgspec.structs.replace(recipe, base=read_recipe(path.with_name(recipe.begins_from)))
 
 
 def fold_name(left_out: tuple[str, ...]) -> str:
@@ -80,9 +72,7 @@ def fold_jobs(recipe: Recipe, runs: Path) -> list[Job]:
 
 
 def plan(recipe: Recipe, runs: Path) -> Iterator[Job]:
-    """Yield every job, each after the networks that it begins from and the teachers that it needs."""
-    if recipe.base:
-        yield from plan(recipe.base, runs)
+    """Yield every job, each after the teachers that it needs."""
     for jobs, left_outs in ((fold_jobs(recipe, runs), recipe.folds), (final_jobs(recipe, runs), ((),))):
         for left_out in left_outs:
             yield from (_teacher(recipe, seed, left_out) for seed in recipe.teacher_seeds)
@@ -93,16 +83,8 @@ def _job(recipe: Recipe, runs: Path, seed: int, left_out: tuple[str, ...]) -> Jo
     teachers = tuple(
         str(runs / _teacher(recipe, s, left_out).name / "checkpoint.pt") for s in recipe.teacher_seeds
     )
-    begins_from = ""
-    if recipe.base:
-        begins_from = str(runs / _base_job(recipe.base, runs, left_out).name / "checkpoint.pt")
     settings = msgspec.structs.replace(
-        recipe.settings,
-        name=recipe.name,
-        seed=seed,
-        left_out=left_out,
-        teachers=teachers,
-        begins_from=begins_from,
+        recipe.settings, name=recipe.name, seed=seed, left_out=left_out, teachers=teachers
     )
     return Job(f"{recipe.name}-{fold_name(left_out)}-seed{seed}", settings)
 
@@ -112,9 +94,3 @@ def _teacher(recipe: Recipe, seed: int, left_out: tuple[str, ...]) -> Job:
         recipe.settings, name=f"{recipe.name}-teacher", seed=seed, left_out=left_out, teachers=()
     )
     return Job(f"{recipe.name}-teacher-{fold_name(left_out)}-seed{seed}", settings)
-
-
-def _base_job(base: Recipe, runs: Path, left_out: tuple[str, ...]) -> Job:
-    """Return the base's network that saw none of these people: its own fold may know only some of them."""
-    known = {person for fold in base.folds for person in fold}
-    return _job(base, runs, base.seeds[0], tuple(person for person in left_out if person in known))

@@ -52,10 +52,6 @@ class Training:
         torch.manual_seed(settings.seed)
         self.rng = torch.Generator().manual_seed(settings.seed)
         self.network = TGC(settings.network, len(self.labels)).to(device)
-        if settings.begins_from:
-            self.network.load_state_dict(
-                _widened(checkpoint.load(Path(settings.begins_from)).network, self.network.state_dict())
-            )
         self.average = copy.deepcopy(self.network)
         self._at_lengths: Callable[[Tensor, tuple[int, ...]], Tensor] = self.network.at_lengths
         if settings.compiled:
@@ -181,13 +177,6 @@ class Training:
         self.rng.set_state(saved.training["rng"])
         torch.set_rng_state(saved.training["torch_rng"])
         self.epoch = saved.epoch
-
-
-def _widened(weights: dict[str, Tensor], wanted: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Return weights of a network whose stem sees fewer planes, at zero for those that it does not know."""
-    name = "stem.convolutions.0.weight"
-    missing = wanted[name].shape[1] - weights[name].shape[1]
-    return weights | {name: functional.pad(weights[name], (0, 0, 0, 0, 0, missing))}
 
 
 def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:

@@ -1,0 +1,208 @@
+"""What adapting to a person gains that person and costs others (docs/adapt.md)."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+
+from docs.studies.folders import add_haart_argument, add_second_study_argument
+from docs.studies.marked import fill, table
+from docs.studies.training import haart, metrics, second_study
+from docs.studies.training.recipe import fold_jobs, read_recipe
+from docs.studies.training.ship import fold_path
+from docs.studies.training.train import CHECKPOINT_NAME
+from drivers.recording import Recording
+from model.adapt.adapt import Pretrained, learnable, logits
+from model.adapt.backbone import CropFeatures, WindowFeatures, windows
+from model.adapt.head import AdaptSettings, fit
+from model.adapt.measure import Floats, mean_interval
+from model.classifier import SHIPPED_MODEL
+from model.training import checkpoint
+from model.training.threads import one_torch_thread
+
+SHOTS = (1, 2, 4)
+"""Recordings a gesture that are adapted to; all those in no draw's first four are evaluated."""
+DRAWS = 2
+FRAMES = 144
+FILE = Path(__file__).parents[1] / "adapt.json"
+PAGE = FILE.with_suffix(".md")
+CHOSEN_ON = ("R08", "R10", "R12")
+"""The people on whom the settings were chosen."""
+
+
+class Trial(msgspec.Struct, frozen=True, kw_only=True):
+    """One network adapted to `each` recordings a gesture of one person that it never saw.
+
+    before, after: macro accuracy on that person's other recordings, after 144 frames; error: of calibration.
+    others: what it gains, on average, each other person whom the network never saw either.
+    """
+
+    participant: str
+    draw: int
+    each: int
+    rehearsed: bool
+    before: float
+    after: float
+    error: float
+    others: float
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """What docs/adapt.json holds."""
+
+    settings: AdaptSettings
+    trials: tuple[Trial, ...]
+
+
+class Fold:
+    """A network, the people whom it never saw, and its features of their windows."""
+
+    def __init__(self, pretrained: Pretrained, unseen: Sequence[Recording]) -> None:
+        self.pretrained = pretrained
+        self.unseen = unseen
+        self.windows: WindowFeatures = windows(pretrained.backbone, unseen)[FRAMES]
+        self.truth = np.array([haart.label(unseen[i]) for i in self.windows.recordings], dtype=np.int64)
+        self.people = sorted({recording.participant for recording in unseen})
+
+    def of(self, name: str) -> list[int]:
+        """Return the numbers of a person's recordings."""
+        return [i for i, recording in enumerate(self.unseen) if recording.participant == name]
+
+    def accuracy(self, head: nn.Sequential, recordings: Sequence[int]) -> tuple[float, float]:
+        """Return macro accuracy and calibration error on the windows of some recordings."""
+        chosen: NDArray[np.bool_] = np.isin(self.windows.recordings, recordings)
+        answers = logits(head, self.windows, chosen) / self.pretrained.temperatures[FRAMES]
+        odds = np.exp(answers - answers.max(axis=1, keepdims=True))
+        odds /= odds.sum(axis=1, keepdims=True)
+        predicted = odds.argmax(axis=1).astype(np.int64)
+        return (
+            metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.GESTURES)),
+            metrics.expected_calibration_error(odds, self.truth[chosen]),
+        )
+
+    def trials(self, name: str, rehearsed: CropFeatures, settings: AdaptSettings) -> Iterator[Trial]:
+        """Yield every trial of one person."""
+        own = self.of(name)
+        others = [self.of(other) for other in self.people if other != name]
+        start = self.pretrained.head
+        others_before = [self.accuracy(start, theirs)[0] for theirs in others]
+        for number in range(DRAWS):
+            drawn = draw(self.unseen, name, number)
+            evaluated = sorted(set(own) - {i for first in drawn for i in first})
+            before, _ = self.accuracy(start, evaluated)
+            for each in SHOTS:
+                shown = [self.unseen[i] for first in drawn for i in first[:each]]
+                features = learnable(self.pretrained, shown, settings.crops, settings.seed)
+                for beside in (None, rehearsed):
+                    head = fit(start, haart.GESTURES, [], features, beside, settings)
+                    after, error = self.accuracy(head, evaluated)
+                    gains = [
+                        self.accuracy(head, theirs)[0] - was
+                        for theirs, was in zip(others, others_before, strict=True)
+                    ]
+                    yield Trial(
+                        participant=name,
+                        draw=number,
+                        each=each,
+                        rehearsed=beside is not None,
+                        before=round(before, 4),
+                        after=round(after, 4),
+                        error=round(error, 4),
+                        others=round(float(np.mean(gains)), 4),
+                    )
+
+
+def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[int]]:
+    """Return the first four of a random order of each gesture's recordings of one person."""
+    rng = np.random.default_rng([number, *name.encode()])
+    return [
+        rng.permutation(
+            [i for i, each in enumerate(recordings) if (each.participant, each.gesture) == (name, gesture)]
+        ).tolist()[: SHOTS[-1]]
+        for gesture in haart.GESTURES
+    ]
+
+
+def measure(haart_folder: Path, second_folder: Path, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
+    """Yield the trials of everybody of both studies."""
+    training = haart.realigned(haart.read_training(haart_folder))
+    takes = second_study.takes(second_study.read(second_folder))
+    for job in fold_jobs(read_recipe(), runs):
+        left_out = job.settings.left_out
+        saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
+        pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out))
+        fold = Fold(pretrained, haart.only([*training, *takes], left_out))
+        seen = haart.without(training, left_out)
+        rehearsed = learnable(pretrained, seen, settings.rehearsal_crops, settings.seed)
+        for name in fold.people:
+            yield from fold.trials(name, rehearsed, settings)
+
+
+def tables(measured: Measured) -> dict[str, str]:
+    """Return the page's tables by their places."""
+    trials = measured.trials
+    groups = {
+        "second study": [t for t in trials if t.participant.startswith("R")],
+        "the same without the three people the settings were chosen on": [
+            t for t in trials if t.participant.startswith("R") and t.participant not in CHOSEN_ON
+        ],
+        "HAART": [t for t in trials if t.participant.startswith("P")],
+    }
+    rows = []
+    for group, own in groups.items():
+        for rehearsed in (False, True):
+            for each in SHOTS:
+                cell = [t for t in own if (t.rehearsed, t.each) == (rehearsed, each)]
+                gain = _by_person(cell, [t.after - t.before for t in cell])
+                interval = mean_interval([gain])
+                assert interval is not None
+                rows.append(
+                    (
+                        *(group, "yes" if rehearsed else "no", each),
+                        f"{100 * _by_person(cell, [t.before for t in cell]).mean():.1f}",
+                        f"**{100 * _by_person(cell, [t.after for t in cell]).mean():.1f}**",
+                        f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}",
+                        f"{100 * _by_person(cell, [t.others for t in cell]).mean():+.1f}",
+                        f"{_by_person(cell, [t.error for t in cell]).mean():.3f}",
+                    )
+                )
+    headings = ("people", "HAART rehearsed", "a gesture", "before", "after", "95 % of the difference")
+    names = sorted({t.participant for t in trials}, key=lambda name: (name[0], int(name[1:])))
+    people = []
+    for name in names:
+        own = [t for t in trials if t.participant == name and not t.rehearsed]
+        afters = [np.mean([t.after for t in own if t.each == each]) for each in SHOTS]
+        values = [np.mean([t.before for t in own]), *afters]
+        people.append((name, *(f"{100 * value:.1f}" for value in values)))
+    return {
+        "summary": table((*headings, "others", "calibration error after"), rows),
+        "people": table(("person", "before", *(f"{each} a gesture" for each in SHOTS)), people),
+    }
+
+
+def _by_person(trials: Sequence[Trial], values: Sequence[float]) -> Floats:
+    """Return the mean of each person's values."""
+    names = np.array([trial.participant for trial in trials])
+    return np.array([np.mean(np.array(values)[names == name]) for name in np.unique(names)])
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure everybody and fill the page; returns 0."""
+    parser = argparse.ArgumentParser(prog="python -m docs.studies adapting", description=__doc__)
+    add_haart_argument(parser)
+    add_second_study_argument(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
+    options = parser.parse_args(arguments)
+    settings = AdaptSettings()
+    with one_torch_thread():
+        trials = tuple(measure(options.haart, options.second_study, options.runs, settings))
+    measured = Measured(settings, trials)
+    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")
+    fill(PAGE, tables(measured))
+    return 0

@@ -1,1 +1,0 @@
-"""What adapting to a person gains and costs (docs/adapt.md)."""
