@@ -7,8 +7,8 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 
-from drivers.recording import Recording, ideal_clock_ms
 from docs.studies.training import second_study
+from drivers.recording import Recording, ideal_clock_ms
 
 
 def made(takes: int) -> Recording:
