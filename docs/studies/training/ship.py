@@ -56,7 +56,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         _export(fold, name, scored, temperatures, calibrate.accuracies(own), path)
         written.append(path)
     temperatures = _temperatures(answers)
-    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold])
+    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
     for job in final_jobs(recipe, runs):
         saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
@@ -114,7 +114,9 @@ def seed_path(weights: Path, seed: int) -> Path:
 
 
 def _temperatures(answers: Sequence[Sequence[calibrate.LeftOut]]) -> dict[int, float]:
-    """Return temperatures from each fold's answers, one entry a study."""
+    """Return temperatures from each fold's answers, one entry a study; 1 without any fold."""
+    if not answers:
+        return dict.fromkeys(LENGTHS, 1.0)
     return calibrate.modest(calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))
 
 
