@@ -30,7 +30,7 @@ ROW_LEAK = 0.02
 EDGE_S = 0.08
 FINGER_WIDTH = 0.9
 
-DEMO_SEED = 16
+DEMO_SEED = 2
 DEMO_SCRIPT = (
     ("notouch", 2.5),
     *(

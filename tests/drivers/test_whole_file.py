@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -21,8 +22,8 @@ def test_a_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
 def test_an_error_while_writing_leaves_the_old_file_alone(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     path.write_text("before")
-    with pytest.raises(NotADirectoryError), whole_file(path) as partial:
-        (partial / "half").write_text("half")
+    with pytest.raises(FileNotFoundError), whole_file(path) as partial:
+        shutil.copytree(tmp_path / "not there", partial)
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
 
