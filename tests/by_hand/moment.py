@@ -45,14 +45,15 @@ def play(
                 words = spoken(template, event.gesture, event.confidence, settings.vocabulary)
                 put(RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time())))
 
-    # Time passes as the sensor says, so that a busy machine makes no answer late.
-    now_s = 0.0
-    clock = Clock(monotonic_s=lambda: now_s)
+    # A frame comes when the sensor says; what then passes is real, so that an answer says what it took.
+    now_s = came_s = 0.0
+    clock = Clock(monotonic_s=lambda: now_s + time.monotonic() - came_s)
     pipeline = Pipeline(settings.pipeline, load_model(settings), emit, clock, viewers=lambda: [put_live])
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         now_s = sensor_ms / 1000
         frame = Frame(number, sensor_ms, now_s, counts)
         put_frame(frame)
+        came_s = time.monotonic()
         pipeline.on_frame(frame)
         if began_ms and sensor_ms - began_ms[0] >= 1000 * AFTER_S:
             return frame
