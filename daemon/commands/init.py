@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
     found = next((found for port in ports if (found := _listen(console, port, bauds)) is not None), None)
     port, baud, described = found or (options.port or DEFAULT_PORT, bauds[0], None)
-    robot = _ask_robot() if options.robot is None else options.robot
+    robot = _ask_robot(console) if options.robot is None else options.robot
     robot = None if robot in ("", "none") else robot
     described_as = as_yaml(described or PRESETS["fabric-grid"])
     text = f"sensor:\n  port: {json.dumps(port)}\n  baud: {baud}\n  {described_as}\n"
@@ -133,7 +133,9 @@ def _answering(opened: Line) -> PadFormat | None:
     return None
 
 
-def _ask_robot() -> str:
+def _ask_robot(console: Console) -> str:
+    """Return what is typed; without a terminal, or at its end, nothing."""
     if not sys.stdin.isatty():
         return ""
-    return input("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ").strip()
+    console.print("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ", end="")
+    return sys.stdin.readline().strip()

@@ -99,6 +99,18 @@ def test_without_a_pad_the_file_is_written_all_the_same(tmp_path: Path) -> None:
     assert load(path).sensor.described == SensorSettings().described
 
 
+def test_the_end_of_input_means_no_robot(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    with (
+        FakePort(STREAM, ENCODE, loop=True) as port,
+        Terminal("init", str(path), "--port", port.path, "--baud", "115200") as terminal,
+    ):
+        terminal.until("(Enter: no robot): ")
+        terminal.answer("\x04")
+        terminal.until(" doctor -c")
+    assert load(path).robot is None
+
+
 @needs_qi
 @pytest.mark.timeout(60)
 def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
