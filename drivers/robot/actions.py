@@ -107,7 +107,7 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     Either way an answer sets a rule off once in a touch: [final, released] acts once on what each settles on.
     changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
     with changed: true if any fits, and only otherwise those without.
-    above, below: only for a touch of which a measure, as peak, is at least, or below, so much: docs/pads.md.
+    above, below: only for a touch of which a measure is at least, or below, so much: docs/events.md.
     refractory_s: how long the rule rests after it was set off, in seconds.
     """
 
