@@ -15,8 +15,7 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
     """Yield a path beside `path` to write to; what was written takes the place of `path` at the end.
 
     replace: whether a file that is there is written over, keeping its owner and permissions; otherwise
-    FileExistsError is raised. On any error
-    nothing is left behind. Raises OSError.
+    FileExistsError is raised. On any error nothing is left behind. Raises OSError.
     """
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
