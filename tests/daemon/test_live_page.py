@@ -140,7 +140,8 @@ def test_it_shows_without_an_error_and_asks_nobody_else(played: Played) -> None:
 
 
 def test_the_pad_moves_with_the_recording(played: Played) -> None:
-    assert len(set(played.pictures)) > len(played.pictures) / 3
+    # How often it is painted depends on what else the machine does; a still pad paints one picture.
+    assert len(set(played.pictures)) > 4
 
 
 def test_every_touch_is_listed_with_its_answers(played: Played) -> None:
