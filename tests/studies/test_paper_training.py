@@ -30,7 +30,7 @@ from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
 from model.settings import SettingsError  # noqa: E402
 from model.training.checkpoint import CheckpointError  # noqa: E402
 
-GRID = Grid(learning_rate=1e-4, batch=8, whole=(), feasible=())
+GRID = Grid(learning_rate=1e-4, batch=8, bfloat16=False, whole=(), feasible=())
 CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)
 
 

@@ -66,6 +66,7 @@ class Grid(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     learning_rate: float
     batch: int
+    bfloat16: bool
     whole: tuple[GridEntry, ...]
     feasible: tuple[GridEntry, ...]
 

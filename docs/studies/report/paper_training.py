@@ -41,6 +41,7 @@ class PaperTraining:
 
     def __init__(self, cell: PaperCell, grid: Grid, training: Windows, test: Windows, device: str) -> None:
         self.batch = grid.batch
+        self.bfloat16 = grid.bfloat16
         self.device = device
         self.inputs = torch.from_numpy(training.counts.astype(np.float32))
         self.targets = torch.from_numpy(training.labels)
@@ -65,8 +66,9 @@ class PaperTraining:
         self.network.train()
         total = 0.0
         for chosen in torch.split(torch.randperm(len(self.targets), generator=self.rng), self.batch):
-            logits = self.network(self.inputs[chosen].to(self.device))
-            loss = functional.cross_entropy(logits, self.targets[chosen].to(self.device))
+            with torch.autocast(self.device, torch.bfloat16, enabled=self.bfloat16):
+                logits = self.network(self.inputs[chosen].to(self.device))
+            loss = functional.cross_entropy(logits.float(), self.targets[chosen].to(self.device))
             self.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self.optimizer.step()
@@ -145,6 +147,7 @@ def _finish(study: Study, grid: Grid, cell: PaperCell, paper: PaperTraining, pat
         "parameters": sum(parameter.numel() for parameter in paper.network.parameters()),
         "learning_rate": grid.learning_rate,
         "batch": grid.batch,
+        "bfloat16": grid.bfloat16,
         "framing": "published",
         "device": paper.device,
         "losses": [round(loss, 4) for loss in paper.losses],
