@@ -108,9 +108,6 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether the layers compute in bfloat16 while training."""
     compiled: bool = False
     """Whether the step is compiled: 1.6 times as fast on a CPU, but takes a C++ compiler and a minute."""
-    teachers: tuple[str, ...] = ()
-    """Checkpoints whose averaged answers the network learns too (distillation, Hinton et al. 2015)."""
-    teacher_weight: float = 0.7
     network: NetworkSettings = NetworkSettings()
     augmentation: AugmentationSettings = AugmentationSettings()
 

@@ -133,7 +133,7 @@ def measure(haart_folder: Path, second_folder: Path, runs: Path, settings: Adapt
     """Yield the trials of everybody of both studies."""
     training = haart.realigned(haart.read_training(haart_folder))
     takes = second_study.takes(second_study.read(second_folder))
-    for job in fold_jobs(read_recipe(), runs):
+    for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
         pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out))

@@ -79,8 +79,11 @@ def load(path: Path) -> Checkpoint:
                 f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no checkpoint of touchd"
             )
         stored = torch.load(path, map_location="cpu", weights_only=True)
+        settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])
+        # One that an older version wrote may hold settings that there are no longer.
+        known = {name: value for name, value in settings.items() if name in TrainSettings.__struct_fields__}
         return Checkpoint(
-            settings=msgspec.json.decode(stored["settings"], type=TrainSettings),
+            settings=msgspec.convert(known, TrainSettings),
             labels=tuple(stored["labels"]),
             epoch=stored["epoch"],
             network=stored["network"],

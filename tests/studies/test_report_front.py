@@ -130,10 +130,10 @@ def test_a_batch_takes_more_memory_than_a_window() -> None:
     assert 10e6 < none < window < batch
 
 
-def test_every_size_differs_in_widths_only(tmp_path: Path) -> None:
+def test_every_size_differs_in_widths_only() -> None:
     recipe = read_recipe(HAART_RECIPE)
-    shipped = final_jobs(recipe, tmp_path)[0].settings
-    for job in sizes.jobs(recipe, tmp_path):
+    shipped = final_jobs(recipe)[0].settings
+    for job in sizes.jobs(recipe):
         same = sizes.widened(
             job.settings.network, {"stem_width": 16, "width": 96, "feed_forward": 192, "dense": 96}
         )

@@ -105,6 +105,15 @@ def test_a_compiled_step_learns_the_same(finished: tuple[Checkpoint, Path], tmp_
         torch.testing.assert_close(compiled.network[name], value, atol=1e-4, rtol=1e-3)
 
 
+def test_a_setting_that_is_gone_does_not_make_a_checkpoint_unreadable(
+    finished: tuple[Checkpoint, Path], tmp_path: Path
+) -> None:
+    stored = torch.load(finished[1], weights_only=True)
+    stored["settings"] = stored["settings"].replace('{"name"', '{"gone":[1],"name"', 1)
+    torch.save(stored, tmp_path / CHECKPOINT_NAME)
+    assert checkpoint.load(tmp_path / CHECKPOINT_NAME).settings == SETTINGS
+
+
 def test_another_seed_gives_another_network(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
     other = msgspec.structs.replace(SETTINGS, seed=4)
     assert not same(train(recordings(), other, tmp_path, DEVICE), finished[0])

@@ -31,9 +31,9 @@ SHAPES: Mapping[str, Mapping[str, int]] = {
 }
 
 
-def jobs(recipe: Recipe, runs: Path) -> list[Job]:
+def jobs(recipe: Recipe) -> list[Job]:
     """Return one training a size: the shipped network's own, but for the widths."""
-    shipped = final_jobs(recipe, runs)[0].settings
+    shipped = final_jobs(recipe)[0].settings
     return [
         Job(name, msgspec.structs.replace(shipped, name=name, network=widened(shipped.network, shape)))
         for name, shape in SHAPES.items()
@@ -51,7 +51,7 @@ def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOL
     A training goes on from its last checkpoint.
     """
     files = {}
-    for job in jobs(read_recipe(HAART_RECIPE), runs):
+    for job in jobs(read_recipe(HAART_RECIPE)):
         name = f"{job.name}.onnx"
         path = stored / name
         if not path.exists():

@@ -1,13 +1,11 @@
 """The recipe: which networks are trained, on whom, and in which order.
 
 For the shipped file: one network a seed, on all training participants. For honest figures on them: one
-network a fold, which never sees the fold's participants. With teachers, each of these learns from the
-averaged answers of plain networks trained on the same people first (distillation, Hinton et al. 2015).
+network a fold, which never sees the fold's participants.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,7 +31,6 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds: tuple[int, ...]
     """One network on all training participants each; the first is the one that ships."""
     settings: TrainSettings
-    teacher_seeds: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -61,36 +58,16 @@ def fold_name(left_out: tuple[str, ...]) -> str:
     return f"without-{'-'.join(left_out)}" if left_out else "all"
 
 
-def final_jobs(recipe: Recipe, runs: Path) -> list[Job]:
+def final_jobs(recipe: Recipe) -> list[Job]:
     """Return the networks on all training participants, one a seed, the shipped one first."""
-    return [_job(recipe, runs, seed, ()) for seed in recipe.seeds]
+    return [_job(recipe, seed, ()) for seed in recipe.seeds]
 
 
-def fold_jobs(recipe: Recipe, runs: Path) -> list[Job]:
+def fold_jobs(recipe: Recipe) -> list[Job]:
     """Return the networks that leave participants out, one a fold."""
-    return [_job(recipe, runs, recipe.seeds[0], fold) for fold in recipe.folds]
+    return [_job(recipe, recipe.seeds[0], fold) for fold in recipe.folds]
 
 
-def plan(recipe: Recipe, runs: Path) -> Iterator[Job]:
-    """Yield every job, each after the teachers that it needs."""
-    for jobs, left_outs in ((fold_jobs(recipe, runs), recipe.folds), (final_jobs(recipe, runs), ((),))):
-        for left_out in left_outs:
-            yield from (_teacher(recipe, seed, left_out) for seed in recipe.teacher_seeds)
-        yield from jobs
-
-
-def _job(recipe: Recipe, runs: Path, seed: int, left_out: tuple[str, ...]) -> Job:
-    teachers = tuple(
-        str(runs / _teacher(recipe, s, left_out).name / "checkpoint.pt") for s in recipe.teacher_seeds
-    )
-    settings = msgspec.structs.replace(
-        recipe.settings, name=recipe.name, seed=seed, left_out=left_out, teachers=teachers
-    )
+def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...]) -> Job:
+    settings = msgspec.structs.replace(recipe.settings, name=recipe.name, seed=seed, left_out=left_out)
     return Job(f"{recipe.name}-{fold_name(left_out)}-seed{seed}", settings)
-
-
-def _teacher(recipe: Recipe, seed: int, left_out: tuple[str, ...]) -> Job:
-    settings = msgspec.structs.replace(
-        recipe.settings, name=f"{recipe.name}-teacher", seed=seed, left_out=left_out, teachers=()
-    )
-    return Job(f"{recipe.name}-teacher-{fold_name(left_out)}-seed{seed}", settings)

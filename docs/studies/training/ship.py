@@ -12,7 +12,7 @@ import msgspec
 
 from docs.studies.checks import evaluate
 from docs.studies.training import calibrate, haart
-from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name, plan
+from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import CHECKPOINT_NAME, train_studies
 from drivers.frame import FRAME_RATE_HZ
@@ -34,7 +34,7 @@ SCORES_NAME = "scores.json"
 
 def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
     """Train every network of the recipe that is not finished in `runs` yet."""
-    for job in plan(recipe, runs):
+    for job in (*fold_jobs(recipe), *final_jobs(recipe)):
         if not _finished(job, runs):
             train_studies(folders, job.settings, runs / job.name, threads)
 
@@ -46,7 +46,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
     Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
     """
     scored = folders.to_score_on(recipe.settings.studies)
-    folds = [_load(job, runs) for job in fold_jobs(recipe, runs)]
+    folds = [_load(job, runs) for job in fold_jobs(recipe)]
     answers = [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds]
     written: list[Path] = []
     for fold, own in zip(folds, answers, strict=True):
@@ -57,7 +57,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         written.append(path)
     temperatures = _temperatures(answers)
     accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
-    for job in final_jobs(recipe, runs):
+    for job in final_jobs(recipe):
         saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
         path = weights / SHIPPED_MODEL.name if shipped else seed_path(weights, job.settings.seed)

@@ -48,7 +48,6 @@ class Training:
             ]
             for participant in people
         }
-        self.teachers = [checkpoint.load(Path(path)).build().to(device) for path in settings.teachers]
         torch.manual_seed(settings.seed)
         self.rng = torch.Generator().manual_seed(settings.seed)
         self.network = TGC(settings.network, len(self.labels)).to(device)
@@ -121,20 +120,12 @@ class Training:
             logits = self._at_lengths(windows, settings.lengths).flatten(0, 1).float()
         expected = targets.repeat_interleave(len(settings.lengths), dim=0)
         loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
-        if self.teachers:
-            taught = functional.cross_entropy(logits, self._teach(windows))
-            loss = (1.0 - settings.teacher_weight) * loss + settings.teacher_weight * taught
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_LIMIT)
         self.optimizer.step()
         self._follow(step)
         return float(loss.item())
-
-    def _teach(self, windows: Tensor) -> Tensor:
-        with torch.no_grad():
-            answers = [torch.softmax(t.at_lengths(windows, self.settings.lengths), -1) for t in self.teachers]
-            return torch.stack(answers).mean(dim=0).flatten(0, 1)
 
     @torch.no_grad()
     def _follow(self, step: int) -> None:
