@@ -17,7 +17,8 @@ import msgspec
 from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, encode, epoch_s
 from daemon.kept.journal import Journal
 from drivers.queue import DroppingQueue
-from drivers.robot.link import RobotLink, RobotMessage
+from drivers.robot.link import RobotLink
+from drivers.robot.message import RobotMessage
 
 log = logging.getLogger(__name__)
 

@@ -33,7 +33,7 @@ FORGOTTEN_WEIGHT = 1e-8
 MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
 
 
-class State(NamedTuple):
+class TGCState(NamedTuple):
     """What the network keeps of the frames so far; bounded, whatever their number.
 
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
@@ -235,14 +235,14 @@ class TGC(nn.Module):
         logits: Tensor = self.dense(self._summary(mean, squares / frames - mean * mean, highest))
         return logits
 
-    def initial_state(self) -> State:
+    def initial_state(self) -> TGCState:
         """Return the state before the first frame."""
         width, heads = self.settings.width, self.settings.heads
         past = sum(layer.past for layer in self._motion())
         pooled = torch.zeros(1, 3, width, dtype=torch.float64)
         pooled[:, 2] = torch.finfo(torch.float32).min
         memory = torch.zeros(1, 2 * heads, 0, width // heads)
-        return State(
+        return TGCState(
             level=torch.zeros(1, self.stem.past, ROWS, COLUMNS),
             motion=torch.zeros(1, past, width),
             memory=(memory,) * self.settings.blocks,
@@ -250,7 +250,7 @@ class TGC(nn.Module):
             frames=torch.zeros(1, dtype=torch.float64),
         )
 
-    def step(self, counts: Tensor, state: State) -> tuple[Tensor, State]:
+    def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
         """Return (B, classes) logits over all frames up to now, and the state after (B, T, 8, 8) counts."""
         levels = self.stem.level(counts)
         last = torch.where(state.frames > 0, state.level, self.stem.before(levels))
@@ -275,7 +275,7 @@ class TGC(nn.Module):
         summary = self._summary(mean, squares / frames.to(x.dtype), highest)
         logits: Tensor = self.dense(summary[:, 0])
         seen = torch.cat([last, levels], dim=1)[:, -self.stem.past :]
-        return logits, State(seen, torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
+        return logits, TGCState(seen, torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
 
     @staticmethod
     def _summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:
@@ -289,7 +289,7 @@ class TGC(nn.Module):
         return [block for block in self.encoder if isinstance(block, EncoderBlock)]
 
 
-def _pool(state: State, x: Tensor) -> tuple[Tensor, Tensor]:
+def _pool(state: TGCState, x: Tensor) -> tuple[Tensor, Tensor]:
     """Return `pooled` and `frames` after (B, T, width) features, merged as in Chan et al. 1983.
 
     In float64, so that a mean over hours still moves by what one frame adds to it.

@@ -34,8 +34,9 @@ from drivers.fakes.services import Call
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
 from drivers.recording import Stream, read_recordings, splice
 from drivers.robot.actions import Action, ActionRule, Leds
-from drivers.robot.link import RobotLink, RobotSettings
+from drivers.robot.link import RobotLink
 from drivers.robot.session import qi_installed
+from drivers.robot.settings import RobotSettings
 
 # The recording lasts 37 s; whatever goes wrong, the demo is over before a minute is.
 LONGEST_S = 50.0

@@ -21,7 +21,9 @@ from drivers.pad.parser import FrameParser
 from drivers.pad.protocol import parser_of
 from drivers.recording import RecordingError
 from drivers.robot.actions import Kind
-from drivers.robot.link import RobotLink, RobotMessage, State
+from drivers.robot.link import RobotLink
+from drivers.robot.message import RobotMessage
+from drivers.robot.worker import LinkState
 
 if typing.TYPE_CHECKING:
     from daemon.live.server import LiveServer
@@ -61,7 +63,7 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
     emit: gets an event when the robot comes, goes or does something, from the link's threads.
     """
 
-    def report(state: State, reason: str) -> None:
+    def report(state: LinkState, reason: str) -> None:
         emit(RobotEvent(state=state, time=timestamp(time.time()), reason=one_line(reason)))
 
     def act(message: RobotMessage, kind: Kind, what: str) -> None:

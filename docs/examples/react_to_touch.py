@@ -10,7 +10,7 @@ import time
 import qi
 
 
-class Login:
+class NaoqiPassword:
     """Logs in as NAOqi 2.9 asks."""
 
     def __init__(self, password):
@@ -27,7 +27,7 @@ url = sys.argv[1] if "://" in sys.argv[1] else f"tcp://{sys.argv[1]}:9559"
 qi.logging.setLevel(qi.logging.SILENT)
 session = qi.Session()
 if len(sys.argv) > 2:
-    session.setClientAuthenticatorFactory(Login(sys.argv[2]))
+    session.setClientAuthenticatorFactory(NaoqiPassword(sys.argv[2]))
 session.connect(url)
 memory = session.service("ALMemory")
 speech = session.service("ALTextToSpeech")

@@ -60,7 +60,7 @@ class Measured(msgspec.Struct, frozen=True):
     trials: tuple[Trial, ...]
 
 
-class Fold:
+class PersonFold:
     """A network, the people whom it never saw, and its features of their windows."""
 
     def __init__(self, pretrained: Pretrained, unseen: Sequence[Recording]) -> None:
@@ -137,7 +137,7 @@ def measure(haart_folder: Path, second_folder: Path, runs: Path, settings: Adapt
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
         pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out))
-        fold = Fold(pretrained, haart.only([*training, *takes], left_out))
+        fold = PersonFold(pretrained, haart.only([*training, *takes], left_out))
         seen = haart.without(training, left_out)
         rehearsed = learnable(pretrained, seen, settings.rehearsal_crops, settings.seed)
         for name in fold.people:

@@ -59,14 +59,14 @@ LADDER = (
 
 
 @dataclass(frozen=True)
-class Score:
+class PadScore:
     """Of so many touches, how many were felt as one and how many were answered right in the end."""
 
     touches: int
     felt: int
     right: int
 
-    def is_ruined(self, lab: Score) -> bool:
+    def is_ruined(self, lab: PadScore) -> bool:
         """Whether touches are missed, or answered worse, than on the lab's pad."""
         return self.felt < FELT_SHARE * lab.felt or lab.right - self.right > RIGHT_SHARE * self.touches
 
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def table_of(scores: Sequence[tuple[Rung, Score]]) -> str:
+def table_of(scores: Sequence[tuple[Rung, PadScore]]) -> str:
     """Return the table of all pads, the lab's first."""
     lab = scores[0][1]
     headings = ("pad", "cells", "touches felt", "right in the end", "")
@@ -97,7 +97,7 @@ def table_of(scores: Sequence[tuple[Rung, Score]]) -> str:
     )
 
 
-def score(rung: Rung, hands: int) -> Score:
+def score(rung: Rung, hands: int) -> PadScore:
     """Play so many hands, each of which does every gesture, on a pad; return how they were answered."""
     gestures = [gesture for gesture in GESTURES if gesture != NO_TOUCH] * hands
     events: list[Event] = []
@@ -119,7 +119,7 @@ def score(rung: Rung, hands: int) -> Score:
         answers.append(ended[inside[0]] if len(inside) == 1 else None)
     felt = sum(answer is not None for answer in answers)
     right = sum(answer == gesture for answer, gesture in zip(answers, gestures, strict=True))
-    return Score(len(gestures), felt, right)
+    return PadScore(len(gestures), felt, right)
 
 
 def frames_of(rung: Rung, gestures: Sequence[str]) -> Iterator[Frame]:

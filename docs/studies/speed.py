@@ -19,7 +19,7 @@ from rich.table import Table
 
 from docs.studies.checks.timing import Timing, time_in_turn
 from docs.studies.report.front import ONNX_RUNTIME, PYTORCH, answers_of
-from docs.studies.report.networks import OURS, Network, papers
+from docs.studies.report.networks import OURS, TimedNetwork, papers
 from docs.studies.report.paper_tgc import PaperSettings
 from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
@@ -63,7 +63,7 @@ def run(
 ) -> list[Speed]:
     """Time the model file at each answered length and the paper's networks; raises ModelError."""
     lengths = tuple(sorted(LENGTHS, reverse=True))
-    networks = [Network(model.stem, OURS, "float32", lengths, model, 0, 0)]
+    networks = [TimedNetwork(model.stem, OURS, "float32", lengths, model, 0, 0)]
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         for settings in paper:
             networks += [each for each in papers(settings, Path(folder)) if each.eager is not None]

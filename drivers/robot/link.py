@@ -18,11 +18,9 @@ from drivers.robot.events import EventDuty
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reaction, ReactionDuty, Reactions
-from drivers.robot.session import Login, OpenSession, QiSession, RobotError, RobotSession, load_qi
+from drivers.robot.session import Login, OpenSession, QiSession, RobotSession, load_qi
 from drivers.robot.settings import RobotSettings, read_login
-from drivers.robot.worker import RobotCounts, RobotWorker, State
-
-__all__ = ["RobotCounts", "RobotError", "RobotLimits", "RobotLink", "RobotMessage", "RobotSettings", "State"]
+from drivers.robot.worker import LinkState, RobotCounts, RobotWorker
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +44,7 @@ class RobotLink:
     def __init__(
         self,
         settings: RobotSettings,
-        on_state: Callable[[State, str], None] | None = None,
+        on_state: Callable[[LinkState, str], None] | None = None,
         open_session: OpenSession | None = None,
         on_act: Callable[[RobotMessage, Kind, str], None] | None = None,
         *,
@@ -128,7 +126,7 @@ class RobotLink:
     def _workers(self) -> list[RobotWorker[RobotMessage] | RobotWorker[Reaction]]:
         return [self._events, *([self._actions] if self._actions else [])]
 
-    def _tell(self, state: State, reason: str) -> None:
+    def _tell(self, state: LinkState, reason: str) -> None:
         now_s = time.monotonic()
         if state == "down":
             self._down_since_s = now_s

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 
 Item_contra = TypeVar("Item_contra", contravariant=True)
 Item = TypeVar("Item")
-State = Literal["up", "down"]
+LinkState = Literal["up", "down"]
 
 # How often a quiet connection is looked at, which bounds how long a killed robot goes unnoticed.
 LOOK_S = 0.05
@@ -75,13 +75,13 @@ class RobotWorker(Generic[Item]):
         open_session: Callable[[threading.Event], RobotSession],
         duty: Duty[Item],
         limits: RobotLimits,
-        on_state: Callable[[State, str], None],
+        on_state: Callable[[LinkState, str], None],
     ) -> None:
         self._open_session = open_session
         self._duty = duty
         self._limits = limits
         self._on_state = on_state
-        self._state: State | None = None
+        self._state: LinkState | None = None
         self._refused_before = False
         self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity)
         self._queued = 0
@@ -193,7 +193,7 @@ class RobotWorker(Generic[Item]):
             self._refused_before = False
         return True
 
-    def _tell(self, state: State, reason: str) -> None:
+    def _tell(self, state: LinkState, reason: str) -> None:
         if self._stopping.is_set():
             return
         if state == self._state:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from drivers.frame import COLUMNS, ROWS
 from model.classifier import METADATA_KEY, ModelMetadata
-from model.tgc import TGC, State
+from model.tgc import TGC, TGCState
 
 OPSET = 20
 
@@ -44,7 +44,7 @@ class CalibratedTGC(nn.Module):
         frames = torch.ones_like(counts[0, :, 0, 0]).sum()
         return torch.softmax(self.network(counts) / self._temperature(frames), dim=-1)
 
-    def step(self, counts: Tensor, state: State) -> tuple[Tensor, State]:
+    def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
         """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
         logits, state = self.network.step(counts, state)
         temperature = self._temperature(state.frames.to(logits.dtype))
@@ -70,7 +70,7 @@ class _Step(nn.Module):
         pooled: Tensor,
         frames: Tensor,
     ) -> tuple[Tensor, ...]:
-        state = State(level, motion, tuple(memory), pooled, frames)
+        state = TGCState(level, motion, tuple(memory), pooled, frames)
         probabilities, after = self.calibrated.step(counts, state)
         return probabilities, after.level, after.motion, *after.memory, after.pooled, after.frames
 

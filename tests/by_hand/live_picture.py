@@ -16,7 +16,7 @@ from rigs.live_rig import serving
 
 from daemon.events import RobotEvent, SensorEvent, timestamp
 from drivers.frame import Frame
-from drivers.robot.link import RobotSettings
+from drivers.robot.settings import RobotSettings
 
 # The page goes grey when frames stop.
 STILL_EVERY_S = 1 / 54

@@ -44,7 +44,8 @@ from drivers.fakes.fake_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.sensor import SensorState
 from drivers.pad.watch import PadWatch
-from drivers.robot.link import RobotLink, RobotSettings
+from drivers.robot.link import RobotLink
+from drivers.robot.settings import RobotSettings
 
 HOUR_FRAMES = round(3600 * FRAME_RATE_HZ)
 ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8

@@ -14,7 +14,8 @@ from rigs.robots import link_threads, message, needs_qi
 from daemon import cli
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLink, RobotSettings
+from drivers.robot.link import RobotLink
+from drivers.robot.settings import RobotSettings
 
 SAY = ActionRule(do=(Action(say="That was a {gesture}"),))
 

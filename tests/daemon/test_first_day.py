@@ -38,7 +38,9 @@ from drivers.frame import DEFAULT_PAD, Frame
 from drivers.pad.pace import pace_of
 from drivers.recording import read_recordings, splice
 from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
+from drivers.robot.limits import RobotLimits
+from drivers.robot.link import RobotLink
+from drivers.robot.settings import RobotSettings
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "systemd" / "touchd.example.yaml"

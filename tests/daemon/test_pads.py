@@ -45,7 +45,8 @@ from drivers.pad.port import open_port, read_waiting
 from drivers.pad.protocol import parser_of
 from drivers.recording import Stream, ideal_clock_ms
 from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLink, RobotSettings
+from drivers.robot.link import RobotLink
+from drivers.robot.settings import RobotSettings
 from model.classifier import SHIPPED_MODEL
 
 TIME = "2026-11-20T10:00:00.000Z"

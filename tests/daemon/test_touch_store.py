@@ -33,7 +33,7 @@ from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_record
 PERIOD_MS = 1000 / 54
 
 
-class Bench:
+class StoreBench:
     """A made pad at 54 Hz before a pipeline whose events and frames a touch sink gets, as in the daemon."""
 
     def __init__(self, store: TouchStore, clock_ms: float = 0.0) -> None:
@@ -80,7 +80,7 @@ def ended(events: Sequence[Event]) -> list[TouchEnded]:
     return [event for event in events if isinstance(event, TouchEnded)]
 
 
-def frames_of(bench: Bench, first_ms: int, last_ms: int) -> list[Frame]:
+def frames_of(bench: StoreBench, first_ms: int, last_ms: int) -> list[Frame]:
     return [frame for frame in bench.sent if first_ms <= frame.sensor_ms <= last_ms]
 
 
@@ -90,7 +90,7 @@ def store(tmp_path: Path) -> TouchStore:
 
 
 def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store)
+    bench = StoreBench(store)
     bench.feel(pat(2.0), nothing(2.0))
     bench.end()
     (kept,) = kept_touches(tmp_path / "touches")
@@ -113,7 +113,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
 
 
 def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store)
+    bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(2.0))
     bench.end()
     (kept,) = kept_touches(tmp_path / "touches")
@@ -129,7 +129,7 @@ def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Pat
 
 
 def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store)
+    bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
     bench.end()
     first, second = kept_touches(tmp_path / "touches")
@@ -141,7 +141,7 @@ def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore
 
 
 def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store)
+    bench = StoreBench(store)
     bench.feel(palm(1.2))
     bench.clock_ms += 400
     bench.feel(palm(0.5))
@@ -155,7 +155,7 @@ def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_p
 
 
 def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store, clock_ms=2**32 - 2000)
+    bench = StoreBench(store, clock_ms=2**32 - 2000)
     bench.feel(palm(1.5), nothing(1.0))
     bench.end()
     (kept,) = kept_touches(tmp_path / "touches")
@@ -165,7 +165,7 @@ def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore, tmp_path: Pa
 
 
 def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store, clock_ms=500_000)
+    bench = StoreBench(store, clock_ms=500_000)
     bench.feel(palm(1.2), nothing(1.5))
     bench.clock_ms = 0
     bench.feel(nothing(0.7), palm(1.2), nothing(1.5))
@@ -178,7 +178,7 @@ def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path)
 
 
 def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store)
+    bench = StoreBench(store)
     bench.feel(palm(70.0), nothing(1.0))
     bench.end()
     (kept,) = kept_touches(tmp_path / "touches")
@@ -195,7 +195,7 @@ def test_no_store_is_made_unless_asked_for(tmp_path: Path) -> None:
 
 
 def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
-    bench = Bench(store)
+    bench = StoreBench(store)
     bench.feel(palm(0.5))
     bench.sink.stop(5.0)
     bench.keep(store)
@@ -256,7 +256,7 @@ class StuckStore(TouchStore):
 
 def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
     store = StuckStore(tmp_path)
-    bench = Bench(store)
+    bench = StoreBench(store)
     for _ in range(CAPACITY + 4):
         bench.feel(palm(0.3), nothing(1.1))
     assert len(ended(bench.events)) == CAPACITY + 4

@@ -17,8 +17,10 @@ from drivers.fakes import fake_robot
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.fakes.services import Call
 from drivers.robot.actions import Action, ActionRule, Leds
-from drivers.robot.link import RobotError, RobotLimits, RobotLink, RobotSettings
-from drivers.robot.session import QiSession, RobotRefused
+from drivers.robot.limits import RobotLimits
+from drivers.robot.link import RobotLink
+from drivers.robot.session import QiSession, RobotError, RobotRefused
+from drivers.robot.settings import RobotSettings
 
 
 # Starting a process takes longer than most of the tests that talk to it.

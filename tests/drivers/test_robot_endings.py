@@ -27,7 +27,8 @@ from rigs.robots import (
 
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLimits, RobotLink
+from drivers.robot.limits import RobotLimits
+from drivers.robot.link import RobotLink
 
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 

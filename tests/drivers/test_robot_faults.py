@@ -23,10 +23,11 @@ from rigs.robots import (
     needs_qi,
 )
 
-from drivers.backoff import Backoff
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLimits, RobotLink, RobotSettings
+from drivers.robot.limits import RobotLimits
+from drivers.robot.link import RobotLink
+from drivers.robot.settings import RobotSettings
 
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 
@@ -226,15 +227,6 @@ def test_an_absent_robot_is_one_warning(
     lines = [(record.levelname, record.getMessage()) for record in caplog.records]
     assert [level for level, _ in lines] == ["WARNING", "INFO"]
     assert "up again after 0." in lines[1][1]
-
-
-def test_attempts_back_off_and_recover() -> None:
-    backoff = Backoff(0.1, 1.0)
-    pauses = [backoff.pause_s() for _ in range(8)]
-    for pause, longest in zip(pauses, [0.1, 0.2, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0], strict=True):
-        assert longest / 2 <= pause <= longest
-    backoff.reset()
-    assert backoff.pause_s() <= 0.1
 
 
 def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixture) -> None:

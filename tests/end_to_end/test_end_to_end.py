@@ -19,7 +19,7 @@ from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for, parser_for
 from docs.studies.sessions.plan import SessionSettings, sessions
-from docs.studies.sessions.score import Score, judge, score
+from docs.studies.sessions.score import SessionScore, judge, score
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.fakes.hand import simulate
@@ -90,7 +90,9 @@ def test_the_daemon_says_what_is_expected_of_a_shipped_recording(
     assert outline(run(stream_of(recording))) == expected(recording)
 
 
-def in_use(run: Callable[..., list[Event]], recordings: list[Recording], settings: SessionSettings) -> Score:
+def in_use(
+    run: Callable[..., list[Event]], recordings: list[Recording], settings: SessionSettings
+) -> SessionScore:
     """How touch after touch of one person fares through the port."""
     session = next(sessions(recordings, settings))
     clock_ms = ideal_clock_ms(len(session.counts))

@@ -12,7 +12,7 @@ import torch
 from docs.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
 from docs.studies.checks.hard_cases import checkerboard, hand
 from model.settings import AugmentationSettings
-from model.training.augment import vary
+from model.training.augment import crop, vary
 
 OFF = AugmentationSettings(
     gain=0.0,
@@ -96,3 +96,13 @@ def test_a_curved_pad_feels_less_at_its_edges() -> None:
     assert bent[0] == pytest.approx(62, abs=1)
     assert bent[3] == pytest.approx(99, abs=1)
     np.testing.assert_allclose(bent, bent[::-1], rtol=1e-4)
+
+
+def test_a_crop_is_played_at_another_pace() -> None:
+    own = AugmentationSettings(published_framing=0.0, change_pace=1.0, pace=0.25)
+    ramp = torch.arange(432.0)[:, None, None].expand(432, 8, 8)
+    rng = torch.Generator().manual_seed(0)
+    steps = torch.stack([crop(ramp, 54, own, rng)[:, 0, 0].diff() for _ in range(50)])
+    torch.testing.assert_close(steps, steps[:, :1].expand_as(steps), atol=1e-3, rtol=0.0)
+    assert 0.75 <= float(steps.min()) < 0.8
+    assert 1.2 < float(steps.max()) <= 1.251

@@ -13,8 +13,9 @@ from rigs.robots import States, message
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLink, RobotSettings
+from drivers.robot.link import RobotLink
 from drivers.robot.session import Login
+from drivers.robot.settings import RobotSettings
 
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 

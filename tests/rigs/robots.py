@@ -13,8 +13,11 @@ import pytest
 
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.frame import DEFAULT_PAD
-from drivers.robot.link import RobotLimits, RobotLink, RobotMessage, RobotSettings
+from drivers.robot.limits import RobotLimits
+from drivers.robot.link import RobotLink
+from drivers.robot.message import RobotMessage
 from drivers.robot.session import Login, qi_installed
+from drivers.robot.settings import RobotSettings
 
 Robot = StubRobot | LoopbackRobot
 

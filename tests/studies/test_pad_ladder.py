@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from docs.studies.pads import LAB, LADDER, Rung, Score, frames_of, score, table_of
+from docs.studies.pads import LAB, LADDER, PadScore, Rung, frames_of, score, table_of
 
 
 def test_a_pad_that_feels_nothing_is_marked_ruined() -> None:
@@ -17,10 +17,10 @@ def test_a_pad_that_feels_nothing_is_marked_ruined() -> None:
 
 
 def test_a_pad_on_which_answers_go_wrong_is_marked_ruined() -> None:
-    lab = Score(30, 30, 20)
-    assert not Score(30, 30, 14).is_ruined(lab)
-    assert Score(30, 30, 13).is_ruined(lab)
-    assert Score(30, 26, 20).is_ruined(lab)
+    lab = PadScore(30, 30, 20)
+    assert not PadScore(30, 30, 14).is_ruined(lab)
+    assert PadScore(30, 30, 13).is_ruined(lab)
+    assert PadScore(30, 26, 20).is_ruined(lab)
 
 
 def test_every_pad_is_given_the_same_hand() -> None:

@@ -11,7 +11,7 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 
 from daemon.pipeline import PipelineSettings
-from docs.studies.sessions.plan import Session, SessionSettings, sessions
+from docs.studies.sessions.plan import PlannedSession, SessionSettings, sessions
 from docs.studies.sessions.report import measure
 from docs.studies.sessions.score import judge, play, score
 from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
@@ -27,7 +27,7 @@ def recording(gesture: str, scans: Scans, shift: float = 0.0) -> Recording:
     return Recording("P", "foam", "none", gesture, counts, ideal_clock_ms(len(counts)), "live")
 
 
-def made(settings: SessionSettings) -> Session:
+def made(settings: SessionSettings) -> PlannedSession:
     touches = [recording("pat", pat(8.0), shift=4.0), recording("constant", palm(8.0, counts=60.0))]
     (session,) = sessions([recording("notouch", nothing(8.0)), *touches], settings)
     return session
@@ -80,7 +80,7 @@ def test_touches_of_the_second_study_stay_apart() -> None:
 
 def test_quiet_alone_has_no_false_touch() -> None:
     session = made(SessionSettings())
-    quiet = Session("P", "foam", "none", session.counts[:162], session.stretches[:1])
+    quiet = PlannedSession("P", "foam", "none", session.counts[:162], session.stretches[:1])
     played = judge(quiet, play(quiet, Scripted(), PipelineSettings()))
     assert played.false == 0
     assert np.isclose(played.quiet_min, 0.05)

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from docs.studies.checks import stability
 from docs.studies.checks.hard_cases import hand, hard_cases
-from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, Check
+from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, CaseResult
 from drivers.frame import MAX_COUNT
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 
@@ -22,12 +22,12 @@ CASES = {case.name: case for case in hard_cases(longest=432)}
 
 
 @pytest.fixture(scope="module")
-def checks() -> list[Check]:
+def checks() -> list[CaseResult]:
     return stability.run(SHIPPED_MODEL)
 
 
 @pytest.mark.parametrize("measure", TOLERANCES)
-def test_the_shipped_model_holds_in_every_case(checks: list[Check], measure: str) -> None:
+def test_the_shipped_model_holds_in_every_case(checks: list[CaseResult], measure: str) -> None:
     measured = [check for check in checks if check.measure == measure]
     if not measured and measure in (FLOAT64, LATER):
         pytest.skip(f"{measure} needs the extra `train` and the shipped checkpoint")
@@ -35,7 +35,7 @@ def test_the_shipped_model_holds_in_every_case(checks: list[Check], measure: str
     assert [check for check in measured if not check.passed] == []
 
 
-def test_every_case_is_checked(checks: list[Check]) -> None:
+def test_every_case_is_checked(checks: list[CaseResult]) -> None:
     assert set(CASES) < {check.case for check in checks}
 
 
@@ -50,16 +50,16 @@ def test_a_model_whose_logits_overflow_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_failed_check_stands_out() -> None:
-    assert "inf FAILS" in render([Check("a hand", "sums to 1", math.inf, 1e-6, passed=False)])
+    assert "inf FAILS" in render([CaseResult("a hand", "sums to 1", math.inf, 1e-6, passed=False)])
 
 
-def test_the_table_has_every_case_and_measure(checks: list[Check]) -> None:
+def test_the_table_has_every_case_and_measure(checks: list[CaseResult]) -> None:
     shown = render(checks)
     for name in (*CASES, *TOLERANCES):
         assert name in shown
 
 
-def render(checks: list[Check]) -> str:
+def render(checks: list[CaseResult]) -> str:
     console = Console(width=250, file=io.StringIO(), record=True)
     console.print(stability.table(checks))
     return console.export_text()

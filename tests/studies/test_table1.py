@@ -27,7 +27,7 @@ from docs.studies.report import (
     table1,
 )
 from docs.studies.report.results import Results, Study
-from docs.studies.report.table1 import SYSTEMS, Data, HandMade, Network, Searched, Shipped, System
+from docs.studies.report.table1 import SYSTEMS, Data, DeepSystem, HandMade, Searched, Shipped, System
 from docs.studies.training import haart
 from drivers.recording import Recording, ideal_clock_ms
 
@@ -232,7 +232,7 @@ def small(system: System) -> System:
             return dataclasses.replace(system, most=1, features=few_features)
         case HandMade():
             return dataclasses.replace(system, options=system.options[-1:])
-        case Network():
+        case DeepSystem():
             return dataclasses.replace(system, most_epochs=3)
         case _:
             return system
@@ -254,7 +254,9 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "system",
     [
-        pytest.param(system, id=system.key, marks=[pytest.mark.slow] if isinstance(system, Network) else [])
+        pytest.param(
+            system, id=system.key, marks=[pytest.mark.slow] if isinstance(system, DeepSystem) else []
+        )
         for system in TRAINED
     ],
 )
@@ -267,7 +269,9 @@ def test_settings_are_chosen_without_the_test_file(system: System) -> None:
 @pytest.mark.parametrize("system", TRAINED, ids=lambda system: system.key)
 def test_a_system_learns_reproducibly(system: System) -> None:
     data = MadeUp()
-    settings: dict[str, Any] = {"epochs": 12} if isinstance(system, Network) else {"features": [0, 1, 6, 7]}
+    settings: dict[str, Any] = (
+        {"epochs": 12} if isinstance(system, DeepSystem) else {"features": [0, 1, 6, 7]}
+    )
     if isinstance(system, HandMade) and not isinstance(system, Searched):
         settings = system.options[-1]
     twice = [list(system.answers(data, {"settings": settings}, 1, (54,))) for _ in range(2)]

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from model.classifier import ModelMetadata
-from model.tgc import State
+from model.tgc import TGCState
 from model.training import checkpoint
 from model.training.export import CalibratedTGC
 
@@ -45,12 +45,12 @@ class Reference:
         """Return logits (7,) over the first `length` frames, from one pass over all of them."""
         return _array(self.calibrated.network.at_lengths(batch(counts), (length,))[0, 0])
 
-    def initial_state(self) -> State:
+    def initial_state(self) -> TGCState:
         """Return the state before the first frame."""
         return self.calibrated.network.initial_state()
 
     @torch.no_grad()
-    def step(self, counts: NDArray[np.generic], state: State) -> tuple[NDArray[np.float64], State]:
+    def step(self, counts: NDArray[np.generic], state: TGCState) -> tuple[NDArray[np.float64], TGCState]:
         """Return calibrated probabilities (7,) over all frames up to now, and the state after these."""
         answer, after = self.calibrated.step(batch(counts), state)
         return _array(answer[0]), after

@@ -65,7 +65,7 @@ TOLERANCES = {
 
 
 @dataclass(frozen=True)
-class Check:
+class CaseResult:
     """One property in one case: the worst deviation seen, and what is allowed.
 
     Deviations are of probabilities (of logits for "later frames"), infinite where an answer is not finite;
@@ -79,7 +79,7 @@ class Check:
     passed: bool
 
 
-def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[Check]:
+def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[CaseResult]:
     """Check a model file in every case; raises ModelError when it cannot be loaded.
 
     hours: of one unbroken stream to check too, 2 minutes each.
@@ -90,7 +90,7 @@ def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[Check]:
     classifier = Classifier.load(model)
     two_threads = Classifier.load(model, threads=2)
     reference = _reference(model, classifier)
-    checks: list[Check] = []
+    checks: list[CaseResult] = []
     for case in hard_cases(classifier.metadata.max_length):
         checks += _check_case(case, classifier, two_threads, reference)
     checks.append(_check_refusals(classifier))
@@ -157,7 +157,7 @@ def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray
     return slow.processor_ms / normal.processor_ms
 
 
-def table(checks: Sequence[Check]) -> Table:
+def table(checks: Sequence[CaseResult]) -> Table:
     """Return the checks as a table for the terminal: a case a row, a property a column."""
     shown = Table(title=TITLE, caption=EMPTY, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     shown.add_column("case", min_width=16)
@@ -171,7 +171,7 @@ def table(checks: Sequence[Check]) -> Table:
 
 def _check_case(
     case: HardCase, classifier: Classifier, two_threads: Classifier, reference: Reference | None
-) -> list[Check]:
+) -> list[CaseResult]:
     deviations: dict[str, list[float]] = {}
     for window in case.windows:
         for measure, deviation in _deviations(window, classifier, two_threads, reference).items():
@@ -201,7 +201,7 @@ def _deviations(
     return deviations
 
 
-def _check_refusals(classifier: Classifier) -> Check:
+def _check_refusals(classifier: Classifier) -> CaseResult:
     answered = 0
     for bad in (np.nan, np.inf, -np.inf, -1.0, 1024.0):
         window = hand(FRAMES)
@@ -214,7 +214,7 @@ def _check_refusals(classifier: Classifier) -> Check:
     return _judge("NaN, infinite, negative, > 1023", REFUSED, [float(answered)])
 
 
-def _check_extreme_logits(model: Path) -> Check:
+def _check_extreme_logits(model: Path) -> CaseResult:
     """Ask copies of the file whose logits are multiplied until the softmax is as steep as it can be."""
     from docs.studies.checks.scale_logits import scale_logits
 
@@ -228,9 +228,9 @@ def _check_extreme_logits(model: Path) -> Check:
     return _judge("extreme logits", SUMS_TO_1, deviations)
 
 
-def _judge(case: str, measure: str, deviations: Sequence[float]) -> Check:
+def _judge(case: str, measure: str, deviations: Sequence[float]) -> CaseResult:
     worst = max(deviations)
-    return Check(case, measure, worst, TOLERANCES[measure], worst <= TOLERANCES[measure])
+    return CaseResult(case, measure, worst, TOLERANCES[measure], worst <= TOLERANCES[measure])
 
 
 def _off_one(probabilities: NDArray[np.float64]) -> float:
@@ -244,7 +244,7 @@ def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     return distance if np.isfinite(distance) else float("inf")
 
 
-def _cell(check: Check | None) -> str:
+def _cell(check: CaseResult | None) -> str:
     if check is None:
         return ""
     worst = f"{check.worst:.0e}" if 0 < check.worst < 1e-2 else f"{check.worst:.2g}"

@@ -37,7 +37,7 @@ LEARN_EVERY = 9
 MARKS = DecisionSettings().answer_at_frames
 
 
-class Score(msgspec.Struct, frozen=True, kw_only=True):
+class RuleScore(msgspec.Struct, frozen=True, kw_only=True):
     """One setting of one rule. error: of the first answer told. harmed: touches in which a mark undoes it."""
 
     rule: str
@@ -50,7 +50,7 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     harmed: float
 
 
-def score(rule: str, setting: str, streams: Streams, frames: Frames) -> Score:
+def score(rule: str, setting: str, streams: Streams, frames: Frames) -> RuleScore:
     """Score answers told after so many frames each, (N,)."""
     named = _named(streams)
     rows = np.arange(len(frames))
@@ -67,7 +67,7 @@ def score(rule: str, setting: str, streams: Streams, frames: Frames) -> Score:
         changes = (frames < mark) & (lead >= settings.revise_margin) & sure
         harmed |= changes & (heard == streams.truth) & (best != streams.truth)
         heard = np.where(changes, best, heard)
-    return Score(
+    return RuleScore(
         rule=rule,
         setting=setting,
         error=error,
@@ -141,7 +141,7 @@ def best_choice(choices: Mapping[str, Sequence[Choice]]) -> str:
     return next((f"when_sure, {sure}" for place, sure in enumerate(sures, 1) if pays(place)), "at_mark")
 
 
-def compare(streams: Streams) -> list[Score]:
+def compare(streams: Streams) -> list[RuleScore]:
     """Return every rule at every setting; what learns, learns from the other people."""
     rules: dict[str, Mapping[str, Rule]] = {
         "fixed time": {f"{length}": _fixed(length) for length in (9, 27, 54, 72, 81, 108, 144)},
@@ -231,7 +231,7 @@ def sure_table(choices: Mapping[str, Sequence[Choice]]) -> str:
     return table((*headings, "right for good after, mean", "harmful changes"), rows)
 
 
-def rules_table(studies: Mapping[str, Sequence[Score]]) -> str:
+def rules_table(studies: Mapping[str, Sequence[RuleScore]]) -> str:
     """Return each rule's settings that are cheapest at a price of waiting."""
     rows = [
         (
@@ -252,13 +252,13 @@ def rules_table(studies: Mapping[str, Sequence[Score]]) -> str:
     return table((*headings, "harmful changes"), rows)
 
 
-def _cheapest(scores: Sequence[Score]) -> Iterator[Score]:
+def _cheapest(scores: Sequence[RuleScore]) -> Iterator[RuleScore]:
     for name in dict.fromkeys(entry.rule for entry in scores):
         own = [entry for entry in scores if entry.rule == name]
         yield from dict.fromkeys(own[place] for place in np.argmin([entry.costs for entry in own], axis=0))
 
 
-def draw(studies: Mapping[str, tuple[Sequence[Score], Sequence[Choice]]], path: Path) -> None:
+def draw(studies: Mapping[str, tuple[Sequence[RuleScore], Sequence[Choice]]], path: Path) -> None:
     """Draw error over mean time: rules as curves, the paper's table 3 and `scene.sure` as dots."""
     import matplotlib
 

@@ -34,7 +34,7 @@ from docs.studies.quantize import FLOAT32
 from docs.studies.report import networks as every
 from docs.studies.report import sizes, table1
 from docs.studies.report.macs import multiply_adds
-from docs.studies.report.networks import CHALLENGE, HUGHES, INT8, OURS, PAPER_BLOCKS, SHIPPED, Network
+from docs.studies.report.networks import CHALLENGE, HUGHES, INT8, OURS, PAPER_BLOCKS, SHIPPED, TimedNetwork
 from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, trained_cells
 from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values
@@ -140,7 +140,7 @@ def run(study: Study) -> None:
 
 
 def measure(
-    networks: Sequence[Network], test: Sequence[Recording], answers: int
+    networks: Sequence[TimedNetwork], test: Sequence[Recording], answers: int
 ) -> dict[str, dict[str, Any]]:
     """Return each network's figures by its key; ours are scored on the published test recordings."""
     idle = idle_bytes()
@@ -337,7 +337,7 @@ def _system(name: str) -> str:
     return name.rsplit("-", 2)[0]
 
 
-def answers_of(network: Network) -> list[tuple[int, str, Callable[[], object]]]:
+def answers_of(network: TimedNetwork) -> list[tuple[int, str, Callable[[], object]]]:
     """Return the answers to time: frames, runtime, and what answers."""
     if network.family == OURS:
         classifier = Classifier.load(network.path)

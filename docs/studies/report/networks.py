@@ -40,7 +40,7 @@ CHALLENGE = {"hughes-cnn": CNN, "hughes-crnn": CRNN, "hughes-autoencoder": AUTOE
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
+class TimedNetwork:
     """One file to be timed. frames: the window lengths at which it is asked.
 
     eager: the same network in PyTorch, of others than ours in float32.
@@ -90,18 +90,20 @@ def hughes_name(system: str, frames: int) -> str:
     return f"{system}-{frames}-frames"
 
 
-def ours(sizes: Mapping[str, Path], calibration: Sequence[Recording], folder: Path) -> list[Network]:
+def ours(sizes: Mapping[str, Path], calibration: Sequence[Recording], folder: Path) -> list[TimedNetwork]:
     """Return the shipped network and its sizes, float32 and int8 with scales from the recordings."""
     networks = []
     for name, path in {SHIPPED: HAART_MODEL, **sizes}.items():
         shape = Classifier.load(path).metadata.training["network"]
         small = quantize.convert(path, "int8 static", calibration, folder)
         for arithmetic, file in ((FLOAT32, path), (INT8, small)):
-            networks.append(Network(name, OURS, arithmetic, LENGTHS, file, shape["width"], shape["blocks"]))
+            networks.append(
+                TimedNetwork(name, OURS, arithmetic, LENGTHS, file, shape["width"], shape["blocks"])
+            )
     return networks
 
 
-def papers(settings: PaperSettings, folder: Path) -> list[Network]:
+def papers(settings: PaperSettings, folder: Path) -> list[TimedNetwork]:
     """Return one network of the paper's, float32 and int8."""
     torch.manual_seed(0)
     network = PaperTGC(settings, len(GESTURES)).eval()
@@ -109,7 +111,7 @@ def papers(settings: PaperSettings, folder: Path) -> list[Network]:
     return _others(name, settings.variant, frames, network, settings.width, settings.blocks, folder)
 
 
-def hughes(system: str, frames: int, folder: Path) -> list[Network]:
+def hughes(system: str, frames: int, folder: Path) -> list[TimedNetwork]:
     """Return one network of the challenge's, float32 and int8."""
     torch.manual_seed(0)
     network = HughesAnswer(CHALLENGE[system]).eval()
@@ -133,12 +135,12 @@ def export(network: nn.Module, frames: int, path: Path) -> None:
 
 def _others(
     name: str, family: str, frames: int, network: nn.Module, width: int, blocks: int, folder: Path
-) -> list[Network]:
+) -> list[TimedNetwork]:
     path = folder / f"{name}.onnx"
     export(network, frames, path)
     # Scales found anew for each answer: with random weights, none found beforehand would mean anything.
     small = quantize.convert(path, "int8 dynamic", (), folder)
     return [
-        Network(name, family, FLOAT32, (frames,), path, width, blocks, network),
-        Network(name, family, INT8, (frames,), small, width, blocks),
+        TimedNetwork(name, family, FLOAT32, (frames,), path, width, blocks, network),
+        TimedNetwork(name, family, INT8, (frames,), small, width, blocks),
     ]

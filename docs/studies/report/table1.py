@@ -167,7 +167,7 @@ class Searched(HandMade):
 
 
 @dataclass(frozen=True)
-class Network(System):
+class DeepSystem(System):
     """One network for all lengths, trained on crops of whole recordings. most_epochs: what is chosen from."""
 
     most_epochs: int = 24
@@ -283,9 +283,9 @@ SYSTEMS: tuple[System, ...] = (
         build=challenge_gaus.boosting,
         options=challenge_gaus.BOOSTS,
     ),
-    Network("hughes-cnn", HUGHES, CNN, 56.1),
-    Network("hughes-crnn", HUGHES, CRNN, 61.4),
-    Network("hughes-autoencoder", HUGHES, AUTOENCODER_RNN, 61.4, most_epochs=40),
+    DeepSystem("hughes-cnn", HUGHES, CNN, 56.1),
+    DeepSystem("hughes-crnn", HUGHES, CRNN, 61.4),
+    DeepSystem("hughes-autoencoder", HUGHES, AUTOENCODER_RNN, 61.4, most_epochs=40),
     Shipped("touchd", "touchd", "One causal network", None),
 )
 

@@ -55,7 +55,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
+class PlannedSession:
     """What the pad sends, counts (T, 8, 8), and what is true when."""
 
     participant: str
@@ -65,7 +65,7 @@ class Session:
     stretches: tuple[Stretch, ...]
 
 
-def sessions(recordings: Sequence[Recording], settings: SessionSettings) -> Iterator[Session]:
+def sessions(recordings: Sequence[Recording], settings: SessionSettings) -> Iterator[PlannedSession]:
     """Yield a session for each person and condition that has a notouch recording among live recordings."""
     rng = random.Random(7)
     together: dict[tuple[str, str, str], dict[str, list[Scans]]] = {}
@@ -82,7 +82,7 @@ def _session(
     by_gesture: dict[str, list[Scans]],
     settings: SessionSettings,
     rng: random.Random,
-) -> Session:
+) -> PlannedSession:
     quiet = by_gesture[NO_TOUCH][0].astype(np.int64)
     quiet = quiet[SKIPPED_FRAMES:] if len(quiet) > 200 else quiet
     unshifted = quiet[60 : 60 + QUIET_FRAMES]
@@ -107,7 +107,7 @@ def _session(
     ]
     clean = np.concatenate([counts for _, counts in parts])
     counts = np.clip(np.rint(clean + _disturbance(len(clean), settings)), 0, MAX_COUNT)
-    return Session(*key, counts.astype(np.uint16), tuple(stretches))
+    return PlannedSession(*key, counts.astype(np.uint16), tuple(stretches))
 
 
 def _levelled(still: NDArray[np.int64], touch: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -15,12 +15,12 @@ import msgspec
 
 from daemon.pipeline import PipelineSettings
 from docs.studies.sessions.plan import SessionSettings, sessions
-from docs.studies.sessions.score import Score, judge, play, score
+from docs.studies.sessions.score import SessionScore, judge, play, score
 from drivers.recording import Recording, Selection, read_recordings, realign
 from model.classifier import SHIPPED_MODEL, Classifier
 
 
-def measure(recordings: Sequence[Recording], settings: SessionSettings, model: Classifier) -> Score:
+def measure(recordings: Sequence[Recording], settings: SessionSettings, model: Classifier) -> SessionScore:
     """Play a session a person and condition, and score all of them together."""
     return score(
         [

@@ -12,7 +12,7 @@ import numpy as np
 from daemon.decide import ProbabilityModel
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from docs.studies.sessions.plan import Session, Stretch
+from docs.studies.sessions.plan import PlannedSession, Stretch
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import ideal_clock_ms
 
@@ -21,7 +21,7 @@ OVERLAP_MS = 100.0
 FRAME_MS = 1000.0 / FRAME_RATE_HZ
 
 
-class Score(msgspec.Struct, frozen=True, kw_only=True):
+class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
     """Percent of the touches made, where nothing else is said.
 
     missed: in no touch. merged: in a touch that swallowed another. split: felt as several.
@@ -90,7 +90,7 @@ class Played:
     false: int
 
 
-def play(session: Session, model: ProbabilityModel, settings: PipelineSettings) -> list[Event]:
+def play(session: PlannedSession, model: ProbabilityModel, settings: PipelineSettings) -> list[Event]:
     """Return what the daemon's own pipeline says to a session."""
     events: list[Event] = []
     now_s = [0.0]
@@ -101,7 +101,7 @@ def play(session: Session, model: ProbabilityModel, settings: PipelineSettings) 
     return events
 
 
-def judge(session: Session, events: Iterable[Event]) -> Played:
+def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
     """Compare what was said with what was done."""
     felt = _felt(events)
     made = [stretch for stretch in session.stretches if stretch.gesture is not None]
@@ -114,7 +114,7 @@ def judge(session: Session, events: Iterable[Event]) -> Played:
     )
 
 
-def score(played: Sequence[Played]) -> Score:
+def score(played: Sequence[Played]) -> SessionScore:
     """Return the figures of these sessions together."""
     fates = [fate for one in played for fate in one.fates]
 
@@ -128,7 +128,7 @@ def score(played: Sequence[Played]) -> Score:
         )
 
     first_s = [next(a.elapsed_s for a in fate.answers if a.told) for fate in fates if fate.told]
-    return Score(
+    return SessionScore(
         missed=percent(fate.missed for fate in fates),
         merged=percent(fate.merged for fate in fates),
         split=percent(fate.split for fate in fates),

@@ -61,7 +61,7 @@ class QuietPoint(msgspec.Struct, frozen=True, kw_only=True):
     split: dict[str, int]
 
 
-class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
+class TrackedGesture(msgspec.Struct, frozen=True, kw_only=True):
     """One gesture at the default settings.
 
     split: felt as several touches. ended_early: half a second or more of visible pressure was in no
@@ -98,7 +98,7 @@ class TouchReport(msgspec.Struct, frozen=True, kw_only=True):
     settings: TouchSettings
     curve: dict[str, tuple[OnsetPoint, ...]]
     held_out: dict[str, tuple[HeldOut, ...]]
-    by_gesture: dict[str, tuple[GestureFigures, ...]]
+    by_gesture: dict[str, tuple[TrackedGesture, ...]]
     quiet: tuple[QuietPoint, ...]
     joins: int
     touched_joins: int
@@ -229,12 +229,12 @@ def _held_out(levels: dict[float, dict[str, Noticed]]) -> tuple[HeldOut, ...]:
     return tuple(held_out)
 
 
-def _by_gesture(outcomes: Sequence[Outcome]) -> tuple[GestureFigures, ...]:
+def _by_gesture(outcomes: Sequence[Outcome]) -> tuple[TrackedGesture, ...]:
     gestures = sorted({one.gesture for one in outcomes})
     return tuple(_figures(name, [one for one in outcomes if one.gesture == name]) for name in gestures)
 
 
-def _figures(gesture: str, outcomes: Sequence[Outcome]) -> GestureFigures:
+def _figures(gesture: str, outcomes: Sequence[Outcome]) -> TrackedGesture:
     delay_ms = FRAME_MS * np.array(
         [max(0, one.delay_from_visible) for one in outcomes if one.delay_from_visible is not None]
     )
@@ -242,7 +242,7 @@ def _figures(gesture: str, outcomes: Sequence[Outcome]) -> GestureFigures:
         [one.delay_from_splice for one in outcomes if one.delay_from_splice is not None]
     )
     errors = np.array([one.first_error for one in outcomes if one.first_error is not None])
-    return GestureFigures(
+    return TrackedGesture(
         gesture=gesture,
         touches=len(outcomes),
         missed=sum(one.touches == 0 for one in outcomes),

@@ -1,0 +1,94 @@
+"""Attempts back off while nobody is there, and begin anew once somebody was."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from rigs.formats import encode_fabric_grid
+from rigs.peers import RosbridgePeer, touch, wait_for
+from rigs.robots import linked
+from rigs.sensor_rig import next_frames, sensing, stream_of
+
+from drivers.backoff import Backoff
+from drivers.fakes.fake_port import FakePort
+from drivers.fakes.fake_robot import StubRobot
+from drivers.robot.limits import RobotLimits
+
+Paused = Callable[[str], list[float]]
+
+
+@pytest.fixture
+def paused(monkeypatch: pytest.MonkeyPatch) -> Paused:
+    """Returns the pauses that a module takes from now on."""
+
+    def record(module: str) -> list[float]:
+        pauses: list[float] = []
+
+        class Recorded(Backoff):
+            def pause_s(self) -> float:
+                pauses.append(super().pause_s())
+                return pauses[-1]
+
+        monkeypatch.setattr(f"{module}.Backoff", Recorded)
+        return pauses
+
+    return record
+
+
+def first(pauses: list[float]) -> float:
+    wait_for(lambda: len(pauses) > 0)
+    return pauses[0]
+
+
+def test_attempts_back_off_and_recover() -> None:
+    backoff = Backoff(0.1, 1.0)
+    for longest in (0.1, 0.2, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0):
+        assert longest / 2 <= backoff.pause_s() <= longest
+    backoff.reset()
+    assert backoff.pause_s() <= 0.1
+
+
+def test_a_pad_that_was_heard_is_sought_quickly_again(tmp_path: Path, paused: Paused) -> None:
+    pauses = paused("drivers.pad.sensor")
+    link = tmp_path / "pad"
+    with sensing(str(link), longest_retry_s=0.3) as queue:
+        wait_for(lambda: pauses[-1:] > [0.15])
+        with FakePort(stream_of(), encode_fabric_grid) as port:
+            link.symlink_to(port.path)
+            next_frames(queue, 5)
+            time.sleep(0.4)
+            link.unlink()
+            pauses.clear()
+        assert first(pauses) <= 0.1
+
+
+def test_a_robot_that_was_there_is_sought_quickly_again(paused: Paused) -> None:
+    pauses = paused("drivers.robot.worker")
+    robot = StubRobot()
+    with linked(robot, limits=RobotLimits(backoff_first_s=0.02)) as (_, states):
+        wait_for(lambda: pauses[-1:] > [0.1])
+        robot.start()
+        states.wait_for("down", "up")
+        pauses.clear()
+        robot.kill()
+        assert first(pauses) <= 0.02
+
+
+def test_a_bridge_whose_peer_was_there_is_sought_quickly_again(tmp_path: Path, paused: Paused) -> None:
+    pytest.importorskip("websockets")
+    pauses = paused("daemon.bridges.rosbridge")
+    peer = RosbridgePeer(tmp_path)
+    bridge = peer.bridge()
+    try:
+        wait_for(lambda: pauses[-1:] > [0.2])
+        peer.start()
+        bridge.put(touch(1))
+        peer.await_heard(1)
+        pauses.clear()
+        peer.stop()
+        assert first(pauses) <= 0.1
+    finally:
+        bridge.stop(2.0)
