@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
 
@@ -55,8 +56,10 @@ class ProbabilityModel(typing.Protocol):
         """Return calibrated probabilities, shape (labels,), for counts of shape (T, 8, 8) at 54 Hz."""
         ...
 
-    def step(self, frames: NDArray[np.float32], state: State | None) -> tuple[NDArray[np.float64], State]:
-        """Return the same for a touch's frames up to now, from the new ones and the state before them."""
+    def steps(
+        self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
+    ) -> list[tuple[NDArray[np.float64], State]]:
+        """Return the same for touches up to now, from as many new frames of each and the states before."""
         ...
 
 

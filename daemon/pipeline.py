@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -29,6 +29,7 @@ from daemon.events import (
 )
 from daemon.pad.age import Age, Feeling
 from daemon.pad.feel import FeelMeter
+from daemon.pad.steps import Heard, Step, Work, work_off
 from daemon.touch import (
     CALIBRATION_FRAMES,
     LEFT_ANYHOW_FRAMES,
@@ -62,10 +63,10 @@ ONGOING_LEFT = 0.02
 # best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
 # with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
 LIFT_OFF_FRAMES = 13
-# While somebody looks, the network is asked every third frame. While nobody does, it catches up twice
-# a second and just before a mark, so that at the mark one frame is left to ask about.
+# While somebody looks, the network is asked every third frame.
 SHOWN_STRIDE_FRAMES = 3
-STRIDE_FRAMES = 27
+# So many frames the network may be behind a touch between two marks.
+BEHIND_FRAMES = 27
 # How far ahead an answer must be for frames to wait: twice as long as they do.
 WAIT_FRAMES = 6
 
@@ -125,8 +126,8 @@ class Pipeline:
     before: the pipeline whose place this one takes between two touches. What that knew of the pad, and the
     numbers of touches, go on.
     viewers: returns whoever looks now, to be called with what the model makes of a touch as it goes on.
-    lead_frames: so long before a mark the model catches up, 1 to WAIT_FRAMES; pads that are touched at once
-    should not all do it at once.
+    behind_frames: so many the model may be behind a touch, see `catch_up`.
+    first_index: of the grid; that of several pads should differ, so that their looks fall on other frames.
     """
 
     def __init__(
@@ -137,12 +138,13 @@ class Pipeline:
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,
         viewers: Viewers = tuple,
-        lead_frames: int = 1,
+        behind_frames: int = BEHIND_FRAMES,
+        first_index: int = 0,
         before: Pipeline | None = None,
     ) -> None:
         self._emit = emit
         self._viewers = viewers
-        self._lead_frames = lead_frames
+        self._behind_frames = behind_frames
         self._pad = pad
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
@@ -153,7 +155,9 @@ class Pipeline:
         self._tracker: TouchTracker = TouchTracker(
             settings.touch, self._no_touch, before._tracker if before else None
         )
-        self._ring: Ring = Ring(settings.ring, _history_frames(settings), before._ring if before else None)
+        self._ring: Ring = Ring(
+            settings.ring, _history_frames(settings), before._ring if before else None, first_index
+        )
         self._touches: int = before._touches if before else 0
         self._size_mm = settings.size_mm
         self._is_disturbed: bool = before._is_disturbed if before else False
@@ -177,12 +181,30 @@ class Pipeline:
         left = touch.due[0][0] - touch.length if touch.due else -over % ONGOING_STRIDE_FRAMES
         return left > WAIT_FRAMES and not touch.waits_until_sure
 
+    @property
+    def is_behind(self) -> bool:
+        """Whether the model should catch up before the next frame: it is a mark's, or many have come."""
+        touch = self._touch
+        if touch is None or not touch.given < touch.length <= self._final_frames:
+            return False
+        is_next_a_mark = bool(touch.due) and touch.due[0][0] - touch.length == 1
+        return is_next_a_mark or touch.length - touch.given >= self._behind_frames
+
+    def catch_up(self) -> Work:
+        """Give the model the frames that it has not been given yet, so that fewer are left at a mark."""
+        if self._touch is not None and self.is_behind:
+            yield from self._hear(self._touch)
+
     def on_frame(self, frame: Frame) -> None:
         """Take the sensor's next frame."""
+        work_off([self.take(frame)])
+
+    def take(self, frame: Frame) -> Work:
+        """Take the sensor's next frame side by side with other pads."""
         laid = self._ring.push(frame)
         for grid_frame in laid:
             self._age.update(grid_frame)
-            self._advance(grid_frame)
+            yield from self._advance(grid_frame)
         why = self._feeling.update(frame, any(grid_frame.restarted for grid_frame in laid))
         if why is not None:
             log.warning("%s", why or "touches can be felt again")
@@ -206,7 +228,7 @@ class Pipeline:
     def _tell_sensor(self, state: PadState, reason: str) -> None:
         self._emit(SensorEvent(state=state, time=self._now(), reason=one_line(reason), pad=self._pad))
 
-    def _advance(self, frame: GridFrame) -> None:
+    def _advance(self, frame: GridFrame) -> Work:
         match self._tracker.update(frame):
             case Onset(first_index):
                 self._begin(first_index, frame)
@@ -218,7 +240,7 @@ class Pipeline:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(frame.pressure)
-            self._follow(self._touch, frame)
+            yield from self._follow(self._touch)
             self._ask_what_is_due(self._touch, frame)
 
     def _watch_for_disturbance(self) -> None:
@@ -264,27 +286,29 @@ class Pipeline:
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
-    def _follow(self, touch: Touch, frame: GridFrame) -> None:
-        """Give the model the touch's new frames, up to those of the final answer, and keep what it says."""
+    def _follow(self, touch: Touch) -> Work:
+        """Ask the model at marks, where somebody looks, and where an early answer waits until it is sure."""
         length = touch.length
-        left = touch.due[0][0] - length if touch.due else 0
         viewers = self._viewers()
-        if viewers:
-            is_asked = left == 0 or length % SHOWN_STRIDE_FRAMES == 0
-        else:
-            is_asked = left in (0, self._lead_frames) or length % STRIDE_FRAMES == 0
-        is_asked |= touch.waits_until_sure
-        if length > self._final_frames or not is_asked:
+        is_mark = bool(touch.due) and touch.due[0][0] == length
+        is_shown = bool(viewers) and length % SHOWN_STRIDE_FRAMES == 0
+        if length > self._final_frames or not (is_mark or is_shown or touch.waits_until_sure):
             return
-        window = self._ring.window(frame.index + 1, length - touch.given)
-        probabilities, touch.state = self._model.step(window, touch.state)
-        touch.heard[length], touch.given = probabilities, length
+        probabilities = yield from self._hear(touch)
         if viewers:
             weighed = touch.decision.weigh(probabilities)
             shown = {label: round(value, 4) for label, value in weighed.items()}
             live = LivePrediction(touch=touch.number, frames=length, probabilities=shown, pad=self._pad)
             for show in viewers:
                 show(live)
+
+    def _hear(self, touch: Touch) -> Generator[Step, Heard, NDArray[np.float64]]:
+        """Give the model the touch's new frames; keep and return what it says."""
+        length = touch.length
+        window = self._ring.window(touch.first_index + length, length - touch.given)
+        heard, touch.state = yield Step(self._model, window, touch.state, touch.given)
+        touch.heard[length], touch.given = heard, length
+        return heard
 
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:

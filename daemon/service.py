@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import itertools
 import logging
+import math
 import threading
 import time
 import typing
@@ -15,6 +16,7 @@ from daemon.bridges.bridge import Bridge
 from daemon.config import Settings
 from daemon.events import LivePrediction
 from daemon.health import Health
+from daemon.pad.steps import work_off
 from daemon.setup.destinations import scenes_of
 from daemon.setup.parts import Pad, Parts
 from daemon.sinks import EventFanout, Sink
@@ -24,6 +26,8 @@ from drivers.queue import Signal
 
 # Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
+# So long after a frame the model catches up: late, for then an answer to the next finds the caches warm.
+CATCH_UP_S = 0.008
 SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
@@ -70,12 +74,13 @@ class Service:
         took = False
         try:
             while not stop.is_set():
-                if not took and not self._arrived.wait(IDLE_S):
+                pads = tuple(self._pads.values())
+                due_s = min(pad.catch_up_s for pad in pads) - time.monotonic()
+                if not took and not self._arrived.wait(max(0.0, min(IDLE_S, due_s))):
                     self._health.idle()
                 # One item of each in turn, so that a pad that floods its queue holds up no other.
-                took = False
-                for pad in tuple(self._pads.values()):
-                    took |= self._take(pad)
+                took = self._take(pads)
+                self._catch_up(pads)
                 self._health.report(self._events.touches, self._dropped())
                 if self._next is not None:
                     self._move_on_to(self._next)
@@ -165,7 +170,7 @@ class Service:
         until_s = time.monotonic() + DRAIN_S
         for pad in self._pads.values():
             while len(pad.queue) and time.monotonic() < until_s:
-                self._take(pad)
+                self._take([pad])
             pad.pipeline.flush()
         left = sum(len(pad.queue) for pad in self._pads.values())
         self._health.end(self._events.touches, self._dropped() + left)
@@ -174,29 +179,45 @@ class Service:
     def _dropped(self) -> int:
         return sum(pad.queue.dropped for pad in self._pads.values())
 
-    def _take(self, pad: Pad) -> bool:
-        """Process the oldest thing in a pad's queue; return whether there was one."""
-        item = pad.queue.get_nowait()
-        if isinstance(item, Frame):
-            parts = self._parts
-            # Before the events that it causes.
-            if parts.kept is not None:
-                parts.kept.take(item, pad.name)
-            pad.pipeline.on_frame(item)
-            pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
-            self._health.frame_processed(pad.name)
-            pad.watch.update(item)
-            if self._view is not None and pad.name == next(iter(self._pads)):
-                self._view.show_frame(item.pressure, item.sensor_ms)
-            if parts.live is not None:
-                parts.live.put_frame(item, self._dropped(), pad.name)
-            for bridge in parts.bridges.values():
-                if bridge.pad == pad.name:
-                    bridge.put_frame(item)
-        elif isinstance(item, SensorState):
-            pad.pipeline.on_sensor_state(item)
-            self._health.pad_state(pad.name, item.state == "up")
-        return item is not None
+    def _take(self, pads: Sequence[Pad]) -> bool:
+        """Process the oldest thing in each pad's queue; return whether there was any."""
+        taken = [(pad, pad.queue.get_nowait()) for pad in pads]
+        frames = [(pad, item) for pad, item in taken if isinstance(item, Frame)]
+        # Before the events that they cause.
+        if self._parts.kept is not None:
+            for pad, frame in frames:
+                self._parts.kept.take(frame, pad.name)
+        work_off(pad.pipeline.take(frame) for pad, frame in frames)
+        for pad, frame in frames:
+            self._pass_on(pad, frame)
+        for pad, item in taken:
+            if isinstance(item, SensorState):
+                pad.pipeline.on_sensor_state(item)
+                self._health.pad_state(pad.name, item.state == "up")
+        return any(item is not None for _, item in taken)
+
+    def _pass_on(self, pad: Pad, frame: Frame) -> None:
+        """Have everybody else know of a frame that a pad's pipeline has taken."""
+        parts = self._parts
+        pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
+        pad.catch_up_s = frame.host_s + CATCH_UP_S if pad.pipeline.is_behind else math.inf
+        self._health.frame_processed(pad.name)
+        pad.watch.update(frame)
+        if self._view is not None and pad.name == next(iter(self._pads)):
+            self._view.show_frame(frame.pressure, frame.sensor_ms)
+        if parts.live is not None:
+            parts.live.put_frame(frame, self._dropped(), pad.name)
+        for bridge in parts.bridges.values():
+            if bridge.pad == pad.name:
+                bridge.put_frame(frame)
+
+    def _catch_up(self, pads: Sequence[Pad]) -> None:
+        """Have the model catch up on the pads for which it is time."""
+        now_s = time.monotonic()
+        behind = [pad for pad in pads if pad.catch_up_s <= now_s]
+        for pad in behind:
+            pad.catch_up_s = math.inf
+        work_off(pad.pipeline.catch_up() for pad in behind)
 
 
 def _stop(sinks: Sequence[Sink], within_s: float) -> None:

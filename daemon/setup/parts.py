@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -14,7 +15,7 @@ from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event
 from daemon.kept.touch_sink import TouchSink
-from daemon.pipeline import WAIT_FRAMES, Pipeline, Viewers
+from daemon.pipeline import BEHIND_FRAMES, Pipeline, Viewers
 from daemon.setup.destinations import (
     link_to_robot,
     open_journal,
@@ -34,13 +35,18 @@ if typing.TYPE_CHECKING:
 
 Emit = Callable[[Event], None]
 
+# Pads that are touched at once catch up at once: fewer frames at a time, so that each time is short.
+BEHIND_OF_SEVERAL_FRAMES = 9
+
 
 class Pad:
     """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
 
     settings: those of this pad. arrived: set whenever something waits in the queue.
-    lead_frames: see `Pipeline`. before: the same pad by other settings; its queue goes on, and its reader
+    number: its place among the pads. behind_frames: see `Pipeline`.
+    before: the same pad by other settings; its queue goes on, and its reader
     where the port does.
+    catch_up_s: when its pipeline should catch up, `time.monotonic()`.
     """
 
     def __init__(
@@ -51,13 +57,16 @@ class Pad:
         emit: Emit,
         viewers: Viewers,
         arrived: Signal,
-        lead_frames: int,
+        number: int,
+        behind_frames: int,
         before: Pad | None = None,
     ) -> None:
         self.name = name
         self.settings = settings
         self.model = model
-        self._emit, self._viewers, self._lead_frames = emit, viewers, lead_frames
+        self._emit, self._viewers = emit, viewers
+        self._behind_frames = behind_frames
+        self.catch_up_s = math.inf
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
         self.watch: PadWatch = before.watch if before else PadWatch(name)
         sensor = settings.sensor
@@ -67,7 +76,13 @@ class Pad:
         else:
             self.sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
         self.pipeline = Pipeline(
-            settings.pipeline, model, emit, pad=name, viewers=viewers, lead_frames=lead_frames
+            settings.pipeline,
+            model,
+            emit,
+            pad=name,
+            viewers=viewers,
+            behind_frames=behind_frames,
+            first_index=number,
         )
 
     def go_on_from(self, before: Pad) -> None:
@@ -78,7 +93,7 @@ class Pad:
             self._emit,
             pad=self.name,
             viewers=self._viewers,
-            lead_frames=self._lead_frames,
+            behind_frames=self._behind_frames,
             before=before.pipeline,
         )
 
@@ -122,7 +137,8 @@ class Parts:
                 emit,
                 viewers,
                 arrived,
-                1 + number % WAIT_FRAMES,
+                number,
+                BEHIND_OF_SEVERAL_FRAMES if len(settings.pads) > 1 else BEHIND_FRAMES,
                 pads_before.get(name),
             )
             for number, (name, pad) in enumerate(settings.pads.items())

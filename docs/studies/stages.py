@@ -172,9 +172,9 @@ def _noted(rows: list[tuple[float, ...]]) -> Iterator[None]:
         return noting
 
     def on_frame(function: Callable[..., Any]) -> Callable[..., Any]:
-        def noted(pipeline: Pipeline, frame: Frame) -> None:
+        def noted(pipeline: Pipeline, frame: Frame) -> Any:
             at["arrived"], at["taken"] = frame.host_s, time.monotonic()
-            function(pipeline, frame)
+            return function(pipeline, frame)
 
         return noted
 
@@ -191,8 +191,8 @@ def _noted(rows: list[tuple[float, ...]]) -> Iterator[None]:
     with ExitStack() as undo:
         for owner, name, noting in (
             (FrameQueue, "put", note("parsed")),
-            (Pipeline, "on_frame", on_frame),
-            (Classifier, "step", note("asked", "answered")),
+            (Pipeline, "take", on_frame),
+            (Classifier, "steps", note("asked", "answered")),
             (EventFanout, "emit", emit),
         ):
             own = getattr(owner, name)

@@ -67,9 +67,11 @@ class Ring:
     before: a ring that this one goes on from, by other settings.
     """
 
-    def __init__(self, settings: RingSettings, capacity: int, before: Ring | None = None) -> None:
+    def __init__(
+        self, settings: RingSettings, capacity: int, before: Ring | None = None, first_index: int = 0
+    ) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
-        self._next_index = 0
+        self._next_index = first_index
         self._sensor_ms: int | None = None
         self._clock_ms = 0
         self._pressure = np.zeros((ROWS, COLUMNS), np.float32)

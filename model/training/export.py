@@ -107,6 +107,11 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     assert program is not None
     proto = program.model_proto
     _forget_where_it_was_made(proto)
+    # The exporter takes a state of one touch for the only one; the graph takes as many as there are windows.
+    del proto.graph.value_info[:]
+    for entry in proto.graph.input:
+        if entry.name not in ("counts", "frames"):
+            entry.type.tensor_type.shape.dim[0].dim_param = "touches"
     # An input that has an initializer may be left out (ONNX IR, "default values").
     flat = (start.level, start.motion, *start.memory, start.pooled, start.frames)
     proto.graph.initializer.extend(

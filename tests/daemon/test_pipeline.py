@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -14,9 +15,10 @@ from rigs.scripted_model import LABELS, Scripted
 
 from daemon.decide import SURE, DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
+from daemon.pad.steps import work_off
 from daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
 from daemon.touch import TouchSettings
-from drivers.frame import MAX_COUNT, Counts, Frame
+from drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings
 from drivers.pad.sensor_state import SensorState
 from drivers.recording import ideal_clock_ms
@@ -116,8 +118,7 @@ def test_a_short_touch_is_answered_from_its_contact_alone() -> None:
     bench = Bench()
     events = bench.feel(palm(0.5), nothing(2.0))
     assert [(event.stage, event.frames) for event in predictions(events)] == [("released", 27)]
-    window = next(window for window in bench.model.stepped if len(window) == 27)
-    assert bench.model.asked == []
+    (window,) = bench.model.asked
     np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 27])
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
@@ -164,15 +165,28 @@ def test_without_a_touch_the_model_only_glances() -> None:
 
 def test_with_nobody_looking_a_mark_asks_about_one_frame() -> None:
     bench = Bench()
-    bench.feel(palm(4.0), nothing(2.0))
+    for pressure in np.concatenate([palm(4.0), nothing(2.0)]):
+        bench.feel(pressure[None])
+        work_off([bench.pipeline.catch_up()])
     assert [len(window) for window in bench.model.stepped] == [27, 53, 54, 80, 81, 108, 135, 143, 144]
 
 
-def test_pads_touched_at_once_catch_up_at_different_times() -> None:
-    bench = Bench()
-    bench.pipeline = Pipeline(PipelineSettings(), bench.model, bench.said.append, STOPPED, lead_frames=4)
-    bench.feel(nothing(2.0), palm(1.2))
-    assert [len(window) for window in bench.model.stepped] == [27, 50, 54]
+def test_pads_touched_at_once_are_answered_in_one_run() -> None:
+    model, alone, said = Counting(), Bench(), list[Event]()
+    pads = [
+        Pipeline(PipelineSettings(), model, said.append, STOPPED, pad=name, first_index=number)
+        for number, name in enumerate("abc")
+    ]
+    spoken = alone.feel(palm(3.5))
+    for number, counts in enumerate(alone.sent):
+        frame = Frame(number, round(number * 1000 / 54), 99.998, counts)
+        work_off([*(pad.take(frame) for pad in pads), *(pad.catch_up() for pad in pads)])
+    assert model.together
+    assert set(model.together) == {3}
+    for name in "abc":
+        assert [
+            msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in said if event.pad == name
+        ] == spoken
 
 
 def test_no_frame_may_wait_shortly_before_anything_is_said() -> None:
@@ -264,6 +278,20 @@ def test_a_gesture_that_lasted_is_told_again() -> None:
     ended = events[-1]
     assert isinstance(ended, TouchEnded)
     assert ended.gesture == "rub"
+
+
+class Counting(Scripted):
+    """Counts how many touches are asked about together."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.together: list[int] = []
+
+    def steps(
+        self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
+    ) -> list[tuple[NDArray[np.float64], State]]:
+        self.together.append(len(frames))
+        return super().steps(frames, states)
 
 
 class Wavering(Scripted):

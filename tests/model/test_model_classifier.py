@@ -130,6 +130,17 @@ def test_two_touches_in_turn_do_not_see_each_other(shipped: Classifier) -> None:
     assert answer == pytest.approx(shipped.probabilities(other), abs=1e-5)
 
 
+@pytest.mark.parametrize("begun", [0, 26, 53])
+def test_touches_side_by_side_are_answered_as_alone(shipped: Classifier, begun: int) -> None:
+    windows = [hand(54), checkerboard(54), flat(200.0, 54)]
+    states = [shipped.step(window[:begun])[1] if begun else None for window in windows]
+    halves = [(window[begun:40], window[40:]) if begun < 40 else (window[begun:],) for window in windows]
+    for frames in zip(*halves, strict=True):
+        answers, states = zip(*shipped.steps(frames, states), strict=True)
+    for answer, window in zip(answers, windows, strict=True):
+        assert answer == pytest.approx(shipped.probabilities(window), abs=1e-5)
+
+
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     message = refusal(tmp_path / "nowhere.onnx")
     assert (
@@ -202,6 +213,17 @@ class TestOtherModels:
         without = Classifier.load(tmp_path / "m.onnx")
         assert not without.states
         assert chunked(without, hand(54), (20, 1, 7)) <= 1e-6
+
+    def test_a_file_for_one_state_answers_touches_in_turn(self, tmp_path: Path) -> None:
+        proto = self.onnx.load(SHIPPED_MODEL)
+        for entry in proto.graph.input[1:]:
+            entry.type.tensor_type.shape.dim[0].dim_value = 1
+        self.onnx.save(proto, tmp_path / "m.onnx")
+        before, windows = Classifier.load(tmp_path / "m.onnx"), [hand(20), checkerboard(20)]
+        _, states = zip(*before.steps([window[:9] for window in windows], [None, None]), strict=True)
+        answers = before.steps([window[9:] for window in windows], states)
+        for (answer, _), window in zip(answers, windows, strict=True):
+            assert answer == pytest.approx(before.probabilities(window), abs=1e-5)
 
     def broken(self, path: Path, values: list[float], shape: list[int], endless: bool = False) -> str:
         """Why a model that answers these values, or never, is refused."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,11 @@ class Scripted:
         so_far = frames if state is None else np.concatenate([state.tensors["counts"], frames])
         self.stepped.append(so_far)
         return self.answer(), State({"counts": so_far})
+
+    def steps(
+        self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
+    ) -> list[tuple[NDArray[np.float64], State]]:
+        return [self.step(*each) for each in zip(frames, states, strict=True)]
 
     def answer(self) -> NDArray[np.float64]:
         gesture = self._gesture(len(self.asked))
