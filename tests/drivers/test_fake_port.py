@@ -39,6 +39,10 @@ def read_to_end(port: FakePort, reader: serial.Serial) -> bytes:
     while not port.wait(0.0):
         data += reader.read(1)
         data += reader.read(reader.in_waiting)
+    # The kernel may still be carrying the last bytes across when the port has sent them.
+    reader.timeout = 0.1
+    while more := reader.read(4096):
+        data += more
     return data
 
 
