@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import typing
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,6 +21,11 @@ Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 # Frames after which a touch may be answered early, about a sixth of a second.
 EARLIEST_FRAMES = 9
+
+# A gesture has changed when, in the logarithms of odds between the one told and another, the frames answered
+# about and those since differ by this much. A probability is taken for no less than the second.
+CHANGED_LOG_ODDS = 5.5
+LEAST_PROBABILITY = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +130,7 @@ class Decision:
         self.may_be_early = settings.early == "when_sure"
         self._leads: tuple[str, int] = ("", 0)
         self._stands: str | None = None
+        self._answered: dict[str, float] = {}
         self.told: str | None = None
 
     def answer(self, stage: Stage, probabilities: NDArray[np.float64], *, may_tell: bool = True) -> Answer:
@@ -145,9 +152,23 @@ class Decision:
             return self._uncertain(scene, best, may_tell)
         changed = stands != self._stands
         if stage != "ongoing" or tell:
-            self._stands = stands
+            self._stands, self._answered = stands, scene
         self.told = stands if tell else self.told
         return Answer(stage, stands, scene[stands], scene, changed, tell)
+
+    def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
+        """Whether (labels,) of a touch's latest frames speak for another gesture than the one last answered.
+
+        That they do is not enough, for an answer may have been wrong: the frames before spoke against it.
+        """
+        now, before = self.weigh(probabilities), self._answered
+        best = max(now, key=lambda label: now[label])
+        stands = self.told or NO_TOUCH
+
+        def log_odds(scene: dict[str, float], a: str, b: str) -> float:
+            return math.log(max(scene.get(a, 0.0), LEAST_PROBABILITY) / max(scene.get(b, 0.0), LEAST_PROBABILITY))
+
+        return log_odds(now, best, stands) + log_odds(before, stands, best) >= CHANGED_LOG_ODDS
 
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
         """Whether to answer early now, `frames` into the touch; to be asked once a frame, in order."""

@@ -53,12 +53,11 @@ CALM: tuple[PadState, str] = ("up", "the pad is calm again")
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# After the final answer the last second is asked about on its own, three times a second. Another gesture is
-# told when in the mean of three such stretches next to nothing is left of the one told: docs/sessions.md.
+# After the final answer the last three quarters of a second are asked about on their own, three times a second. The
+# mean of two such stretches shows whether the gesture has changed.
 ONGOING_STRIDE_FRAMES = 18
-ONGOING_FRAMES = 54
-ONGOING_STRETCHES = 3
-ONGOING_LEFT = 0.02
+ONGOING_FRAMES = 40
+ONGOING_STRETCHES = 2
 # An answer due in a quiet longer than a pat's lift-off waits until it is clear what the quiet is: a pause,
 # best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
 # with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
@@ -323,7 +322,7 @@ class Pipeline:
             due_length, stage = overdue[-1]
             self._ask(touch, stage, due_length, frame.host_s)
         over = length - self._final_frames
-        is_due = over > 0 and over % ONGOING_STRIDE_FRAMES == 0 and not self._tracker.may_be_over
+        is_due = over > 0 and over % ONGOING_STRIDE_FRAMES == 0
         if is_due and self._decision_settings.ongoing:
             self._ask_what_goes_on(touch, length, frame.host_s)
 
@@ -360,14 +359,12 @@ class Pipeline:
         self._answer(touch, stage, probabilities, (frames, length), since_s)
 
     def _ask_what_goes_on(self, touch: Touch, length: int, since_s: float) -> None:
-        """Tell another gesture once it has lasted, and nothing is left of the one told."""
+        """Tell another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
         probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
         touch.stretches = [*touch.stretches[1 - ONGOING_STRETCHES :], probabilities]
         lately: NDArray[np.float64] = np.mean(touch.stretches, axis=0)
-        scene = touch.decision.weigh(lately)
-        left = scene.get(touch.decision.told or "", 0.0)
-        if len(touch.stretches) == ONGOING_STRETCHES and left <= ONGOING_LEFT:
+        if len(touch.stretches) == ONGOING_STRETCHES and touch.decision.has_changed(lately):
             self._answer(touch, "ongoing", lately, (frames, length), since_s)
 
     def _answer(

@@ -54,6 +54,13 @@ NO_TOUCH_STILL = 0.3
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
 
+# Pressure does not go below rest: light contact on a pad that just read less, by half a count a taxel, is a
+# vibration that begins. After two seconds its noise is known. Mains hum shows at 54 frames a second as 4 Hz.
+SUNK_COUNTS = 32.0
+SUNK_FRAMES = 14
+NEW_FRAMES = 108
+CALM_AGAIN_FRAMES = 540
+
 # The end is looked for nine times a second.
 END_STRIDE_FRAMES = 6
 # Far below the touch's level: a share of its highest half second, or less contact than a resting hand makes.
@@ -166,6 +173,8 @@ class TouchTracker:
         self._index = -1
         self._sensor_ms = 0.0
         self._sunken_frames = 0
+        self._sunk_frames = 0
+        self._sunk_since = self._sunk_last = -CALM_AGAIN_FRAMES
         self._unsteady_index = 0
         self._restless = 0.0
         self._watched_frames = 0
@@ -242,6 +251,7 @@ class TouchTracker:
         both = np.maximum(ABOVE_AND_BELOW * rise - self._baseline.noise_floor, 0)
         above = both[0]
         contact, sunken = _beyond_one_wire(both)
+        self._note_vibration(float(rise.sum()))
         if contact >= self._onset_counts or self._light is not None:
             return self._weigh_light(smooth, above, contact)
         self._restless = max(self._restless * RESTLESS_KEPT, contact)
@@ -272,6 +282,22 @@ class TouchTracker:
         self._held = _Held(self._index - GLANCE_FRAMES - ASK_FRAMES, self._index)
         return Onset(self._held.first)
 
+    def _note_vibration(self, rise: float) -> None:
+        """Note when the pad, all taxels together, first went below rest and came back, and when last."""
+        if rise <= -SUNK_COUNTS:
+            self._sunk_frames += 1
+            return
+        if 0 < self._sunk_frames <= SUNK_FRAMES:
+            if self._index - self._sunk_last > CALM_AGAIN_FRAMES:
+                self._sunk_since = self._index
+            self._sunk_last = self._index
+        self._sunk_frames = 0
+
+    @property
+    def _begins_to_vibrate(self) -> bool:
+        is_recent = self._index - self._sunk_last <= SUNK_FRAMES
+        return is_recent and self._index - self._sunk_since <= NEW_FRAMES
+
     @property
     def _is_time_to_look(self) -> bool:
         return self._index % END_STRIDE_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
@@ -296,6 +322,9 @@ class TouchTracker:
         movement = light.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
         is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
         may_breathe = waited > SURE_FRAMES and self._sight.is_there
+        if self._begins_to_vibrate and not is_firm:
+            self._calibrate()
+            return None
         is_sure = is_firm or (movement >= SURE_MOVEMENT and not may_breathe)
         if is_sure or self._is_light_touch(waited, movement):
             self._light = None

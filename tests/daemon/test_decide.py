@@ -193,3 +193,20 @@ def test_an_answer_is_sure_once_it_has_lasted(sure: Sure, frames: int) -> None:
 def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
     decision = Decision(DecisionSettings(early="when_sure"), LABELS)
     assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.9), at)] == [9, 10, 11]
+
+
+@pytest.mark.parametrize(
+    ("at_final", "lately", "changed"),
+    [
+        ({"stroke": 0.9, "rub": 0.01}, {"rub": 0.9, "stroke": 0.01}, True),
+        ({"stroke": 0.9, "rub": 0.01}, {"rub": 0.5, "stroke": 0.3}, False),
+        ({"stroke": 0.5, "rub": 0.4}, {"rub": 0.9, "stroke": 0.01}, False),
+        ({"stroke": 0.9, "rub": 0.01}, {"stroke": 0.9, "rub": 0.01}, False),
+    ],
+)
+def test_a_gesture_has_changed_when_before_and_now_say_so(
+    at_final: dict[str, float], lately: dict[str, float], changed: bool
+) -> None:
+    decision = Decision(DecisionSettings(), LABELS)
+    decision.answer("final", probabilities(**at_final))
+    assert decision.has_changed(probabilities(**lately)) == changed

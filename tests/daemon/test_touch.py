@@ -361,6 +361,15 @@ def test_light_contact_needs_the_network_to_see_a_touch() -> None:
     assert isinstance(sees_one.feel(2.0, wobble)[0], Onset)
 
 
+@pytest.mark.parametrize("vibrating", [with_hum, with_motor])
+@pytest.mark.parametrize("still_s", [1.0, 1.1])
+def test_a_vibration_that_begins_is_no_touch(
+    pad: Pad, vibrating: Callable[[Scans], Scans], still_s: float
+) -> None:
+    assert pad.feel(still_s, vibrating(nothing(10.0))) == []
+    assert isinstance(pad.feel(vibrating(palm(0.5, counts=40.0)))[0], Onset)
+
+
 def test_a_pad_that_became_noisy_is_disturbed(pad: Pad) -> None:
     assert not pad.tracker.is_disturbed
     pad.feel(with_noise(nothing(10.0), 2.0))
