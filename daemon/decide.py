@@ -166,7 +166,9 @@ class Decision:
         stands = self.told or NO_TOUCH
 
         def log_odds(scene: dict[str, float], a: str, b: str) -> float:
-            return math.log(max(scene.get(a, 0.0), LEAST_PROBABILITY) / max(scene.get(b, 0.0), LEAST_PROBABILITY))
+            return math.log(
+                max(scene.get(a, 0.0), LEAST_PROBABILITY) / max(scene.get(b, 0.0), LEAST_PROBABILITY)
+            )
 
         return log_odds(now, best, stands) + log_odds(before, stands, best) >= CHANGED_LOG_ODDS
 
