@@ -53,7 +53,7 @@ CALM: tuple[PadState, str] = ("up", "the pad is calm again")
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# After the final answer the last three quarters of a second are asked about on their own, three times a second.
+# After the final answer the last three quarters of a second are asked about alone, three times a second.
 # The mean of two such stretches shows whether the gesture has changed.
 ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 40
