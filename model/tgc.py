@@ -146,10 +146,7 @@ class EncoderBlock(nn.Module):
         self.query_key_value = nn.Linear(width, 3 * width)
         self.project = nn.Linear(width, width)
         self.feed_forward = nn.Sequential(
-            nn.LayerNorm(width),
-            nn.Linear(width, feed_forward),
-            nn.GELU(),
-            nn.Linear(feed_forward, width),
+            nn.LayerNorm(width), nn.Linear(width, feed_forward), nn.GELU(), nn.Linear(feed_forward, width)
         )
         self.dropout = FeatureDropout(dropout)
         slopes = torch.tensor([2.0 ** (-8.0 * (h + 1) / heads) for h in range(heads)])

@@ -81,12 +81,7 @@ def draw(offered: Offered, frames: KeptFrames, title: str, console: Console) -> 
     rise = rise_above_rest(frames)
     mean = rise.mean(axis=0)
     lines = pad_picture(level_of(mean, max(float(mean.max()), 1.0)), PAD_SCALE, palette_for(console))
-    pad = Panel(
-        as_text(lines),
-        title=f"mean, 0 to {max(mean.max(), 1.0):.0f}",
-        width=PAD_WIDTH,
-        padding=0,
-    )
+    pad = Panel(as_text(lines), title=f"mean, 0 to {max(mean.max(), 1.0):.0f}", width=PAD_WIDTH, padding=0)
     answers = Panel(_answers(offered), title=title, width=WIDTH - PAD_WIDTH, height=10)
     clock_s = (frames.touch.sensor_ms - frames.touch.sensor_ms[0]) / 1000
     chart = Panel(_chart(rise.sum(axis=(1, 2)), clock_s, offered), width=WIDTH, title="pressure over time")

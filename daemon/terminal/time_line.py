@@ -61,10 +61,7 @@ def _column(at_s: float, end_s: float, width: int) -> int:
 
 
 def _draw_trace(
-    cells: list[list[tuple[str, Style]]],
-    trace: Sequence[tuple[float, float]],
-    end_s: float,
-    palette: Palette,
+    cells: list[list[tuple[str, Style]]], trace: Sequence[tuple[float, float]], end_s: float, palette: Palette
 ) -> None:
     rows, width = len(cells), len(cells[0])
     loads: dict[int, float] = {}

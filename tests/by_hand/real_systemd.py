@@ -52,10 +52,7 @@ ExecStart=/opt/touchd/bin/python /opt/touchd/probe.py
 """
 LOG = "journalctl -o cat --since $(cat /run/since)"
 
-pytestmark = [
-    pytest.mark.timeout(3600),
-    pytest.mark.skipif(bool(why := what_is_missing(KIND)), reason=why),
-]
+pytestmark = [pytest.mark.timeout(3600), pytest.mark.skipif(bool(why := what_is_missing(KIND)), reason=why)]
 needs_pace = pytest.mark.skipif(KIND is Emulated, reason="the emulated machine is too slow for this")
 needs_hardware = pytest.mark.skipif(
     KIND is not Emulated, reason="only the emulated machine has devices, accounts and power of its own"

@@ -12,15 +12,7 @@ import pytest
 from rigs.made_events import PREDICTION
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of, wait_for
 
-from daemon.events import (
-    RobotAction,
-    RobotEvent,
-    SensorEvent,
-    TouchBegan,
-    TouchEnded,
-    decode,
-    timestamp,
-)
+from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
 
 
 def test_lsl_frames_bear_their_time_of_arrival_within_2_ms(tmp_path: Path) -> None:

@@ -39,11 +39,7 @@ Refusal = Callable[..., str]
 
 def touchd(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "daemon", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=25,
+        [sys.executable, "-m", "daemon", *arguments], capture_output=True, text=True, check=False, timeout=25
     )
 
 

@@ -33,9 +33,7 @@ def test_a_sound_pad_passes_every_check(capsys: pytest.CaptureFixture[str]) -> N
     assert rate["figures"]["lost"] == 0
 
 
-def test_a_missing_port_says_what_to_do_within_80_columns(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_missing_port_says_what_to_do_within_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", "--port", "/dev/ttyNowhere"]) == 1
     shown = capsys.readouterr().out
     assert "to do       port" in shown
@@ -44,9 +42,7 @@ def test_a_missing_port_says_what_to_do_within_80_columns(
     assert all(len(line) <= WIDTH for line in shown.splitlines())
 
 
-def test_an_impossible_configuration_or_time_is_a_users_mistake(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_impossible_configuration_or_time_is_a_users_mistake(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["doctor", "-c", "nowhere.yaml"]) == 2
     assert "nowhere.yaml: cannot be read" in capsys.readouterr().err
     with pytest.raises(SystemExit) as ended:

@@ -34,11 +34,7 @@ def nothing(counts: Counts, sensor_ms: int) -> bytes:
 @pytest.mark.parametrize(
     ("encode", "found", "advice"),
     [
-        (
-            as_8x8,
-            "looks like fabric-grid 8x8, configured fabric-grid 10x10",
-            "format: {",
-        ),
+        (as_8x8, "looks like fabric-grid 8x8, configured fabric-grid 10x10", "format: {"),
         (encode_csv_line, "looks like csv 10x10", "format: csv"),
         (nothing, "no data", "reset button"),
     ],

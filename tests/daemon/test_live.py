@@ -98,9 +98,7 @@ def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
             return dict(told)
 
 
-def test_a_viewer_that_stalls_costs_the_others_nothing(
-    served: Served,
-) -> None:
+def test_a_viewer_that_stalls_costs_the_others_nothing(served: Served) -> None:
     narrow = socket.socket()
     narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     narrow.connect(("127.0.0.1", served.port))

@@ -99,9 +99,7 @@ def test_another_port_is_read_from_then_on(daemon: Daemon) -> None:
 
 
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
-def test_a_reload_adds_and_removes_the_robot(
-    daemon: Daemon,
-) -> None:
+def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
     with LoopbackRobot() as robot:
         daemon.configure(robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "up")

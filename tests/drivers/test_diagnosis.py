@@ -52,12 +52,7 @@ DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
         (b"\x00" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
         (b"\xff" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
         (b"x", pad("csv", 10, 10), "noise", "noise"),
-        (
-            DAMAGED,
-            pad("fabric-grid", 10, 10),
-            "damage",
-            "none of fabric-grid 10x10",
-        ),
+        (DAMAGED, pad("fabric-grid", 10, 10), "damage", "none of fabric-grid 10x10"),
     ],
 )
 def test_what_bytes_look_like_is_said_with_what_was_expected(

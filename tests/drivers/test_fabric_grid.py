@@ -116,8 +116,7 @@ def test_a_frame_with_a_flipped_bit_is_counted_and_dropped(bit: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bit", "reason"),
-    [(0, "bad_framing"), (40, "bad_time"), (64, "bad_checksum"), (64 + 12, "bad_value")],
+    ("bit", "reason"), [(0, "bad_framing"), (40, "bad_time"), (64, "bad_checksum"), (64 + 12, "bad_value")]
 )
 def test_each_kind_of_damage_is_counted_once_and_by_name(bit: int, reason: str) -> None:
     parser = FabricGrid()

@@ -164,9 +164,7 @@ def test_our_driver_reads_the_board_on_a_serial_port(board: MakeBoard) -> None:
 
 
 @requires_board
-def test_a_slow_line_skips_scans_and_keeps_the_clock(
-    board: MakeBoard,
-) -> None:
+def test_a_slow_line_skips_scans_and_keeps_the_clock(board: MakeBoard) -> None:
     pictures = pictures_of(10, 10)
     run = board(baud=57_600).run(pictures, 2.0)
     parser = FabricGrid()

@@ -145,9 +145,7 @@ def test_a_pad_that_is_silent_at_rest_is_not_broken() -> None:
     assert findings_in(counts) == []
 
 
-def test_a_creeping_rest_and_its_return_are_told_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_creeping_rest_and_its_return_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
     counts = sound_pad(300)
     creep = np.concatenate([np.zeros(80), np.linspace(0, 40, 100), np.zeros(120)])
     counts += np.repeat(creep, RATE_HZ).astype(np.uint16)[:, None, None]

@@ -67,9 +67,7 @@ def test_a_loose_wire_is_told_once_in_ten_minutes(caplog: pytest.LogCaptureFixtu
     ]
 
 
-def test_a_wire_that_breaks_again_is_told_again(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_wire_that_breaks_again_is_told_again(caplog: pytest.LogCaptureFixture) -> None:
     first, again = told(pad(150, ((5, 20), (40, 150))), caplog)[::2]
     assert (first[1:], again[1:]) == (("WARNING", BROKEN), ("WARNING", BROKEN))
     assert 40 + LASTS_S < again[0] < 40 + LASTS_S + 15 < SAME_TROUBLE_S

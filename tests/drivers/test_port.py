@@ -44,9 +44,7 @@ def test_a_device_that_is_no_terminal_is_named() -> None:
         assert "/dev/null cannot be opened" in next_state(queue).reason
 
 
-def test_missing_permission_says_how_to_get_it(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_missing_permission_says_how_to_get_it(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with FakePort(stream_of(), encode_fabric_grid) as port:
         os.chmod(port.path, 0)

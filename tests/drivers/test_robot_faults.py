@@ -194,9 +194,7 @@ def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
 
 
 @every_robot
-def test_publishing_to_a_hung_robot_returns_at_once(
-    make_robot: type[Robot],
-) -> None:
+def test_publishing_to_a_hung_robot_returns_at_once(make_robot: type[Robot]) -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
     with make_robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):
         states.wait_for("up")
@@ -213,9 +211,7 @@ def test_publishing_to_a_hung_robot_returns_at_once(
         assert robot.calls.raised(GESTURE) == [f"gesture {number}" for number in range(495, 500)]
 
 
-def test_an_absent_robot_is_one_warning(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_an_absent_robot_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     limits = RobotLimits(backoff_first_s=0.001, backoff_cap_s=0.001)
     robot = StubRobot()

@@ -40,9 +40,7 @@ def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels:
     assert [record.levelname for record in caplog.records] == list(levels)
 
 
-def test_a_silent_pad_is_down_until_it_goes_on(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     switch = Switch(encode_fabric_grid)
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:

@@ -215,11 +215,7 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path) 
         done = subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
         assert done.returncode == 0, done.stderr
     done = subprocess.run(
-        [python.with_name("touchd"), "classify"],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd="/",
+        [python.with_name("touchd"), "classify"], capture_output=True, text=True, check=True, cwd="/"
     )
     assert '"type":"prediction"' in done.stdout
     loaded = subprocess.run([python, "-c", "import websockets, daemon.live.server"], check=False, cwd="/")

@@ -113,9 +113,7 @@ def test_no_name_of_a_person_is_in_the_file(adapted_file: tuple[Path, str]) -> N
     assert str(adapted_file[0].parent).encode() not in content
 
 
-def test_the_report_shows_each_gesture_within_80_columns(
-    adapted_file: tuple[Path, str],
-) -> None:
+def test_the_report_shows_each_gesture_within_80_columns(adapted_file: tuple[Path, str]) -> None:
     said = adapted_file[1].split("\n\nWritten:")[0]
     assert "20 recordings of 5 gestures by 2 participants" in said
     assert "New to the model: hug" in said

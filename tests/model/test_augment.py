@@ -15,14 +15,7 @@ from model.settings import AugmentationSettings
 from model.training.augment import crop, vary
 
 OFF = AugmentationSettings(
-    gain=0.0,
-    gamma=0.0,
-    taxel_gain=0.0,
-    turn=0.0,
-    shift=0.0,
-    offset=0.0,
-    noise_counts=0.0,
-    dead_row=0.0,
+    gain=0.0, gamma=0.0, taxel_gain=0.0, turn=0.0, shift=0.0, offset=0.0, noise_counts=0.0, dead_row=0.0
 )
 PRESSED = torch.full((32, 54, 8, 8), 100.0)
 

@@ -32,10 +32,7 @@ def resting(seconds: float = 8.0) -> Counts:
 
 
 def heard(
-    counts: Counts,
-    encode: Encode = encode_fabric_grid,
-    rate_hz: float = 54.0,
-    faults: Faults = NO_FAULTS,
+    counts: Counts, encode: Encode = encode_fabric_grid, rate_hz: float = 54.0, faults: Faults = NO_FAULTS
 ) -> Heard:
     """What is heard of these counts over a pty, flat out."""
     clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)

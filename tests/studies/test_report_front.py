@@ -62,9 +62,7 @@ def test_multiply_adds_of_the_shipped_file_match_by_hand(frames: int) -> None:
     assert multiply_adds(HAART_MODEL, frames, windows=3) == 3 * shipped_by_hand(frames)
 
 
-def test_multiply_adds_of_other_layers_match_by_hand(
-    tmp_path: Path,
-) -> None:
+def test_multiply_adds_of_other_layers_match_by_hand(tmp_path: Path) -> None:
     def weight(name: str, *shape: int) -> Any:
         return onnx.numpy_helper.from_array(np.zeros(shape, np.float32), name)
 

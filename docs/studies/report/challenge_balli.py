@@ -54,13 +54,7 @@ def all_series(counts: NDArray[np.uint16]) -> list[Floats]:
     """Return what is followed over time, each (N, L), as in SERIES."""
     path = shared.centroid(counts)
     greatest = counts.max(axis=(2, 3)).astype(np.float64)
-    return [
-        shared.mean_pressure(counts),
-        greatest,
-        path[..., 0],
-        path[..., 1],
-        shared.contact_area(counts),
-    ]
+    return [shared.mean_pressure(counts), greatest, path[..., 0], path[..., 1], shared.contact_area(counts)]
 
 
 def image_features(image: Floats) -> Floats:

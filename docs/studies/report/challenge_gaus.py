@@ -100,13 +100,7 @@ def run_lengths(moving: NDArray[np.bool_], longest: int = LONGEST_RUN) -> NDArra
 
 def binary_patterns(values: NDArray[np.int32]) -> Floats:
     """Return histograms of local binary patterns on the planes of rows, columns and time (N, 3 * 59)."""
-    return np.hstack(
-        [
-            histograms(values, 2, 3),
-            histograms(values, 1, 2),
-            histograms(values, 1, 3),
-        ]
-    )
+    return np.hstack([histograms(values, 2, 3), histograms(values, 1, 2), histograms(values, 1, 3)])
 
 
 def histograms(values: NDArray[np.int32], one: int, other: int) -> Floats:

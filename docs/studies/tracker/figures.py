@@ -8,15 +8,7 @@ import msgspec
 import numpy as np
 
 from daemon.touch import TouchSettings
-from docs.studies.tracker.measure import (
-    Case,
-    Outcome,
-    false_touches,
-    join_touches,
-    notice,
-    outcome,
-    spliced,
-)
+from docs.studies.tracker.measure import Case, Outcome, false_touches, join_touches, notice, outcome, spliced
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import NO_TOUCH, Recording
 
