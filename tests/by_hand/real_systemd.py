@@ -18,13 +18,12 @@ from collections.abc import Iterator
 
 import pytest
 from by_hand.debian_machine import KINDS, Emulated, Machine, booted, what_is_missing
-from rigs.expectations import RECORDINGS
+from rigs.expectations import LENGTHS
 
 from daemon.events import Prediction, TouchBegan, TouchEnded, decode
 
 KIND = KINDS[os.environ.get("TOUCHD_LAB", "container")]
 SLOW_MOTION = 25.0 if KIND is Emulated else 1.0
-LENGTHS = next(path.name for path in RECORDINGS if path.name == "lengths.csv.gz")
 INSTALL = "cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels make install"
 CONFIGURATION = """
 robot: {url: "tcp://127.0.0.1:9559"}
@@ -37,7 +36,7 @@ DROP_INS = "/etc/systemd/system/touchd.service.d"
 EVENTS = "/var/lib/touchd/events.jsonl"
 
 PAD = f"""[Service]
-ExecStart=/opt/touchd/bin/python /mnt/helpers/pad.py /mnt/recordings/{LENGTHS} {SLOW_MOTION}
+ExecStart=/opt/touchd/bin/python /mnt/helpers/pad.py /mnt/recordings/{LENGTHS.name} {SLOW_MOTION}
 """
 ROBOT = """[Service]
 DynamicUser=yes

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -216,17 +216,13 @@ def test_home_assistant_makes_told_answers_events_of_known_types(port: int, open
 
 
 def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_path: Path) -> None:
-    daemon = Daemon(tmp_path)
-    try:
-        with subscribed(port, "touchd/#") as messages:
-            daemon.await_event(TouchEnded)
-            daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port))
-            daemon.await_log(1)
-            printed = daemon.finish()
-            wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
-            published = [decode(text) for text in payloads(messages, "touchd/pad/event")]
-    finally:
-        daemon.close()
+    with closing(Daemon(tmp_path)) as daemon, subscribed(port, "touchd/#") as messages:
+        daemon.await_event(TouchEnded)
+        daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port))
+        daemon.await_log(1)
+        printed = daemon.finish()
+        wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
+        published = [decode(text) for text in payloads(messages, "touchd/pad/event")]
     # The state of the pad, which was told before, is told to a new bridge too.
     assert isinstance(published[0], SensorEvent)
     assert len(published) > 5
@@ -234,20 +230,16 @@ def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_pat
 
 
 def test_a_reload_ends_the_bridge_that_it_replaces(port: int, tmp_path: Path) -> None:
-    daemon = Daemon(tmp_path)
-    try:
-        with subscribed(port, "#") as messages:
-            daemon.await_event(SensorEvent)
-            for number, topic in enumerate(("old", "new"), 1):
-                daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
-                daemon.await_log(number)
-                wait_for(lambda topic=topic: payloads(messages, f"{topic}/pad/state")[-1:] == ["up"])
-            wait_for(lambda: payloads(messages, "old/pad/state")[-1:] == ["stopped"])
-            heard = len(payloads(messages, "old/pad/event"))
-            wait_for(lambda: len(payloads(messages, "new/pad/event")) > 2)
-            assert len(payloads(messages, "old/pad/event")) == heard
-    finally:
-        daemon.close()
+    with closing(Daemon(tmp_path)) as daemon, subscribed(port, "#") as messages:
+        daemon.await_event(SensorEvent)
+        for number, topic in enumerate(("old", "new"), 1):
+            daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
+            daemon.await_log(number)
+            wait_for(lambda topic=topic: payloads(messages, f"{topic}/pad/state")[-1:] == ["up"])
+        wait_for(lambda: payloads(messages, "old/pad/state")[-1:] == ["stopped"])
+        heard = len(payloads(messages, "old/pad/event"))
+        wait_for(lambda: len(payloads(messages, "new/pad/event")) > 2)
+        assert len(payloads(messages, "old/pad/event")) == heard
 
 
 @pytest.mark.slow

@@ -14,8 +14,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import RECORDINGS, expected
+from rigs.expectations import GESTURES, expected
 from rigs.made_events import PREDICTION
+from rigs.programs import ran
 
 from daemon import cli
 from daemon.commands import demo
@@ -31,16 +32,11 @@ from drivers.recording import Recording, Selection, read_recordings, write_recor
 from drivers.robot.session import qi_installed
 from model.classifier import Classifier
 
-GESTURES = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
-
-
 Refusal = Callable[..., str]
 
 
 def touchd(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "daemon", *arguments], capture_output=True, text=True, check=False, timeout=25
-    )
+    return ran([sys.executable, "-m", "daemon", *arguments], timeout=25)
 
 
 @pytest.fixture

@@ -11,14 +11,13 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import RECORDINGS
+from rigs.expectations import DEMO
 from rigs.made_events import PREDICTION
 
 from daemon.cli import main
 from daemon.events import TouchBegan, decode, encode, epoch_s
 from drivers.recording import read_recordings
 
-DEMO = next(path for path in RECORDINGS if path.name == "demo.csv.gz")
 EVENTS = [
     TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),
     msgspec.structs.replace(PREDICTION, touch=1, pad="head"),

@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import pytest
+from rigs.programs import ran
 from rigs.robots import link_threads, message, needs_qi
 
 from daemon import cli
@@ -43,12 +44,8 @@ def test_it_prints_its_address_and_every_call() -> None:
 
 def test_a_port_that_is_taken_is_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        done = subprocess.run(
-            [sys.executable, "-m", "daemon", "fake-robot", "--port", str(taken.getsockname()[1])],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=20,
+        done = ran(
+            [sys.executable, "-m", "daemon", "fake-robot", "--port", str(taken.getsockname()[1])], timeout=20
         )
     assert done.returncode == 2
     assert done.stderr.startswith("touchd: cannot listen on port")

@@ -16,7 +16,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import RECORDINGS, answers, stream_of
+from rigs.expectations import GESTURES, answers, stream_of
+from rigs.programs import ran
 from rigs.terminal import Terminal
 
 from daemon import cli
@@ -58,9 +59,7 @@ from daemon import cli
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", WITHOUT_EXTRAS + code], capture_output=True, text=True, check=False, timeout=25
-    )
+    return ran([sys.executable, "-c", WITHOUT_EXTRAS + code], timeout=25)
 
 
 def test_every_command_helps_without_any_extra() -> None:
@@ -96,13 +95,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
     ],
 )
 def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, said: str) -> None:
-    done = subprocess.run(
-        ["bash", "-o", "pipefail", "-c", f"{sys.executable} -m daemon {command}"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=25,
-    )
+    done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m daemon {command}"], timeout=25)
     assert (done.returncode, said in done.stderr) == (code, True)
     assert len(done.stderr.splitlines()) == bool(said)
 
@@ -126,9 +119,7 @@ def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setenv("PATH", os.defpath)
     for folder in (tmp_path, ROOT):
         monkeypatch.chdir(folder)
-        done = subprocess.run(
-            [*shlex.split(own_name()), "--version"], capture_output=True, text=True, check=True, timeout=20
-        )
+        done = ran([*shlex.split(own_name()), "--version"], check=True, timeout=20)
         assert done.stdout.startswith("touchd ")
 
 
@@ -139,13 +130,7 @@ def test_bash_completes_commands_and_options(capsys: pytest.CaptureFixture[str])
     bash = shutil.which("bash")
     assert bash is not None
     for words, completed in (("touchd cla", "classify"), ("touchd demo --li", "--live")):
-        done = subprocess.run(
-            [bash, "-c", script + ask.format(words, 1 + words.count(" ") - 1)],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=10,
-        )
+        done = ran([bash, "-c", script + ask.format(words, 1 + words.count(" ") - 1)], check=True, timeout=10)
         assert completed in done.stdout.split()
 
 
@@ -190,8 +175,7 @@ def test_a_clock_that_starts_anew_is_no_broken_pad() -> None:
 
 
 def test_every_settled_touch_sets_the_example_action_off_once() -> None:
-    recording = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
-    events = answers(stream_of(recording), load_model(Settings()))
+    events = answers(stream_of(GESTURES), load_model(Settings()))
     said: list[str] = []
 
     def hear(call: Call) -> None:

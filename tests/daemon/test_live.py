@@ -11,12 +11,12 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.expectations import RECORDINGS, expected, stream_of
+from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.live_rig import SERVED, Served, frames_among, live_daemon, serving
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
@@ -33,7 +33,6 @@ from daemon.setup.destinations import encoder_for, scenes_of
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 NOW = "2026-11-20T10:00:00.000Z"
 BEGAN = TouchBegan(touch=1, time=NOW, sensor_ms=7)
 ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=NOW)
@@ -225,8 +224,7 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
 
 
 def test_sighup_opens_and_closes_the_page_and_costs_no_touch(tmp_path: Path) -> None:
-    daemon = Daemon(tmp_path)
-    try:
+    with closing(Daemon(tmp_path)) as daemon:
         daemon.await_event(SensorEvent)
         daemon.configure(live=LiveSettings(port=0))
         daemon.await_log(1)
@@ -241,8 +239,6 @@ def test_sighup_opens_and_closes_the_page_and_costs_no_touch(tmp_path: Path) -> 
             with pytest.raises(ConnectionClosed, match="1001"):
                 await_message(viewer, "nothing")
         assert outline(daemon.finish()) == expected(LENGTHS)
-    finally:
-        daemon.close()
 
 
 def test_the_demo_is_on_a_page_until_ctrl_c() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import msgspec
-from rigs.expectations import RECORDINGS, answers, stream_of
+from rigs.expectations import LENGTHS, answers, stream_of
 
 from daemon.config import Settings
 from daemon.events import Prediction, TouchBegan
@@ -11,7 +11,7 @@ from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
 from daemon.live.scene import Scene
 from daemon.setup.parts import load_model
 
-STREAM = stream_of(next(path for path in RECORDINGS if path.name == "lengths.csv.gz"))
+STREAM = stream_of(LENGTHS)
 NOW = "2026-11-20T10:00:00.000Z"
 
 

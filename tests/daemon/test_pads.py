@@ -14,7 +14,7 @@ from typing import TypeGuard
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import RECORDINGS, expected, stream_of
+from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
 from rigs.made_events import PREDICTION
 from rigs.peers import broker, free_port, needs_mosquitto, subscribed, wait_for
 
@@ -50,8 +50,6 @@ from drivers.robot.settings import RobotSettings
 from model.classifier import SHIPPED_MODEL
 
 TIME = "2026-11-20T10:00:00.000Z"
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
-GESTURES = next(path for path in RECORDINGS if path.name == "gestures.csv.gz")
 
 
 def on(pad: str, events: list[Event]) -> list[Event]:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 import yaml
-from rigs.expectations import RECORDINGS, stream_of
+from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
 from rigs.terminal import Terminal
@@ -33,7 +33,6 @@ from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, read_provenance, read_recordings
 
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 SPEED = 20.0
 
 

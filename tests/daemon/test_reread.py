@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from rigs.expectations import expected, stream_of
-from rigs.running_daemon import LENGTHS, SPEED, Daemon
+from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.running_daemon import SPEED, Daemon
 
 from daemon.bridges.settings import MqttSettings
 from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings

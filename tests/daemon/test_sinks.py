@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rigs.programs import ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from daemon.events import SensorEvent, TouchBegan, decode
@@ -160,13 +161,7 @@ print(lost)
 
 def test_a_full_disk_leaves_only_whole_lines(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
-    done = subprocess.run(
-        [sys.executable, "-c", FILL_THE_DISK, str(path)],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=20,
-    )
+    done = ran([sys.executable, "-c", FILL_THE_DISK, str(path)], check=True, timeout=20)
     numbers = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
     lost = int(done.stdout)
     assert lost > 0

@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import RECORDINGS, stream_of
+from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.live_rig import Served, frames_among, serving
 from rigs.made_pad import MadePad, Scans, nothing, palm
@@ -38,7 +38,6 @@ from drivers.recording import Recording, RecordingError, read_recordings, write_
 from drivers.robot.session import RobotError
 from drivers.robot.settings import RobotSettings, read_login
 
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 HANDSHAKE = (
     "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"

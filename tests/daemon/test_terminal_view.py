@@ -13,12 +13,15 @@ import sys
 import time
 from fcntl import ioctl
 from termios import TIOCSWINSZ
+from typing import Any
 
+import msgspec
 import numpy as np
 import pyte
 import pytest
 from rich.cells import cell_len
 from rich.console import Console
+from rigs.made_events import PREDICTION
 
 from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from daemon.setup.words import Language, vocabulary
@@ -44,31 +47,12 @@ print("gone")
 def prediction(
     stage: str = "early", frames: int = 54, gesture: str = "stroke", **other: object
 ) -> Prediction:
-    shares = {
-        "constant": 0.01,
-        "notouch": 0.0,
-        "pat": 0.15,
-        "rub": 0.01,
-        "scratch": 0.01,
-        "stroke": 0.81,
-        "tickle": 0.01,
-    }
-    values: dict[str, object] = {
-        "touch": 7,
-        "stage": stage,
-        "frames": frames,
-        "elapsed_s": round(frames / 54, 3),
-        "gesture": gesture,
-        "confidence": 0.81,
-        "probabilities": shares,
-        "changed": True,
-        "told": True,
-        "degraded": False,
-        "latency_ms": 1.9,
-        "model": "touchd-1",
-        "time": "",
-    }
-    return Prediction(**(values | other))  # type: ignore[arg-type]
+    shares = dict.fromkeys(("constant", "rub", "scratch", "tickle"), 0.01)
+    shares |= {"notouch": 0.0, "pat": 0.15, "stroke": 0.81}
+    own: dict[str, Any] = {"stage": stage, "frames": frames, "gesture": gesture, "time": ""}
+    return msgspec.structs.replace(
+        PREDICTION, **own, elapsed_s=round(frames / 54, 3), probabilities=shares, **other
+    )
 
 
 def view_of(

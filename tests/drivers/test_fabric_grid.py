@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import (
-    MANY,
     PERIOD_MS,
     SIZE,
     UNHURRIED,
     VISIBLE_BITS,
     VISIBLE_VALUE_BITS,
     assert_are,
-    contents,
     counts_of,
     fed,
     flip,
@@ -67,22 +63,6 @@ def test_pressure_cannot_be_written_to() -> None:
 
 
 # --- intact frames, however they arrive --------------------------------------------------------------------
-
-
-@UNHURRIED
-@given(cuts=st.lists(st.integers(0, 6 * SIZE)))
-def test_frames_do_not_depend_on_how_the_bytes_were_cut(cuts: list[int]) -> None:
-    parser = FabricGrid()
-    assert_are(fed(parser, packets(range(6)), cuts), range(6))
-    assert parser.counts.bad == parser.counts.bytes_dropped == 0
-
-
-def test_frames_come_one_byte_at_a_time() -> None:
-    parser = FabricGrid()
-    data = packets(range(4))
-    frames = fed(parser, data, range(1, len(data)))
-    assert_are(frames, range(4))
-    assert [frame.number for frame in frames] == [0, 1, 2, 3]
 
 
 def test_a_long_recording_fed_at_once_comes_out_whole() -> None:
@@ -170,71 +150,6 @@ def test_two_damaged_frames_in_a_row_are_counted_as_two() -> None:
     damaged = flip(packet(2), 64) + flip(packet(3), 0)
     assert_are(parser.feed(packets([0, 1]) + damaged + packets([4, 5]), 0.0), [0, 1, 4, 5])
     assert (parser.counts.bad_checksum, parser.counts.bad_framing) == (1, 1)
-
-
-FLIPPED, CUT_OFF, GARBAGE = "flipped", "cut off", "garbage"
-noise = st.one_of(st.binary(min_size=1, max_size=40), st.integers(1, 40).map(lambda length: b"\xff" * length))
-mishaps = st.one_of(
-    st.tuples(st.just(FLIPPED), st.sampled_from(VISIBLE_BITS)),
-    st.tuples(st.just(CUT_OFF), st.integers(1, SIZE - 2)),
-    st.tuples(st.just(GARBAGE), noise),
-)
-
-
-@MANY
-@given(line=st.lists(mishaps, max_size=8), cuts=st.lists(st.integers(0, 3000), max_size=20))
-def test_every_intact_frame_comes_out_once_in_order(
-    line: list[tuple[str, int | bytes]], cuts: list[int]
-) -> None:
-    data, intact = packets([0, 1]), [0, 1]
-    for number, (what, detail) in enumerate(line, 1):
-        if isinstance(detail, bytes):
-            data += detail
-        else:
-            whole = packet(2 * number)
-            data += flip(whole, detail) if what == FLIPPED else whole[:detail]
-        data += packet(2 * number + 1)
-        intact.append(2 * number + 1)
-    parser = FabricGrid()
-    assert_are(fed(parser, data, [cut for cut in cuts if cut < len(data)]), intact)
-    assert parser.counts.bad >= len(line)
-
-
-soup = st.lists(
-    st.one_of(
-        noise,
-        st.binary(max_size=3 * SIZE),
-        st.integers(0, 60).map(packet),
-        st.builds(lambda number, kept: packet(number)[:kept], st.integers(0, 60), st.integers(0, SIZE)),
-        st.builds(
-            lambda number, bit: flip(packet(number), bit), st.integers(0, 60), st.integers(0, SIZE * 8 - 1)
-        ),
-        st.integers(0, 2**32 - 1).map(lambda ms: encode_fabric_grid(counts_of(0), ms)),
-        st.integers(2**32 - 40, 2**32 - 1).map(lambda ms: encode_fabric_grid(np.full((8, 8), 1023), ms)),
-    ),
-    max_size=15,
-).map(b"".join)
-
-
-@MANY
-@given(data=soup, cuts=st.lists(st.integers(0, 3000), max_size=30))
-def test_chunking_of_bytes_changes_nothing_and_memory_stays_bounded(data: bytes, cuts: list[int]) -> None:
-    whole, cut = FabricGrid(), FabricGrid()
-    at_once = contents(whole.feed(data, 0.0))
-    piecewise = []
-    for start, stop in pairwise([0, *sorted(cuts), len(data)]):
-        piecewise += cut.feed(data[start:stop], 0.0)
-        assert cut.pending_bytes < 2 * SIZE
-    assert contents(piecewise) == at_once
-    assert cut.counts == whole.counts
-
-
-def test_a_flood_of_headers_is_not_kept() -> None:
-    parser = FabricGrid()
-    for _ in range(4):
-        parser.feed(b"\xff" * 65536, 0.0)
-        assert parser.pending_bytes < 2 * SIZE
-    assert_are(parser.feed(packets([0, 1]), 0.0), [0, 1])
 
 
 def test_only_an_undetectable_flip_passes() -> None:

@@ -12,7 +12,7 @@ from rigs.haart_folder import needs_haart
 from daemon.playback.stream import DEMO_RECORDING as DEMO
 from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
-from drivers.recording import Recording, RecordingError, Selection, read_recordings, splice
+from drivers.recording import Recording, Selection, read_recordings, splice
 from model.classifier import Classifier
 
 TOUCHES = sorted(set(GESTURES) - {"notouch"})
@@ -47,7 +47,6 @@ def pace_hz(touch: Recording) -> float:
 def test_a_seed_always_gives_the_same_counts() -> None:
     script = [("rub", 1.0), ("tickle", 1.0)]
     first, again, other = (splice(simulate(script, seed)).counts for seed in (3, 3, 4))
-
     np.testing.assert_array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -56,7 +55,6 @@ def test_a_seed_always_gives_the_same_counts() -> None:
 def test_every_gesture_gives_whole_frames_of_counts(gesture: str) -> None:
     for seed in range(5):
         (recording,) = simulate([(gesture, 2.0)], seed)
-
         assert recording.counts.dtype == np.uint16
         assert recording.counts.shape == (108, 8, 8)
         assert recording.counts.max() <= MAX_COUNT
@@ -65,13 +63,11 @@ def test_every_gesture_gives_whole_frames_of_counts(gesture: str) -> None:
 
 def test_a_pad_pressed_beyond_its_range_saturates() -> None:
     counts = read_pad(np.full((3, 8, 8), 9000.0), np.random.RandomState(1))
-
     assert (counts == MAX_COUNT).all()
 
 
 def test_the_clock_runs_on_from_one_gesture_to_the_next() -> None:
     first, second = simulate([("pat", 1.0), ("notouch", 1.0)], seed=1)
-
     assert 18 <= second.sensor_ms[0] - first.sensor_ms[-1] <= 19
 
 
@@ -79,7 +75,6 @@ def test_the_clock_runs_on_from_one_gesture_to_the_next() -> None:
 def test_a_touch_begins_and_ends_at_rest(gesture: str) -> None:
     before, touch, _ = simulate([("notouch", 2.0), (gesture, 2.0), ("notouch", 1.0)], seed=2)
     rise = touch.counts - before.counts.mean(axis=0)
-
     assert abs(rise[[0, -1]].mean()) < 0.5
     assert rise.mean() > 0.5
 
@@ -88,7 +83,6 @@ def test_a_pat_lifts_off_between_taps() -> None:
     rest, touch = simulate([("notouch", 2.0), ("pat", 4.0)], seed=1)
     rise = touch.counts.mean(axis=(1, 2)) - rest.counts.mean()
     down = rise > 1.0
-
     assert 10 <= np.count_nonzero(down[1:] & ~down[:-1]) <= 18
     assert np.count_nonzero(rise < 0.5) > len(rise) / 3
 
@@ -98,7 +92,6 @@ def test_a_simulated_pad_at_rest_is_like_a_real_one() -> None:
     for seed in range(10):
         (recording,) = simulate([("notouch", 4.0)], seed)
         counts = recording.counts.astype(np.float64)
-
         assert 0.7 < counts.mean() < 7.2
         assert 0.5 < np.median(counts.std(axis=0)) < 0.9
         assert counts.mean(axis=0).std() > 0.5
@@ -107,7 +100,6 @@ def test_a_simulated_pad_at_rest_is_like_a_real_one() -> None:
 
 def test_the_demo_has_each_touch_once_within_45_seconds(demo: list[Recording]) -> None:
     gestures = [recording.gesture for recording in demo]
-
     assert sorted(gestures[1::2]) == TOUCHES
     assert set(gestures[::2]) == {"notouch"}
     assert len(demo[0].counts) >= 2.0 * FRAME_RATE_HZ
@@ -116,7 +108,6 @@ def test_the_demo_has_each_touch_once_within_45_seconds(demo: list[Recording]) -
 
 def test_the_demo_recording_is_reproducible_from_its_seed(demo: list[Recording]) -> None:
     made = simulate(DEMO_SCRIPT, DEMO_SEED)
-
     assert [recording.gesture for recording in made] == [recording.gesture for recording in demo]
     for fresh, shipped in zip(made, demo, strict=True):
         assert fresh.counts.tobytes() == shipped.counts.tobytes()
@@ -125,7 +116,6 @@ def test_the_demo_recording_is_reproducible_from_its_seed(demo: list[Recording])
 
 def test_the_demo_recording_is_small_and_says_simulated(tmp_path: Path) -> None:
     assert DEMO.stat().st_size < MAX_DEMO_BYTES
-
     plain = tmp_path / "demo.csv"
     write_simulated(plain, [("notouch", 0.1)], seed=5)
     head = [line for line in plain.read_text().splitlines() if line.startswith("#")]
@@ -134,28 +124,16 @@ def test_the_demo_recording_is_small_and_says_simulated(tmp_path: Path) -> None:
     assert "# licence: Apache-2.0" in head
 
 
-def test_a_recording_is_never_written_over_another(tmp_path: Path) -> None:
-    path = tmp_path / "mine.csv"
-    path.write_text("keep me")
-
-    with pytest.raises(RecordingError):
-        write_simulated(path, [("notouch", 0.1)], seed=5)
-    assert path.read_text() == "keep me"
-
-
 def test_the_shipped_model_names_every_touch_of_the_demo(
     classifier: Classifier, demo: list[Recording]
 ) -> None:
     touches = demo[1::2]
-
     named = [answer(classifier, touch, FINAL_FRAMES) for touch in touches]
-
     assert named == [touch.gesture for touch in touches]
 
 
 def test_the_shipped_model_finds_no_touch_in_the_rests(classifier: Classifier, demo: list[Recording]) -> None:
     rests = demo[::2]
-
     assert [answer(classifier, rest, FINAL_FRAMES) for rest in rests] == ["notouch"] * len(rests)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from rigs.programs import ran
 from rigs.robots import DETAIL, GESTURE, STATUS, Robot, both_kinds, every_robot, linked, message, needs_qi
 
 from drivers.fakes import fake_robot
@@ -256,7 +257,7 @@ def test_the_fake_robot_says_its_port_is_taken() -> None:
     with LoopbackRobot() as robot:
         port = robot.url.rsplit(":", 1)[1]
         command = [sys.executable, "-m", "drivers.fakes.fake_robot", f"--port={port}"]
-        second = subprocess.run(command, capture_output=True, text=True, check=False, timeout=20)
+        second = ran(command, timeout=20)
     assert second.returncode == 2
     assert second.stderr.count("\n") == 1
     assert f"port {port}" in second.stderr

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import socket
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from rigs.programs import ran
 from rigs.robots import (
     IMPATIENT,
     LOGIN,
@@ -104,11 +104,8 @@ def _exits_cleanly(state: str) -> str:
     """Run a program that ends while the link is in a state; returns what is not clean about it."""
     script = Path(__file__).parents[1] / "rigs" / "robot_exit.py"
     environment = os.environ | {"ROBOT_TOKEN": LOGIN.token}
-    done = subprocess.run(
+    done = ran(
         [sys.executable, str(script), state],
-        capture_output=True,
-        text=True,
-        check=False,
         timeout=25,
         env=environment | {"PYTHONPATH": str(script.parents[1])},
     )

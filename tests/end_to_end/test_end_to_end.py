@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.expectations import RECORDINGS, answers, expected, stream_of
+from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
@@ -35,7 +35,6 @@ SPEED = 20.0
 SPEED_AT_REST = 50.0
 PLAY_S = 25.0
 BEGINNING = 650
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 
 
 def beginning(stream: Stream) -> Stream:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import ast
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from rigs.programs import ran
 
 ROOT = Path(__file__).parents[2]
 MODEL_STANDS_ON = {
@@ -82,9 +82,7 @@ print(*sys.modules)
 @pytest.fixture(scope="module")
 def loaded() -> set[str]:
     """The modules in the process of a daemon that is ready to run."""
-    done = subprocess.run(
-        [sys.executable, "-c", WHAT_IS_LOADED], capture_output=True, text=True, check=True, timeout=30
-    )
+    done = ran([sys.executable, "-c", WHAT_IS_LOADED], check=True, timeout=30)
     return set(done.stdout.split())
 
 
@@ -120,11 +118,5 @@ def test_the_map_of_the_tree_names_what_is_there() -> None:
 
 
 def test_the_command_line_starts_without_loading_anything_heavy() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", "import sys, daemon.cli; print(*sys.modules)"],
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=30,
-    )
+    done = ran([sys.executable, "-c", "import sys, daemon.cli; print(*sys.modules)"], check=True, timeout=30)
     assert not set(done.stdout.split()) & {"numpy", "onnxruntime", "msgspec", "yaml", "rich", "torch"}

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 import setuptools
 from packaging.requirements import Requirement
+from rigs.programs import ran
 
 from daemon.config import Settings, load
 
@@ -40,12 +41,7 @@ def make(tmp_path: Path) -> Make:
     """Runs make with tmp_path as DESTDIR; returns what it prints."""
 
     def make(*arguments: str, source: Path = ROOT) -> str:
-        done = subprocess.run(
-            ["make", "-C", str(source), "--no-print-directory", *arguments, f"DESTDIR={tmp_path}"],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = ran(["make", "-C", str(source), "--no-print-directory", *arguments, f"DESTDIR={tmp_path}"])
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
@@ -120,12 +116,7 @@ def test_installing_deletes_no_folder_that_is_not_its_own(tmp_path: Path) -> Non
     thesis = tmp_path / "opt/touchd/thesis.tex"
     thesis.parent.mkdir(parents=True)
     thesis.write_text("")
-    done = subprocess.run(
-        ["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"])
     assert done.returncode != 0
     assert "is there and is not an installed touchd" in done.stdout
     assert thesis.exists()
@@ -150,12 +141,7 @@ def test_systemd_gives_the_configuration_to_the_service_and_nobody_else(make: Ma
         ("group", "root:x:0:\ntouchd:x:976:"),
     ):
         (tmp_path / "etc" / table).write_text(f"{line}\n")
-    done = subprocess.run(
-        ["systemd-tmpfiles", "--create", f"--root={tmp_path}", "touchd.conf"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(["systemd-tmpfiles", "--create", f"--root={tmp_path}", "touchd.conf"])
     assert done.returncode == 0, done.stderr
     folder, file = (tmp_path / CONFIGURATION).parent.stat(), (tmp_path / CONFIGURATION).stat()
     assert (stat.S_IMODE(folder.st_mode), folder.st_gid) == (0o750, 976)
@@ -195,7 +181,7 @@ def test_there_are_wheels_for_every_python_and_processor(version: str, machine: 
     extras = [f"--extra={extra}" for extra in INSTALLED_EXTRAS]
     command = [sys.executable, "-m", "uv", "pip", "compile", "--only-binary=:all:", "pyproject.toml", *extras]
     platform = [f"--python-version={version}", f"--python-platform={machine}-unknown-linux-gnu"]
-    done = subprocess.run([*command, *platform], capture_output=True, text=True, check=False, cwd=ROOT)
+    done = ran([*command, *platform], cwd=ROOT)
     assert done.returncode == 0, done.stderr
     # Where there is no qi, the robot is the stand-in.
     assert ("\nqi==" in done.stdout) == (machine == "x86_64" and version != "3.13")
@@ -212,11 +198,9 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path) 
         [sys.executable, "-m", "venv", str(tmp_path / "venv")],
         [str(python), "-m", "pip", "install", "--quiet", "--find-links", str(tmp_path), "touchd[nao,live]"],
     ):
-        done = subprocess.run(command, capture_output=True, text=True, check=False, cwd="/")
+        done = ran(command, cwd="/")
         assert done.returncode == 0, done.stderr
-    done = subprocess.run(
-        [python.with_name("touchd"), "classify"], capture_output=True, text=True, check=True, cwd="/"
-    )
+    done = ran([python.with_name("touchd"), "classify"], check=True, cwd="/")
     assert '"type":"prediction"' in done.stdout
     loaded = subprocess.run([python, "-c", "import websockets, daemon.live.server"], check=False, cwd="/")
     assert loaded.returncode == 0
@@ -234,13 +218,7 @@ def test_the_installed_program_runs(make: Make, tmp_path: Path) -> None:
     make("install", "PYTHON=/usr/bin/python3", source=source)
     program = tmp_path / "opt/touchd/bin/touchd"
     assert program.read_text().startswith("#!/opt/touchd/bin/python")
-    done = subprocess.run(
-        [program.with_name("python"), "-m", "daemon", "demo"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd="/",
-    )
+    done = ran([program.with_name("python"), "-m", "daemon", "demo"], cwd="/")
     assert done.returncode == 0, done.stderr
     make("uninstall")
     assert files_in(tmp_path / "opt") == set()

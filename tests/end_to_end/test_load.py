@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from rigs.expectations import RECORDINGS, expected, stream_of
+from rigs.expectations import LENGTHS, expected, stream_of
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan
@@ -25,7 +25,6 @@ from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import read_recordings, splice
 
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 
 Play = Callable[[float], tuple[list[Event], int, int]]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rigs.expectations import RECORDINGS, stream_of
+from rigs.expectations import LENGTHS, stream_of
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 
 from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoader
@@ -33,7 +33,6 @@ SOURCES = sorted(
     for floor in ("daemon", "drivers", "model", "docs/studies/training")
     for path in (ROOT / floor).rglob("*.py")
 )
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 # Modules that run what they read.
 RUNS_WHAT_IT_READS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 

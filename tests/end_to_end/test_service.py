@@ -7,13 +7,13 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rigs.expectations import RECORDINGS, expected, stream_of
+from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.programs import ran
 
 from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.events import SensorEvent, decode
@@ -26,7 +26,6 @@ from drivers.recording import splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 UNITS = Path(__file__).parents[2] / "systemd"
 
 
@@ -142,19 +141,14 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
         program.parent.mkdir(parents=True)
         program.write_text("#!/bin/sh\n")
         program.chmod(0o755)
-    done = subprocess.run(
-        ["systemd-analyze", "verify", f"--root={root}", "touchd.service"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(["systemd-analyze", "verify", f"--root={root}", "touchd.service"])
     assert done.returncode == 0, done.stderr
     assert "touchd" not in done.stderr
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
 def test_the_unit_is_exposed_as_little_as_possible() -> None:
-    done = subprocess.run(
+    done = ran(
         [
             "systemd-analyze",
             "security",
@@ -162,22 +156,14 @@ def test_the_unit_is_exposed_as_little_as_possible() -> None:
             "--no-pager",
             "--threshold=20",
             str(UNITS / "touchd.service"),
-        ],
-        capture_output=True,
-        text=True,
-        check=False,
+        ]
     )
     assert done.returncode == 0, done.stdout[-400:]
 
 
 @pytest.mark.skipif(shutil.which("systemd-sysusers") is None, reason="systemd-sysusers is not installed")
 def test_systemd_accepts_the_user() -> None:
-    done = subprocess.run(
-        ["systemd-sysusers", "--dry-run", str(UNITS / "touchd.sysusers.conf")],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran(["systemd-sysusers", "--dry-run", str(UNITS / "touchd.sysusers.conf")])
     assert done.returncode == 0, done.stderr
 
 

@@ -37,20 +37,14 @@ def _with_gaps(touches: Script) -> Script:
     return script
 
 
+GESTURES, LENGTHS = FOLDER / "gestures.csv.gz", FOLDER / "lengths.csv.gz"
 # Touches that end in each stage, and one in which a lying hand begins to pat.
-LENGTHS = [
-    *_with_gaps([("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]),
-    ("constant", 3.6),
-    ("pat", 4.0),
-    ("notouch", GAP_S),
-]
-GESTURES = _with_gaps(
-    [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
-)
+TOUCH_LENGTHS = [("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]
+TOUCH_GESTURES = [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
 RECORDINGS: dict[Path, tuple[Script, int]] = {
     DEMO: (DEMO_SCRIPT, DEMO_SEED),
-    FOLDER / "gestures.csv.gz": (GESTURES, 11),
-    FOLDER / "lengths.csv.gz": (LENGTHS, 12),
+    GESTURES: (_with_gaps(TOUCH_GESTURES), 11),
+    LENGTHS: ([*_with_gaps(TOUCH_LENGTHS), ("constant", 3.6), ("pat", 4.0), ("notouch", GAP_S)], 12),
 }
 
 

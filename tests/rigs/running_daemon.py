@@ -9,7 +9,7 @@ from typing import Any
 
 import msgspec
 import yaml
-from rigs.expectations import RECORDINGS, stream_of
+from rigs.expectations import LENGTHS, stream_of
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event
@@ -17,7 +17,6 @@ from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 
-LENGTHS = next(path for path in RECORDINGS if path.name == "lengths.csv.gz")
 SPEED = 16.0
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from rigs.programs import ran
 
 needs_small_disk = pytest.mark.skipif(
     subprocess.run(
@@ -21,11 +22,8 @@ needs_small_disk = pytest.mark.skipif(
 def log_on_small_disk(folder: Path, kilobytes: int, program: str) -> list[str]:
     """Run Python code with such a disk mounted at `folder`, its first argument; return what it logged."""
     mounted = f'mount -t tmpfs -o size={kilobytes}k none "$0" && exec "$@"'
-    done = subprocess.run(
+    done = ran(
         ["unshare", "--mount", "sh", "-c", mounted, str(folder), sys.executable, "-c", program, str(folder)],
-        capture_output=True,
-        text=True,
-        check=False,
         timeout=25,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
     )

@@ -15,7 +15,6 @@ from drivers.pad.parser import FrameParser
 PERIOD_MS = 19
 # A busy machine is no failure: examples have no deadline of their own, the test's timeout stands.
 UNHURRIED = settings(deadline=None)
-MANY = settings(deadline=None, max_examples=200)
 SIZE = 4 + 4 + 2 * 100 + 1
 TIME_BITS = range(32, 64)
 # Bits 8 and 9 of a value do not enter the checksum and leave it below 1024: no reader can see them flip.
@@ -53,7 +52,3 @@ def assert_are(frames: Sequence[Frame], numbers: Sequence[int], first_ms: int = 
     ]
     for frame, number in zip(frames, numbers, strict=True):
         np.testing.assert_array_equal(frame.pressure, counts_of(number))
-
-
-def contents(frames: Sequence[Frame]) -> list[tuple[int, int, bytes]]:
-    return [(frame.number, frame.sensor_ms, frame.pressure.tobytes()) for frame in frames]

@@ -1,0 +1,13 @@
+"""Other programs, run to their end."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+
+def ran(command: Sequence[str | Path], **options: Any) -> subprocess.CompletedProcess[str]:
+    """What became of a program: exit status, output and errors as text."""
+    return subprocess.run(command, capture_output=True, text=True, **({"check": False} | options))
