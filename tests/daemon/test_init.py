@@ -106,8 +106,7 @@ def test_the_end_of_input_means_no_robot(tmp_path: Path) -> None:
         Terminal("init", str(path), "--port", port.path, "--baud", "115200") as terminal,
     ):
         terminal.until("(Enter: no robot): ")
-        terminal.answer("\x04")
-        terminal.until(" doctor -c")
+        terminal.answer("\x04", " doctor -c")
     assert load(path).robot is None
 
 

@@ -70,11 +70,8 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, port: FakeP
     options = ("--gestures", "pat,notouch,rub", "--licence", "CC-BY-4.0")
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
         terminal.until("Who touches the pad?")
-        terminal.answer("an na")
-        terminal.until("a name has letters")
-        terminal.until("Who touches the pad?")
-        terminal.answer("anna")
-        terminal.until("What is over the pad? [none] ")
+        terminal.answer("an na", "a name has letters", "Who touches the pad?")
+        terminal.answer("anna", "What is over the pad? [none] ")
         terminal.answer("")
         order = [take.gesture for take in Session(tmp_path, "anna", "foam", "none", GESTURES, 1, 0).takes()]
         for gesture in order:
@@ -108,8 +105,7 @@ def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
     """Do it again, and again where a busy machine let the hand come too late."""
     question = ""
     while "keep it" not in question:
-        terminal.answer("")
-        terminal.until("Enter to begin")
+        terminal.answer("", "Enter to begin")
         terminal.answer("")
         shown = terminal.until("pat now")
         # The pad, and a beep for who looks at it.
@@ -129,8 +125,7 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, port: FakePort) -> None
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
         assert "1 of 2" not in terminal.until("2 of 2: notouch")
         terminal.until("Enter to begin")
-        terminal.answer("")
-        terminal.until("notouch now")
+        terminal.answer("", "notouch now")
         terminal.process.kill()
         terminal.process.wait()
     assert list(tmp_path.iterdir()) == [kept]
@@ -140,8 +135,7 @@ def test_who_has_had_enough_is_told_how_to_go_on(tmp_path: Path, port: FakePort)
     options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch")
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
         terminal.until("Enter to begin")
-        terminal.answer("q")
-        terminal.until("the same command goes on from here")
+        terminal.answer("q", "the same command goes on from here")
         assert terminal.process.wait(10) == 0
 
 

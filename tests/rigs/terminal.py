@@ -44,8 +44,11 @@ class Terminal:
         self.shown += before + text
         return before
 
-    def answer(self, line: str) -> None:
+    def answer(self, line: str, *then: str) -> None:
+        """Type a line, and wait until each of these texts is shown."""
         os.write(self._master, f"{line}\n".encode())
+        for text in then:
+            self.until(text)
 
     def _read(self) -> bytes:
         try:

@@ -26,7 +26,10 @@ from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import GroupKFold, LeaveOneGroupOut, cross_val_score
 
 from docs.studies.marked import table
-from docs.studies.report import challenge_balli, challenge_gaus, challenge_hughes, challenge_ta
+from docs.studies.report import challenge_balli as balli
+from docs.studies.report import challenge_gaus as gaus
+from docs.studies.report import challenge_hughes
+from docs.studies.report import challenge_ta as ta
 from docs.studies.report.challenge_balli import SEARCH_TREES
 from docs.studies.report.challenge_hughes import AUTOENCODER_RNN, CNN, CRNN
 from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, describe, trained_cells, trained_networks
@@ -238,50 +241,21 @@ FOREST = "Random forest"
 
 SYSTEMS: tuple[System, ...] = (
     Searched(
-        "balli-forest",
-        BALLI,
-        FOREST,
-        61.5,
-        features=challenge_balli.features,
-        build=challenge_balli.forest,
-        names=challenge_balli.NAMES,
+        "balli-forest", BALLI, FOREST, 61.5, features=balli.features, build=balli.forest, names=balli.NAMES
     ),
+    HandMade("ta-forest", TA, FOREST, 70.9, features=ta.features, build=ta.forest, options=ta.FORESTS),
+    HandMade("ta-svm", TA, "SVM", 68.5, (0,), features=ta.features, build=ta.machine, options=ta.MACHINES),
     HandMade(
-        "ta-forest",
-        TA,
-        FOREST,
-        70.9,
-        features=challenge_ta.features,
-        build=challenge_ta.forest,
-        options=challenge_ta.FORESTS,
-    ),
-    HandMade(
-        "ta-svm",
-        TA,
-        "SVM",
-        68.5,
-        seeds=(0,),
-        features=challenge_ta.features,
-        build=challenge_ta.machine,
-        options=challenge_ta.MACHINES,
-    ),
-    HandMade(
-        "gaus-forest",
-        GAUS,
-        FOREST,
-        66.5,
-        features=challenge_gaus.features,
-        build=challenge_gaus.forest,
-        options=challenge_gaus.FORESTS,
+        "gaus-forest", GAUS, FOREST, 66.5, features=gaus.features, build=gaus.forest, options=gaus.FORESTS
     ),
     HandMade(
         "gaus-boosting",
         GAUS,
         "Multiboosting",
         64.5,
-        features=challenge_gaus.features,
-        build=challenge_gaus.boosting,
-        options=challenge_gaus.BOOSTS,
+        features=gaus.features,
+        build=gaus.boosting,
+        options=gaus.BOOSTS,
     ),
     DeepSystem("hughes-cnn", HUGHES, CNN, 56.1),
     DeepSystem("hughes-crnn", HUGHES, CRNN, 61.4),
