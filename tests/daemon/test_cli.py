@@ -73,8 +73,9 @@ def test_no_command_shows_the_help_and_is_a_mistake(capsys: pytest.CaptureFixtur
     assert "touchd run" in capsys.readouterr().out
 
 
-def test_an_unknown_command_is_named(refusal: Refusal) -> None:
+def test_an_unknown_command_is_named_and_a_mistyped_one_corrected(refusal: Refusal) -> None:
     assert "xyz is no command; there are init, run," in refusal("xyz")
+    assert "clasify is no command; did you mean classify?" in refusal("clasify")
 
 
 @pytest.mark.parametrize("name", cli.MOVED)

@@ -100,11 +100,6 @@ def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, s
     assert len(done.stderr.splitlines()) == bool(said)
 
 
-def test_a_mistyped_command_gets_a_proposal(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["clasify"]) == 2
-    assert "clasify is no command; did you mean classify?" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     "words", ["replay --speed abc", "doctor --seconds x", "record here --rounds 0", "plot --touches many"]
 )
