@@ -17,6 +17,7 @@ import pytest
 from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
 from rigs.made_events import PREDICTION
 from rigs.peers import broker, free_port, needs_mosquitto, subscribed, wait_for
+from rigs.running_daemon import run_daemon
 
 from daemon import cli
 from daemon.bridges.settings import MqttSettings
@@ -60,18 +61,6 @@ def played(path: Path, speed: float | None = 8.0, loop: bool = False) -> FakePor
     return FakePort(stream_of(path), encoder_for(SensorSettings()), speed=speed, loop=loop)
 
 
-def run_daemon(settings: Settings, folder: Path, *until: FakePort) -> list[Event]:
-    """Run the daemon until these ports have been played; return its events."""
-    with (folder / "log").open("wb") as log:
-        daemon = SpawnedDaemon(settings, folder, log)
-        try:
-            assert all(port.wait(25) for port in until)
-            daemon.process.terminate()
-            return list(daemon.events())
-        finally:
-            assert daemon.stop() == 0
-
-
 def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> None:
     journal = tmp_path / "events.jsonl"
     with played(LENGTHS) as head, played(GESTURES) as arm:
@@ -82,7 +71,7 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
             },
             journal=JournalSettings(path=str(journal), keep_touches=20),
         )
-        events = run_daemon(settings, tmp_path, head, arm)
+        events, _ = run_daemon(settings, tmp_path, head, arm)
     assert outline(on("head", events)) == expected(LENGTHS)
     answers = [event for event in on("left_arm", events) if isinstance(event, Prediction)]
     assert {event.told for event in answers if event.stage in ("early", "revised")} == {False}
@@ -139,7 +128,7 @@ def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> N
                 "back": PadSettings(port=str(tmp_path / "unplugged")),
             }
         )
-        events = run_daemon(settings, tmp_path, arm)
+        events, _ = run_daemon(settings, tmp_path, arm)
     assert outline(on("left_arm", events)) == expected(LENGTHS)
     for pad in ("back", "folder"):
         assert {event.state for event in on(pad, events) if isinstance(event, SensorEvent)} == {"down"}

@@ -14,6 +14,7 @@ import yaml
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
+from rigs.running_daemon import run_daemon
 from rigs.terminal import Terminal
 
 from daemon import cli
@@ -325,17 +326,8 @@ def keeping(port: FakePort, folder: Path, keep_touches: int | None = 20) -> Sett
 
 def played(stream: Stream, folder: Path) -> list[Event]:
     """What the spawned daemon says of a stream while it keeps touches in a folder."""
-    with pad_of(stream, SPEED) as port, (folder / "log").open("w+b") as log:
-        daemon = SpawnedDaemon(keeping(port, folder), folder, log)
-        try:
-            assert port.wait(25), "the daemon did not take what was played"
-        finally:
-            daemon.process.terminate()
-            events = list(daemon.events())
-            exit_code = daemon.stop()
-        log.seek(0)
-        assert exit_code == 0, log.read().decode()
-    return events
+    with pad_of(stream, SPEED) as port:
+        return run_daemon(keeping(port, folder), folder, port)[0]
 
 
 def answers_to(stream: Stream) -> list[tuple[str, str, float]]:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from rigs.made_pad import MadePad, nothing
+from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import SensorEvent
-from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ, Counts, Frame
@@ -44,17 +44,9 @@ def told(counts: Counts, caplog: pytest.LogCaptureFixture) -> list[tuple[int, st
 def test_a_dead_row_and_its_return_are_told_once(tmp_path: Path) -> None:
     counts = pad(32, ((4, 20),))
     stream = Stream(counts, ideal_clock_ms(len(counts)), ())
-    with (
-        FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port,
-        (tmp_path / "log").open("w+") as log,
-    ):
-        daemon = SpawnedDaemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, log.buffer)
-        assert port.wait(20)
-        daemon.process.terminate()
-        events = list(daemon.events())
-        assert daemon.stop() == 0
-        log.seek(0)
-        lines = [line for line in log.read().splitlines() if "pad.watch" in line]
+    with FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port:
+        events, said = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
+    lines = [line for line in said.splitlines() if "pad.watch" in line]
     assert lines == [f"WARNING drivers.pad.watch: {BROKEN}", f"INFO drivers.pad.watch: no longer: {BROKEN}"]
     assert {type(event) for event in events} <= {SensorEvent}
 

@@ -11,11 +11,12 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
+from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from daemon.pipeline import Pipeline
-from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.rig import outline
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for, parser_for
 from docs.studies.sessions.plan import SessionSettings, sessions
@@ -63,21 +64,9 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
         speed: float = SPEED,
     ) -> list[Event]:
         sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
-        with (
-            FakePort(stream, encoder_for(sensor), speed=speed, faults=faults or Faults()) as port,
-            (tmp_path / "log").open("w+b") as log,
-        ):
+        with FakePort(stream, encoder_for(sensor), speed=speed, faults=faults or Faults()) as port:
             sensor = msgspec.structs.replace(sensor, port=port.path)
-            daemon = SpawnedDaemon(Settings(sensor=sensor, robot=robot), tmp_path, log)
-            try:
-                assert port.wait(PLAY_S), "the daemon did not take what was played"
-            finally:
-                daemon.process.terminate()
-                events = list(daemon.events())
-                exit_code = daemon.stop()
-            log.seek(0)
-            assert exit_code == 0, log.read().decode()
-        return events
+            return run_daemon(Settings(sensor=sensor, robot=robot), tmp_path, port, within_s=PLAY_S)[0]
 
     return run
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan
@@ -47,17 +48,10 @@ def play(tmp_path: Path) -> Play:
     """Plays a recording to the daemon so many times faster; returns events, frames processed and dropped."""
 
     def play(speed: float) -> tuple[list[Event], int, int]:
-        with (
-            FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=speed) as port,
-            (tmp_path / "log").open("w+") as log,
-        ):
-            daemon = SpawnedDaemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, log.buffer)
-            assert port.wait(90)
-            daemon.process.terminate()
-            events = list(daemon.events())
-            assert daemon.stop() == 0
-            log.seek(0)
-            said = IN_ALL.search(log.read())
+        with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=speed) as port:
+            settings = Settings(sensor=SensorSettings(port=port.path))
+            events, log = run_daemon(settings, tmp_path, port, within_s=90)
+        said = IN_ALL.search(log)
         assert said is not None
         return events, int(said[1]), int(said[3])
 

@@ -69,3 +69,21 @@ class Daemon:
         self._daemon.stop()
         self.port.stop()
         self._log.close()
+
+
+def run_daemon(
+    settings: Settings, folder: Path, *until: FakePort, within_s: float = 25
+) -> tuple[list[Event], str]:
+    """Run the daemon until these ports have been played; return its events and its log."""
+    with (folder / "log").open("w+b") as log:
+        daemon = SpawnedDaemon(settings, folder, log)
+        try:
+            assert all(port.wait(within_s) for port in until), "the daemon did not take what was played"
+        finally:
+            daemon.process.terminate()
+            events = list(daemon.events())
+            exit_code = daemon.stop()
+        log.seek(0)
+        said = log.read().decode()
+    assert exit_code == 0, said
+    return events, said
