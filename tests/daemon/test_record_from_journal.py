@@ -312,7 +312,8 @@ def test_deleted_and_damaged_touches_are_passed_over(
     assert "2 of 2: touch 1" in lines
     monkeypatch.setattr("daemon.commands.label.kept_touches", lambda _: [first, second])
     first.path.unlink()
-    assert "No such file or directory" in " ".join(listed(lab, monkeypatch, capsys))
+    lines = " ".join(" ".join(listed(lab, monkeypatch, capsys)).split())
+    assert "No such file or directory" in lines
 
 
 def pad_of(stream: Stream, speed: float) -> FakePort:
