@@ -24,7 +24,7 @@ EARLIEST_FRAMES = 9
 
 # A gesture has changed when, in the logarithms of odds between the one told and another, the frames answered
 # about and those since differ by this much. A probability is taken for no less than the second.
-CHANGED_LOG_ODDS = 5.5
+CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
 
