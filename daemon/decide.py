@@ -22,8 +22,8 @@ FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 # Frames after which a touch may be answered early, about a sixth of a second.
 EARLIEST_FRAMES = 9
 
-# A gesture has changed when, in the logarithms of odds between the one told and another, the frames answered
-# about and those since differ by this much. A probability is taken for no less than the second.
+# A gesture has changed when the logarithm of the odds between the one told and another has turned by this
+# much since the last answer. Smaller probabilities than the second count as that.
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 

@@ -54,11 +54,11 @@ NO_TOUCH_STILL = 0.3
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
 
-# Pressure does not go below rest: light contact on a pad that just read less, by half a count a taxel, is a
-# vibration that begins. After two seconds its noise is known. Mains hum shows at 54 frames a second as 4 Hz.
-SUNK_COUNTS = 32.0
-SUNK_FRAMES = 14
-NEW_FRAMES = 108
+# Pressure never swings below rest. Where a pad just did, by half a count a taxel, light contact is a
+# vibration that begins; two seconds later its noise is known. Mains hum appears as 4 Hz.
+SWING_COUNTS = 32.0
+SWING_FRAMES = 14
+NEW_VIBRATION_FRAMES = 108
 CALM_AGAIN_FRAMES = 540
 
 # The end is looked for nine times a second.
@@ -173,8 +173,8 @@ class TouchTracker:
         self._index = -1
         self._sensor_ms = 0.0
         self._sunken_frames = 0
-        self._sunk_frames = 0
-        self._sunk_since = self._sunk_last = -CALM_AGAIN_FRAMES
+        self._swing_frames = 0
+        self._vibrates_since = self._last_swing = -CALM_AGAIN_FRAMES
         self._unsteady_index = 0
         self._restless = 0.0
         self._watched_frames = 0
@@ -284,19 +284,19 @@ class TouchTracker:
 
     def _note_vibration(self, rise: float) -> None:
         """Note when the pad, all taxels together, first went below rest and came back, and when last."""
-        if rise <= -SUNK_COUNTS:
-            self._sunk_frames += 1
+        if rise <= -SWING_COUNTS:
+            self._swing_frames += 1
             return
-        if 0 < self._sunk_frames <= SUNK_FRAMES:
-            if self._index - self._sunk_last > CALM_AGAIN_FRAMES:
-                self._sunk_since = self._index
-            self._sunk_last = self._index
-        self._sunk_frames = 0
+        if 0 < self._swing_frames <= SWING_FRAMES:
+            if self._index - self._last_swing > CALM_AGAIN_FRAMES:
+                self._vibrates_since = self._index
+            self._last_swing = self._index
+        self._swing_frames = 0
 
     @property
     def _begins_to_vibrate(self) -> bool:
-        is_recent = self._index - self._sunk_last <= SUNK_FRAMES
-        return is_recent and self._index - self._sunk_since <= NEW_FRAMES
+        is_recent = self._index - self._last_swing <= SWING_FRAMES
+        return is_recent and self._index - self._vibrates_since <= NEW_VIBRATION_FRAMES
 
     @property
     def _is_time_to_look(self) -> bool:
