@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,8 +23,8 @@ def probabilities(**given: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Step:
-    """One answer asked for, and what must come of it."""
+class Expected:
+    """A stage with its probabilities, and the answer that must follow."""
 
     stage: Stage
     given: dict[str, float]
@@ -33,32 +34,19 @@ class Step:
     reported_stage: Stage | None = None
 
 
-def early(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
-    return Step("early", given, gesture, changed, told)
+early = partial(Expected, "early")
+revised = partial(Expected, "revised")
+final = partial(Expected, "final")
+ongoing = partial(Expected, "ongoing")
+released = partial(Expected, "released")
 
 
-def revised(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
-    return Step("revised", given, gesture, changed, told)
-
-
-def final(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
-    return Step("final", given, gesture, changed, told)
-
-
-def ongoing(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
-    return Step("ongoing", given, gesture, changed, told)
-
-
-def released(given: dict[str, float], gesture: str, changed: bool, told: bool) -> Step:
-    return Step("released", given, gesture, changed, told)
-
-
-def uncertain(asked: Stage, given: dict[str, float], told: bool) -> Step:
-    return Step(asked, given, "uncertain", True, told, "uncertain")
+def uncertain(asked: Stage, given: dict[str, float], told: bool) -> Expected:
+    return Expected(asked, given, "uncertain", True, told, "uncertain")
 
 
 SURE_STROKE = {"stroke": 0.8}
-SEQUENCES: dict[str, list[Step]] = {
+SEQUENCES: dict[str, list[Expected]] = {
     "a sure answer is told early, once": [
         early(SURE_STROKE, "stroke", True, True),
         revised(SURE_STROKE, "stroke", False, False),
@@ -146,7 +134,7 @@ SEQUENCES: dict[str, list[Step]] = {
 
 
 @pytest.mark.parametrize("steps", SEQUENCES.values(), ids=SEQUENCES.keys())
-def test_in_every_sequence(steps: list[Step]) -> None:
+def test_in_every_sequence(steps: list[Expected]) -> None:
     decision = Decision(SETTINGS, LABELS)
     told = None
     for step in steps:

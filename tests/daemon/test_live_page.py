@@ -66,7 +66,7 @@ LISTEN = """
 
 
 @dataclass(frozen=True)
-class Played:
+class WatchedPage:
     """A page on which three touches were shown and the pad then fell silent."""
 
     chrome: Chrome
@@ -105,7 +105,7 @@ def chrome() -> Iterator[Chrome]:
 
 
 @pytest.fixture(scope="module")
-def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Played]:
+def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[WatchedPage]:
     """The page as it is when the last of three touches has ended and the pad no longer sends."""
     show_in(chrome, 1280, 800)
     with (
@@ -129,22 +129,22 @@ def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator
             for request in requests
             if request["method"] in ("Network.requestWillBeSent", "Network.webSocketCreated")
         )
-        yield Played(chrome, daemon.url, tuple(daemon.events), tuple(pictures), console, asked_for)
+        yield WatchedPage(chrome, daemon.url, tuple(daemon.events), tuple(pictures), console, asked_for)
 
 
-def test_it_shows_without_an_error_and_asks_nobody_else(played: Played) -> None:
+def test_it_shows_without_an_error_and_asks_nobody_else(played: WatchedPage) -> None:
     assert played.console == ()
     own = played.url.removeprefix("http://")
     assert f"ws://{own}/stream" in played.asked_for
     assert {re.sub(r"^\w+://([^/]*)/.*", r"\1", url) for url in played.asked_for} == {own}
 
 
-def test_the_pad_moves_with_the_recording(played: Played) -> None:
+def test_the_pad_moves_with_the_recording(played: WatchedPage) -> None:
     # How often it is painted depends on what else the machine does; a still pad paints one picture.
     assert len(set(played.pictures)) > 4
 
 
-def test_every_touch_is_listed_with_its_answers(played: Played) -> None:
+def test_every_touch_is_listed_with_its_answers(played: WatchedPage) -> None:
     ended = [event for event in played.events if isinstance(event, TouchEnded)]
     rows = played.run("return [...document.querySelectorAll('#touches b')].map(row => row.textContent)")
     assert rows == [event.gesture for event in reversed(ended)]
@@ -155,7 +155,7 @@ def test_every_touch_is_listed_with_its_answers(played: Played) -> None:
         assert re.findall(r"[a-z]{3,}", path) == changes
 
 
-def test_answers_stand_at_their_marks_and_show_changes(played: Played) -> None:
+def test_answers_stand_at_their_marks_and_show_changes(played: WatchedPage) -> None:
     last = max(event.touch for event in played.events if isinstance(event, TouchEnded))
     said = [event for event in played.events if isinstance(event, Prediction) and event.touch == last][:3]
     flags = played.run(
@@ -183,7 +183,7 @@ def test_answers_stand_at_their_marks_and_show_changes(played: Played) -> None:
     assert "↻ changed from scratch" in played.text("#remark")
 
 
-def test_the_answer_and_its_confidence_are_largest(played: Played) -> None:
+def test_the_answer_and_its_confidence_are_largest(played: WatchedPage) -> None:
     answer = [event for event in played.events if isinstance(event, Prediction)][-1]
     assert played.text("#gesture") == answer.gesture
     assert played.text("#certainty").startswith(f"{answer.confidence:.0%}".replace("%", " % sure"))
@@ -196,7 +196,7 @@ def test_the_answer_and_its_confidence_are_largest(played: Played) -> None:
     assert sizes[0] > 80
 
 
-def test_the_probabilities_are_those_of_the_answer(played: Played) -> None:
+def test_the_probabilities_are_those_of_the_answer(played: WatchedPage) -> None:
     answer = [event for event in played.events if isinstance(event, Prediction)][-1]
     rows = played.run("return [...document.querySelectorAll('#bars li')].map(row => row.innerText)")
     shown = {row.split("\n")[0]: row.replace("\u00a0", "").split("\n")[-1] for row in rows}
@@ -206,7 +206,7 @@ def test_the_probabilities_are_those_of_the_answer(played: Played) -> None:
     assert shown == said
 
 
-def test_what_no_longer_comes_is_not_shown_as_live(played: Played) -> None:
+def test_what_no_longer_comes_is_not_shown_as_live(played: WatchedPage) -> None:
     assert played.run("return document.body.hasAttribute('data-stale')")
     assert re.fullmatch(r"\d+ s old|over a minute old", played.text("#age"))
     assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
@@ -214,7 +214,7 @@ def test_what_no_longer_comes_is_not_shown_as_live(played: Played) -> None:
     assert played.text("#vital-pad dd") == "away"
 
 
-def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: Played) -> None:
+def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: WatchedPage) -> None:
     def heard() -> list[str]:
         return [text.replace("\u00a0", " ") for text, _ in played.run("return heard")]
 
@@ -225,7 +225,7 @@ def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: Played) -> N
     assert played.run("return document.getElementById('announcement').ariaLive") == "polite"
 
 
-def test_a_screen_reader_finds_its_way(played: Played) -> None:
+def test_a_screen_reader_finds_its_way(played: WatchedPage) -> None:
     tree = played.chrome.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
     found = {
         (node.get("role", {}).get("value"), node.get("name", {}).get("value"))
@@ -239,7 +239,7 @@ def test_a_screen_reader_finds_its_way(played: Played) -> None:
     assert any(str(name).startswith("Pressure on the pad") for role, name in found if role == "image")
 
 
-def test_the_keyboard_reaches_what_there_is_to_reach(played: Played) -> None:
+def test_the_keyboard_reaches_what_there_is_to_reach(played: WatchedPage) -> None:
     def press(key: str) -> str:
         ActionChains(played.chrome).send_keys(key).perform()
         return str(played.run("return document.activeElement.id || document.activeElement.className"))
@@ -293,7 +293,7 @@ READ = [
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_light_or_dark_as_wished_every_word_stands_out(played: Played, scheme: str) -> None:
+def test_light_or_dark_as_wished_every_word_stands_out(played: WatchedPage, scheme: str) -> None:
     # Colours fade into one another, unless little motion is wished for.
     prefer(played.chrome, color_scheme=scheme, reduced_motion="reduce")
     paper = played.run("return getComputedStyle(document.body).backgroundColor")
@@ -304,7 +304,7 @@ def test_light_or_dark_as_wished_every_word_stands_out(played: Played, scheme: s
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pressure_reads_without_telling_colours_apart(played: Played, scheme: str) -> None:
+def test_pressure_reads_without_telling_colours_apart(played: WatchedPage, scheme: str) -> None:
     prefer(played.chrome, color_scheme=scheme)
 
     def brightness() -> NDArray[np.float64]:
@@ -321,7 +321,7 @@ def test_pressure_reads_without_telling_colours_apart(played: Played, scheme: st
     assert steps.sum() > 180
 
 
-def test_little_motion_is_respected(played: Played) -> None:
+def test_little_motion_is_respected(played: WatchedPage) -> None:
     prefer(played.chrome, reduced_motion="reduce")
     moving = "return getComputedStyle(document.querySelector('#bars i')).transitionProperty"
     assert played.run(moving) == "none"
@@ -330,7 +330,7 @@ def test_little_motion_is_respected(played: Played) -> None:
 
 
 @pytest.mark.parametrize("width", [320, 390])
-def test_a_phone_shows_it_all_without_scrolling_sideways(played: Played, width: int) -> None:
+def test_a_phone_shows_it_all_without_scrolling_sideways(played: WatchedPage, width: int) -> None:
     show_in(played.chrome, width, 800)
     try:
         await_(lambda: played.run("return innerWidth") == width)
@@ -345,7 +345,7 @@ def test_a_phone_shows_it_all_without_scrolling_sideways(played: Played, width: 
 @pytest.mark.parametrize(
     ("width", "height"), [(800, 600), (1280, 650), (1280, 800), (1920, 1080), (768, 1024), (1024, 1366)]
 )
-def test_laptops_and_tablets_show_it_all_at_once(played: Played, width: int, height: int) -> None:
+def test_laptops_and_tablets_show_it_all_at_once(played: WatchedPage, width: int, height: int) -> None:
     show_in(played.chrome, width, height)
     try:
         await_(lambda: played.run("return innerWidth") == width)
@@ -355,7 +355,7 @@ def test_laptops_and_tablets_show_it_all_at_once(played: Played, width: int, hei
         show_in(played.chrome, 1280, 800)
 
 
-def test_text_twice_as_large_is_all_there(played: Played) -> None:
+def test_text_twice_as_large_is_all_there(played: WatchedPage) -> None:
     played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 32}})
     try:
         size = "return parseFloat(getComputedStyle(document.body).fontSize)"
@@ -367,7 +367,7 @@ def test_text_twice_as_large_is_all_there(played: Played) -> None:
         played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 16}})
 
 
-def test_forced_colours_leave_the_bars_to_be_seen(played: Played) -> None:
+def test_forced_colours_leave_the_bars_to_be_seen(played: WatchedPage) -> None:
     forced = [{"name": "forced-colors", "value": "active"}]
     played.chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": forced})
     try:
@@ -380,7 +380,7 @@ def test_forced_colours_leave_the_bars_to_be_seen(played: Played) -> None:
         prefer(played.chrome)
 
 
-def test_visitors_see_pad_and_answer_and_no_vitals(played: Played) -> None:
+def test_visitors_see_pad_and_answer_and_no_vitals(played: WatchedPage) -> None:
     def seen(selector: str) -> bool:
         return bool(played.run("return document.querySelector(arguments[0]).checkVisibility()", selector))
 
@@ -461,7 +461,7 @@ def test_another_pad_is_chosen_to_be_shown_large(chrome: Chrome) -> None:
         assert chrome.execute_script("return document.documentElement.scrollWidth <= innerWidth")
 
 
-def test_it_reconnects_when_the_daemon_returns(played: Played, tmp_path: Path) -> None:
+def test_it_reconnects_when_the_daemon_returns(played: WatchedPage, tmp_path: Path) -> None:
     chrome, port = played.chrome, free_port()
     encode = encoder_for(SensorSettings())
     with FakePort(STILL, encode) as pad, live_daemon(pad.path, tmp_path, port) as daemon:

@@ -353,6 +353,12 @@ def test_bridged_frames_mark_the_touch_degraded() -> None:
     assert not any(event.degraded for event in predictions(bench.feel(palm(3.0))))
 
 
+def test_a_frame_missing_before_the_onset_degrades_the_touch() -> None:
+    bench = Bench()
+    (early,) = predictions(bench.feel(palm(1.0, counts=6.0), skip=[2]))
+    assert early.degraded
+
+
 def test_an_answer_due_in_a_bridged_gap_is_whole() -> None:
     settings = PipelineSettings(ring=RingSettings(max_gap_s=1.0), touch=TouchSettings(quiet_s=0.1))
     bench = Bench(settings=settings)

@@ -13,7 +13,7 @@ from daemon.touch import NoTouch, Onset, Release, TouchSettings, TouchTracker
 from drivers.pad.grid import GridFrame
 
 
-class Pad(MadePad):
+class TrackedPad(MadePad):
     """A tracker with a pad before it."""
 
     def __init__(
@@ -41,23 +41,23 @@ class Pad(MadePad):
 
 
 @pytest.fixture
-def pad() -> Pad:
-    pad = Pad()
+def pad() -> TrackedPad:
+    pad = TrackedPad()
     assert pad.feel(2.0) == []
     return pad
 
 
-def test_a_touch_is_noticed_within_100_ms(pad: Pad) -> None:
+def test_a_touch_is_noticed_within_100_ms(pad: TrackedPad) -> None:
     began = pad.index
     assert pad.feel(palm(0.1)) == [Onset(began)]
 
 
-def test_a_light_touch_is_noticed_in_half_a_second(pad: Pad) -> None:
+def test_a_light_touch_is_noticed_in_half_a_second(pad: TrackedPad) -> None:
     began = pad.index
     assert pad.feel(palm(0.5, counts=6.0)) == [Onset(began)]
 
 
-def test_a_touch_ends_at_its_last_contact(pad: Pad) -> None:
+def test_a_touch_ends_at_its_last_contact(pad: TrackedPad) -> None:
     began = pad.index
     onset, release = pad.feel(palm(1.0), 2.0)
     assert onset == Onset(began)
@@ -66,45 +66,45 @@ def test_a_touch_ends_at_its_last_contact(pad: Pad) -> None:
     assert release.last_index == began + 53
 
 
-def test_the_lift_offs_of_a_pat_do_not_split_it(pad: Pad) -> None:
+def test_the_lift_offs_of_a_pat_do_not_split_it(pad: TrackedPad) -> None:
     changes = pad.feel(pat(8.0), 2.0)
     assert [type(change) for change in changes] == [Onset, Release]
 
 
-def test_a_minute_of_rest_is_no_touch(pad: Pad) -> None:
+def test_a_minute_of_rest_is_no_touch(pad: TrackedPad) -> None:
     assert pad.feel(60.0) == []
 
 
 @pytest.mark.parametrize("deviation_counts", [2.0, 3.0])
 def test_a_noisier_pad_at_rest_is_no_touch(deviation_counts: float) -> None:
     noise = np.random.default_rng(7).normal(0, deviation_counts, (54 * 20, 8, 8)).astype(np.float32)
-    assert Pad().feel(noise + 10) == []
+    assert TrackedPad().feel(noise + 10) == []
 
 
-def test_a_loose_wire_on_a_row_is_no_touch(pad: Pad) -> None:
+def test_a_loose_wire_on_a_row_is_no_touch(pad: TrackedPad) -> None:
     row = np.zeros((27, 8, 8), np.float32)
     row[:, 4] = [1.6, 1.5, 1.9, 2.5, 4.5, 3.3, 3.4, 3.8]
     assert pad.feel(row, 1.0, row, 1.0) == []
 
 
-def test_a_firm_finger_on_one_row_is_a_touch(pad: Pad) -> None:
+def test_a_firm_finger_on_one_row_is_a_touch(pad: TrackedPad) -> None:
     finger = np.zeros((27, 8, 8), np.float32)
     finger[:, 4, 3:5] = 60.0
     assert pad.feel(finger) == [Onset(pad.index - 27)]
 
 
-def test_a_single_broken_scan_is_no_touch(pad: Pad) -> None:
+def test_a_single_broken_scan_is_no_touch(pad: TrackedPad) -> None:
     broken = np.random.default_rng(5).integers(0, 1000, (1, 8, 8)).astype(np.float32)
     assert pad.feel(broken, 1.0) == []
 
 
-def test_a_taxel_that_jitters_is_no_touch(pad: Pad) -> None:
+def test_a_taxel_that_jitters_is_no_touch(pad: TrackedPad) -> None:
     jitter = np.zeros((540, 8, 8), np.float32)
     jitter[:, 1, 1] = np.random.default_rng(6).normal(0, 6, 540)
     assert pad.feel(jitter, 1.0) == []
 
 
-def test_a_slow_drift_of_the_rest_is_followed(pad: Pad) -> None:
+def test_a_slow_drift_of_the_rest_is_followed(pad: TrackedPad) -> None:
     drift = np.linspace(0, 10, 54 * 60)[:, None, None] * np.ones((8, 8))
     assert pad.feel(drift.astype(np.float32)) == []
     pad.rest += 10
@@ -112,24 +112,24 @@ def test_a_slow_drift_of_the_rest_is_followed(pad: Pad) -> None:
     assert abs(onset.first_index - (pad.index - 27)) <= 1
 
 
-def test_a_light_touch_that_lasts_does_not_become_rest(pad: Pad) -> None:
+def test_a_light_touch_that_lasts_does_not_become_rest(pad: TrackedPad) -> None:
     changes = pad.feel(palm(20.0, counts=6.0), 2.0)
     assert [type(change) for change in changes] == [Onset, Release]
 
 
 def test_a_hand_there_at_the_start_counts_as_rest() -> None:
-    pad = Pad()
+    pad = TrackedPad()
     assert pad.feel(palm(5.0, trembling=False), 1.0) == []
     assert pad.feel(palm(0.2)) == [Onset(pad.index - 11)]
 
 
 def test_a_hand_moving_at_the_start_is_felt() -> None:
-    pad = Pad()
+    pad = TrackedPad()
     assert [type(change) for change in pad.feel(pat(3.0), 3.0)] == [Onset, Release]
     assert [type(change) for change in pad.feel(palm(1.0), 2.0)] == [Onset, Release]
 
 
-def test_an_object_left_on_the_pad_becomes_rest(pad: Pad) -> None:
+def test_an_object_left_on_the_pad_becomes_rest(pad: TrackedPad) -> None:
     box = palm(30.0, counts=200.0, trembling=False)
     began = pad.index
     onset, release = pad.feel(box)
@@ -145,14 +145,14 @@ def test_an_object_left_on_the_pad_becomes_rest(pad: Pad) -> None:
     assert pad.feel(palm(0.2, counts=20.0)) == [Onset(pad.index - 11)]
 
 
-def test_a_resting_hand_is_felt_while_it_trembles(pad: Pad) -> None:
+def test_a_resting_hand_is_felt_while_it_trembles(pad: TrackedPad) -> None:
     changes = pad.feel(palm(60.0, counts=60.0), 2.0)
     assert [type(change) for change in changes] == [Onset, Release]
     assert isinstance(changes[1], Release)
     assert changes[1].reason == "released"
 
 
-def test_a_gap_ends_the_touch_and_begins_another(pad: Pad) -> None:
+def test_a_gap_ends_the_touch_and_begins_another(pad: TrackedPad) -> None:
     began = pad.index
     pad.feel(palm(1.0))
     pad.gap_ms += 500.0
@@ -161,7 +161,7 @@ def test_a_gap_ends_the_touch_and_begins_another(pad: Pad) -> None:
     assert onset == Onset(began + 54)
 
 
-def test_rest_is_learned_anew_after_a_long_silence(pad: Pad) -> None:
+def test_rest_is_learned_anew_after_a_long_silence(pad: TrackedPad) -> None:
     for gap_ms in (60_000.0, -100_000.0):
         pad.gap_ms += gap_ms
         pad.rest = pad.rest[::-1] + 7
@@ -170,7 +170,7 @@ def test_rest_is_learned_anew_after_a_long_silence(pad: Pad) -> None:
         pad.feel(2.0)
 
 
-def test_a_lost_sensor_ends_touch_and_rest(pad: Pad) -> None:
+def test_a_lost_sensor_ends_touch_and_rest(pad: TrackedPad) -> None:
     began = pad.index
     pad.feel(palm(1.0))
     assert pad.tracker.forget("sensor") == Release(began, began + 53, "sensor")
@@ -212,7 +212,7 @@ def unchanged(scans: Scans) -> Scans:
 
 @pytest.mark.parametrize("disturbed", [unchanged, with_noise, with_hum, with_motor])
 def test_a_touch_closes_though_rest_shifted_or_noise_began(
-    pad: Pad, disturbed: Callable[[Scans], Scans]
+    pad: TrackedPad, disturbed: Callable[[Scans], Scans]
 ) -> None:
     onset, *_ = pad.feel(disturbed(np.concatenate([pat(4.0), fold(0.1)])))
     left = pad.index
@@ -226,7 +226,7 @@ def test_a_touch_closes_though_rest_shifted_or_noise_began(
     assert isinstance(pad.feel(disturbed(fold(0.2) + palm(0.2, counts=40.0)))[0], Onset)
 
 
-def test_presses_that_each_leave_a_little_stay_apart(pad: Pad) -> None:
+def test_presses_that_each_leave_a_little_stay_apart(pad: TrackedPad) -> None:
     changes: list[Onset | Release] = []
     for press in range(8):
         left = fold(3.0, 5.0 * (press + 1))
@@ -234,18 +234,18 @@ def test_presses_that_each_leave_a_little_stay_apart(pad: Pad) -> None:
     assert [type(change) for change in changes] == [Onset, Release] * 8
 
 
-def test_a_rest_that_shifts_is_no_touch(pad: Pad) -> None:
+def test_a_rest_that_shifts_is_no_touch(pad: TrackedPad) -> None:
     assert pad.feel(fold(10.0, 3.0), 10.0, fold(10.0, 3.0)) == []
 
 
 @pytest.mark.parametrize("counts_a_second", [0.2, 1.0])
-def test_a_drift_is_no_touch_of_minutes(pad: Pad, counts_a_second: float) -> None:
+def test_a_drift_is_no_touch_of_minutes(pad: TrackedPad, counts_a_second: float) -> None:
     drift = counts_a_second * np.arange(54 * 60) / 54
     changes = pad.feel((drift[:, None, None] * np.ones((8, 8))).astype(np.float32))
     assert changes == []
 
 
-def test_an_object_with_noisy_load_becomes_rest(pad: Pad) -> None:
+def test_an_object_with_noisy_load_becomes_rest(pad: TrackedPad) -> None:
     box = palm(30.0, counts=200.0, trembling=False)
     box *= np.random.default_rng(9).normal(1.0, 0.02, box.shape).astype(np.float32)
     _, release = pad.feel(box)
@@ -253,21 +253,21 @@ def test_an_object_with_noisy_load_becomes_rest(pad: Pad) -> None:
     assert release.reason == "settled"
 
 
-def test_an_object_laid_down_is_no_touch_once_alone(pad: Pad) -> None:
+def test_an_object_laid_down_is_no_touch_once_alone(pad: TrackedPad) -> None:
     box = palm(2.0, counts=30.0, trembling=False)
     changes = pad.feel(palm(3.0, counts=150.0), box)
     assert [type(change) for change in changes] == [Onset, Release]
 
 
 def test_started_under_a_hand_it_recovers_within_2_s() -> None:
-    pad = Pad()
+    pad = TrackedPad()
     pad.feel(palm(4.0, counts=60.0), 2.0)
     assert pad.feel(1.0) == []
     assert pad.feel(palm(0.2, counts=20.0)) == [Onset(pad.index - 11)]
 
 
 def test_a_touch_ends_at_the_longest_it_may_last() -> None:
-    pad = Pad(settings=TouchSettings(longest_s=5.0))
+    pad = TrackedPad(settings=TouchSettings(longest_s=5.0))
     pad.feel(2.0)
     _, release = pad.feel(palm(8.0, counts=60.0))[:2]
     assert isinstance(release, Release)
@@ -299,14 +299,14 @@ def network() -> Network:
 
 
 @pytest.fixture
-def seen(network: Network) -> Pad:
+def seen(network: Network) -> TrackedPad:
     """A pad at rest that the network has known."""
-    pad = Pad(no_touch=network)
+    pad = TrackedPad(no_touch=network)
     assert pad.feel(2.0) == []
     return pad
 
 
-def test_the_network_ends_a_touch_that_is_none(seen: Pad) -> None:
+def test_the_network_ends_a_touch_that_is_none(seen: TrackedPad) -> None:
     onset, *_ = seen.feel(palm(1.0, counts=150.0) + breath(1.0))
     left = seen.index
     (release,) = seen.feel(breath(2.0, counts=6.0))
@@ -315,7 +315,7 @@ def test_the_network_ends_a_touch_that_is_none(seen: Pad) -> None:
     assert release.last_index - left <= 54
 
 
-def test_a_touch_that_only_the_network_sees_is_felt(seen: Pad, network: Network) -> None:
+def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: Network) -> None:
     began = seen.index
     network.no_touch = 0.02
     (onset,) = seen.feel(nothing(1.5))
@@ -326,7 +326,7 @@ def test_a_touch_that_only_the_network_sees_is_felt(seen: Pad, network: Network)
     assert isinstance(release, Release)
 
 
-def test_one_look_of_the_network_makes_no_touch(seen: Pad, network: Network) -> None:
+def test_one_look_of_the_network_makes_no_touch(seen: TrackedPad, network: Network) -> None:
     for _ in range(5):
         network.no_touch = 0.02
         assert seen.feel(nothing(1 / 3)) == []
@@ -336,41 +336,43 @@ def test_one_look_of_the_network_makes_no_touch(seen: Pad, network: Network) -> 
 
 def test_a_network_that_sees_touches_at_rest_is_not_believed(network: Network) -> None:
     network.no_touch = 0.02
-    pad = Pad(no_touch=network)
+    pad = TrackedPad(no_touch=network)
     assert pad.feel(20.0) == []
     assert [type(change) for change in pad.feel(palm(1.0, counts=80.0), 2.0)] == [Onset, Release]
 
 
-def test_a_pause_in_which_the_network_sees_the_hand_splits_no_touch(seen: Pad, network: Network) -> None:
+def test_a_pause_in_which_the_network_sees_the_hand_splits_no_touch(
+    seen: TrackedPad, network: Network
+) -> None:
     network.no_touch = 0.02
     changes = seen.feel(pat(2.0), nothing(1.8), pat(2.0))
     network.no_touch = 0.9
     assert [type(change) for change in [*changes, *seen.feel(2.0)]] == [Onset, Release]
 
 
-def test_slow_movement_of_a_body_is_no_touch(seen: Pad) -> None:
+def test_slow_movement_of_a_body_is_no_touch(seen: TrackedPad) -> None:
     assert seen.feel(breath(20.0, counts=2.3)) == []
 
 
 def test_light_contact_needs_the_network_to_see_a_touch() -> None:
     wobble = palm(10.0, counts=5.0, trembling=False)
     wobble *= 1 + 0.5 * np.sin(np.arange(len(wobble)) / 10)[:, None, None].astype(np.float32)
-    sees_none = Pad(no_touch=lambda window: 0.9)
+    sees_none = TrackedPad(no_touch=lambda window: 0.9)
     assert sees_none.feel(2.0, wobble) == []
-    sees_one = Pad(no_touch=lambda window: 0.1)
+    sees_one = TrackedPad(no_touch=lambda window: 0.1)
     assert isinstance(sees_one.feel(2.0, wobble)[0], Onset)
 
 
 @pytest.mark.parametrize("vibrating", [with_hum, with_motor])
 @pytest.mark.parametrize("still_s", [1.0, 1.1])
 def test_a_vibration_that_begins_is_no_touch(
-    pad: Pad, vibrating: Callable[[Scans], Scans], still_s: float
+    pad: TrackedPad, vibrating: Callable[[Scans], Scans], still_s: float
 ) -> None:
     assert pad.feel(still_s, vibrating(nothing(10.0))) == []
     assert isinstance(pad.feel(vibrating(palm(0.5, counts=40.0)))[0], Onset)
 
 
-def test_a_pad_that_became_noisy_is_disturbed(pad: Pad) -> None:
+def test_a_pad_that_became_noisy_is_disturbed(pad: TrackedPad) -> None:
     assert not pad.tracker.is_disturbed
     pad.feel(with_noise(nothing(10.0), 2.0))
     assert pad.tracker.is_disturbed
