@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
-from rigs.live_rig import free_port
+from rigs.sockets import free_port
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 

@@ -14,9 +14,10 @@ from typing import Any
 import msgspec
 import pytest
 from rigs.made_events import PREDICTION
-from rigs.peers import broker, frame, free_port, needs_mosquitto, subscribed, touch, wait_for
+from rigs.peers import broker, frame, needs_mosquitto, subscribed, touch, wait_for
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
+from rigs.sockets import free_port
 
 from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.bridges import Key, make_bridges

@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -31,15 +32,20 @@ KINDS = {
 }
 ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 CONNECTING = [ALL[0], ALL[3]]
+# What a busy machine may take for what does not wait; daemon and robot are to end within two seconds.
+AT_ONCE_S = 1.0
 
 
 @pytest.fixture
 def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
     library, kind, _ = KINDS[request.param]
     pytest.importorskip(library)
-    made = kind(tmp_path)
-    yield made
-    wait_for(lambda: not [thread for thread in threading.enumerate() if thread.name.startswith("touchd-")])
+    before = set(threading.enumerate())
+    with closing(kind(tmp_path)) as made:
+        yield made
+    # Whatever the test came to, nothing of it is left for the next.
+    started = set(threading.enumerate()) - before
+    wait_for(lambda: not any(thread.is_alive() for thread in started if thread.name.startswith("touchd-")))
 
 
 def put_until_heard(peer: Peer, bridge: Bridge, number: int) -> int:
@@ -57,16 +63,13 @@ def put_until_heard(peer: Peer, bridge: Bridge, number: int) -> int:
 @pytest.mark.parametrize("peer", ALL, indirect=True)
 def test_events_are_heard_again_after_the_peer_died(peer: Peer) -> None:
     bridge = peer.bridge()
-    try:
-        for _ in range(2):
-            peer.start()
-            number = put_until_heard(peer, bridge, 1)
-            heard = len(peer.heard)
-            bridge.put(touch(number))
-            peer.await_heard(heard + 1)
-            peer.stop()
-    finally:
-        bridge.stop(2.0)
+    for _ in range(2):
+        peer.start()
+        number = put_until_heard(peer, bridge, 1)
+        heard = len(peer.heard)
+        bridge.put(touch(number))
+        peer.await_heard(heard + 1)
+        peer.stop()
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
@@ -75,12 +78,10 @@ def test_while_the_peer_is_away_the_oldest_events_are_dropped(peer: Peer) -> Non
     began_s = time.monotonic()
     for number in range(50):
         bridge.put(touch(number))
-    assert time.monotonic() - began_s < 0.2
+    assert time.monotonic() - began_s < AT_ONCE_S
     assert 39 <= bridge.dropped <= 40
     peer.start()
     peer.await_heard(10)
-    bridge.stop(2.0)
-    peer.stop()
     assert f'"touch":{49},' in peer.heard[-1]
     assert len(peer.heard) + bridge.dropped == 50
 
@@ -94,10 +95,10 @@ def test_put_returns_at_once_and_a_flood_is_counted(peer: Peer) -> None:
         bridge.put(touch(number))
         bridge.put_frame(frame(number))
         slowest_s = max(slowest_s, time.monotonic() - began_s)
-    assert slowest_s < 0.2
+    assert slowest_s < AT_ONCE_S
     began_s = time.monotonic()
     bridge.stop(1.0)
-    assert time.monotonic() - began_s < 1.5
+    assert time.monotonic() - began_s < 1.0 + AT_ONCE_S
 
 
 @pytest.mark.parametrize("peer", ALL, indirect=True)
@@ -107,19 +108,20 @@ def test_without_a_peer_it_ends_within_its_time(peer: Peer) -> None:
     began_s = time.monotonic()
     bridge.stop(1.0)
     bridge.stop(0.1)
-    assert time.monotonic() - began_s < 1.3
+    assert time.monotonic() - began_s < 1.0 + AT_ONCE_S
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
 def test_a_peer_that_accepts_and_never_speaks_holds_up_nothing(peer: Peer) -> None:
-    with socket.create_server(("127.0.0.1", peer.port)):
+    with socket.create_server(("127.0.0.1", peer.port)) as mute:
         bridge = peer.bridge()
         for number in range(20):
             bridge.put(touch(number))
-        time.sleep(0.3)
-        began_s = time.monotonic()
-        bridge.stop(1.0)
-        assert time.monotonic() - began_s < 1.3
+        mute.settimeout(10)
+        with mute.accept()[0]:
+            began_s = time.monotonic()
+            bridge.stop(1.0)
+            assert time.monotonic() - began_s < 1.0 + AT_ONCE_S
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
@@ -132,4 +134,3 @@ def test_stopping_passes_on_what_is_queued(peer: Peer) -> None:
         bridge.put(touch(number))
     bridge.stop(4.0)
     peer.await_heard(heard + 20)
-    peer.stop()

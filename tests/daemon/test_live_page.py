@@ -18,8 +18,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from rigs.expectations import DEMO, stream_of
-from rigs.live_rig import free_port, live_daemon, serving
+from rigs.live_rig import live_daemon, serving
 from rigs.made_events import PREDICTION
+from rigs.sockets import free_port
 from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
 from rigs.made_events import PREDICTION
-from rigs.peers import broker, free_port, needs_mosquitto, subscribed, wait_for
+from rigs.peers import broker, needs_mosquitto, subscribed, wait_for
 from rigs.running_daemon import run_daemon
+from rigs.sockets import free_port
 
 from daemon import cli
 from daemon.bridges.settings import MqttSettings

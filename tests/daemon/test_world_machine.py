@@ -23,9 +23,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from rigs.expectations import DEMO, stream_of
-from rigs.live_rig import free_port
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.scripted_model import Scripted
+from rigs.sockets import free_port
 from websockets.sync.client import connect
 
 from daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings

@@ -14,6 +14,7 @@ import msgspec
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
+from rigs.sockets import free_port
 
 from drivers.pad.format import PRESETS, PadFormat, layout_of
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
@@ -47,8 +48,7 @@ def test_a_tcp_pad_that_went_away_is_found_again() -> None:
 
 
 def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port = server.getsockname()[1]
+    port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     with sensing(address) as queue:
         assert next_state(queue).reason == f"{address} is not there: is the pad plugged in and switched on?"

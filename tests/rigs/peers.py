@@ -12,12 +12,13 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rigs.sockets import free_port
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
@@ -49,11 +50,6 @@ def frame(number: int, host_s: float | None = None) -> Frame:
     return Frame(number, number * 19, time.monotonic() if host_s is None else host_s, counts)
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
-
-
 def wait_for(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
     deadline_s = time.monotonic() + timeout_s
     while not condition():
@@ -68,6 +64,8 @@ class Peer(ABC):
 
     def __init__(self) -> None:
         self.heard: list[str] = []
+        self._bridges: list[Bridge] = []
+        self._is_there = False
 
     @abstractmethod
     def make(self, capacity: int) -> Bridge: ...
@@ -75,14 +73,32 @@ class Peer(ABC):
     def bridge(self, capacity: int = 1000) -> Bridge:
         """A started bridge to this peer."""
         bridge = self.make(capacity)
+        self._bridges.append(bridge)
         bridge.start()
         return bridge
 
-    @abstractmethod
-    def start(self) -> None: ...
+    def start(self) -> None:
+        """Be there, and listen."""
+        self._start()
+        self._is_there = True
+
+    def stop(self) -> None:
+        """Go away; may be repeated."""
+        if self._is_there:
+            self._is_there = False
+            self._stop()
+
+    def close(self) -> None:
+        """End the bridges, and go away."""
+        for bridge in self._bridges:
+            bridge.stop(2.0)
+        self.stop()
 
     @abstractmethod
-    def stop(self) -> None: ...
+    def _start(self) -> None: ...
+
+    @abstractmethod
+    def _stop(self) -> None: ...
 
     def await_heard(self, count: int) -> None:
         wait_for(lambda: len(self.heard) >= count)
@@ -99,7 +115,8 @@ def broker(folder: Path, port: int, lines: str = "allow_anonymous true\n") -> It
             wait_for(lambda: _listens(port))
             yield
         finally:
-            process.kill()
+            # It writes down what it is to remember.
+            process.terminate()
 
 
 def _listens(port: int) -> bool:
@@ -108,61 +125,69 @@ def _listens(port: int) -> bool:
 
 
 @contextmanager
-def subscribed(port: int, topic: str, **options: Any) -> Iterator[list[Any]]:
-    """A client of its own on a broker; yields the messages it gets."""
+def subscribed(
+    port: int, topic: str, hear: Callable[[Any], None] | None = None, session: str = "", **options: Any
+) -> Iterator[list[Any]]:
+    """A client of its own on a broker; yields the messages it gets, unless `hear` is to get them.
+
+    session: a name under which the broker remembers the subscription while the client is away.
+    """
     import paho.mqtt.client as mqtt
     from paho.mqtt.enums import CallbackAPIVersion
 
     messages: list[Any] = []
     there = threading.Event()
-    client = mqtt.Client(CallbackAPIVersion.VERSION2)
+    client = mqtt.Client(CallbackAPIVersion.VERSION2, session, clean_session=not session)
     if "user" in options:
         client.username_pw_set(options["user"], options["password"])
     if "ca_file" in options:
         client.tls_set(options["ca_file"])
     client.on_connect = lambda *_: client.subscribe(topic, qos=1)
     client.on_subscribe = lambda *_: there.set()
-    client.on_message = lambda _client, _data, message: messages.append(message)
+    client.on_message = lambda _client, _data, message: (hear or messages.append)(message)
     client.connect("localhost" if "ca_file" in options else "127.0.0.1", port)
     client.loop_start()
-    assert there.wait(5)
-    yield messages
-    client.disconnect()
-    client.loop_stop()
+    try:
+        assert there.wait(10), "the broker has not answered"
+        yield messages
+    finally:
+        client.disconnect()
+        client.loop_stop()
 
 
 class MqttPeer(Peer):
-    """A mosquitto and a client that has subscribed."""
+    """A mosquitto and a client that has subscribed.
+
+    The broker remembers the subscription: what a bridge publishes before the client is back waits for it.
+    """
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.port = free_port()
         self._folder = folder
+        self.start()
+        self.stop()
 
     def make(self, capacity: int) -> Bridge:
         from daemon.bridges.mqtt import MqttBridge
 
         return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD, capacity=capacity)
 
-    def start(self) -> None:
-        self._broker = broker(self._folder, self.port)
-        self._broker.__enter__()
-        import paho.mqtt.client as mqtt
-        from paho.mqtt.enums import CallbackAPIVersion
+    def _start(self) -> None:
+        lines = f"allow_anonymous true\npersistence true\npersistence_location {self._folder}/\nuser root\n"
+        self._closing = ExitStack()
+        self._closing.enter_context(broker(self._folder, self.port, lines))
+        self._closing.enter_context(
+            subscribed(
+                self.port,
+                f"touchd/{PAD}/event",
+                lambda message: self.heard.append(message.payload.decode()),
+                session="peer",
+            )
+        )
 
-        there = threading.Event()
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
-        self._client.on_connect = lambda *_: self._client.subscribe(f"touchd/{PAD}/event", qos=1)
-        self._client.on_subscribe = lambda *_: there.set()
-        self._client.on_message = lambda _client, _data, message: self.heard.append(message.payload.decode())
-        self._client.connect("127.0.0.1", self.port)
-        self._client.loop_start()
-        assert there.wait(5)
-
-    def stop(self) -> None:
-        self._client.disconnect()
-        self._client.loop_stop()
-        self._broker.__exit__(None, None, None)
+    def _stop(self) -> None:
+        self._closing.close()
 
 
 class RosbridgePeer(Peer):
@@ -179,7 +204,7 @@ class RosbridgePeer(Peer):
         settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
         return RosbridgeBridge(settings, PAD, capacity)
 
-    def start(self) -> None:
+    def _start(self) -> None:
         from websockets.sync.server import serve
 
         self._server = serve(self._listen, "127.0.0.1", self.port)
@@ -187,7 +212,7 @@ class RosbridgePeer(Peer):
         self._connections: list[Any] = []
         self._thread.start()
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         self._server.shutdown()
         for connection in self._connections:
             with suppress(OSError):
@@ -215,12 +240,12 @@ class LslPeer(Peer):
 
         return LslBridge(LslSettings(name=self.name), PAD, capacity)
 
-    def start(self) -> None:
+    def _start(self) -> None:
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         self._ending.set()
         self._thread.join()
 
@@ -257,7 +282,7 @@ class Ros2Peer(Peer):
 
         return Ros2Bridge(Ros2Settings(domain=self.domain), PAD, capacity)
 
-    def start(self) -> None:
+    def _start(self) -> None:
         from cyclonedds.domain import DomainParticipant
 
         from daemon.bridges.ros2_types import String
@@ -268,7 +293,7 @@ class Ros2Peer(Peer):
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
 
-    def stop(self) -> None:
+    def _stop(self) -> None:
         self._ending.set()
         self._thread.join()
         del self._reader, self._participant

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
+from rigs.sockets import free_port
 
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.frame import DEFAULT_PAD
@@ -23,7 +24,14 @@ Robot = StubRobot | LoopbackRobot
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
-both_kinds = [pytest.param(StubRobot, id="stub"), pytest.param(LoopbackRobot, id="qi", marks=needs_qi)]
+
+
+def on_loopback(**options: Any) -> LoopbackRobot:
+    """A robot whose port nobody takes while it is off."""
+    return LoopbackRobot(port=free_port(), **options)
+
+
+both_kinds = [pytest.param(StubRobot, id="stub"), pytest.param(on_loopback, id="qi", marks=needs_qi)]
 every_robot = pytest.mark.parametrize("make_robot", both_kinds)
 
 LOGIN = Login("nao", "s3cret-token")

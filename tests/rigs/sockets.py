@@ -1,11 +1,26 @@
-"""The network sockets of a process, as Linux lists them."""
+"""A free port, and the network sockets of a process as Linux lists them."""
 
 from __future__ import annotations
 
+import itertools
+import os
+import socket
+from contextlib import suppress
 from pathlib import Path
 
 LISTENS = "0A"
 LOOPBACK = "0100007F"
+# Below the ports that the kernel gives to whoever asks for any, so that nobody is given one in the meantime;
+# each process of tests begins elsewhere.
+_ports = itertools.count(10_000 + os.getpid() * 977 % 20_000)
+
+
+def free_port() -> int:
+    """A port of loopback that nobody listens on."""
+    for port in _ports:
+        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
+            return port
+    raise AssertionError
 
 
 def sockets(pid: int) -> list[tuple[str, str, str]]:
