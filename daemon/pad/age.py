@@ -87,7 +87,8 @@ class Feeling:
         first, last = self._frames[0], self._frames[-1]
         steps = len(self._frames) - 1
         step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_WRAP_MS) / steps
-        rate_hz = steps / (last.host_s - first.host_s)
+        # Frames that were read together all arrived at once.
+        rate_hz = steps / max(last.host_s - first.host_s, 0.001)
         if rate_hz > 1.0 / self._max_gap_s:
             return (
                 f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "
