@@ -38,6 +38,9 @@ from drivers.robot.link import RobotLink
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 
+if typing.TYPE_CHECKING:
+    from daemon.terminal.view import View
+
 # The recording lasts 37 s; whatever goes wrong, the demo is over before a minute is.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
@@ -71,26 +74,6 @@ docs/install.md tells how to wire a real pad and a real Nao.
 """
 
 
-class Show(typing.Protocol):
-    """Where the demo shows what happens: the terminal view, or plain lines."""
-
-    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
-        """Show a frame."""
-        ...
-
-    def doing(self, text: str) -> None:
-        """Show what the hand begins to do."""
-        ...
-
-    def note(self, text: str) -> None:
-        """Show a line."""
-        ...
-
-    def put(self, event: Event) -> None:
-        """Show an event."""
-        ...
-
-
 class PlainLines:
     """A show for where there is no terminal: one line for each thing that happens."""
 
@@ -116,6 +99,9 @@ class PlainLines:
     def _write(self, text: str) -> None:
         sys.stdout.write(f"{text}\n")
         sys.stdout.flush()
+
+
+Show: typing.TypeAlias = "View | PlainLines"
 
 
 def parser() -> argparse.ArgumentParser:

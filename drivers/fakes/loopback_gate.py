@@ -77,17 +77,9 @@ def make_certificate(folder: Path) -> tuple[Path, Path]:
     certificate, key = folder / "certificate.pem", folder / "key.pem"
     if shutil.which("openssl") is None:
         raise RobotError("a stand-in robot with TLS needs the command openssl; install it")
-    command = [
-        "openssl",
-        "req",
-        "-x509",
-        "-newkey",
-        "ec",
-        "-pkeyopt",
-        "ec_paramgen_curve:prime256v1",
-        "-nodes",
-    ]
-    command += ["-days", "1", "-subj", "/CN=loopback", "-keyout", str(key), "-out", str(certificate)]
+    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
+    command += ["-nodes", "-days", "1", "-subj", "/CN=loopback"]
+    command += ["-keyout", str(key), "-out", str(certificate)]
     made = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
     if made.returncode != 0:
         raise RobotError(f"openssl made no certificate: {made.stderr.strip().splitlines()[-1:]}")

@@ -49,26 +49,19 @@ class StubRobot:
         with self._changed:
             self._life += 1
             self._services = fake_services(self.calls.add, without=self._without)
-            self._alive, self._hung = True, False
-            self._changed.notify_all()
+        self._change(alive=True, hung=False)
 
     def kill(self) -> None:
         """Switch it off at once, in the middle of whatever it does."""
-        with self._changed:
-            self._alive = False
-            self._changed.notify_all()
+        self._change(alive=False, hung=self._hung)
 
     def hang(self) -> None:
         """Stop answering while the connections stay."""
-        with self._changed:
-            self._hung = True
-            self._changed.notify_all()
+        self._change(alive=self._alive, hung=True)
 
     def resume(self) -> None:
         """Answer again, first what was asked meanwhile."""
-        with self._changed:
-            self._hung = False
-            self._changed.notify_all()
+        self._change(alive=self._alive, hung=False)
 
     def stop(self) -> None:
         """End; may be called again."""
@@ -86,6 +79,11 @@ class StubRobot:
     ) -> RobotSession:
         """Return a new session, as RobotLink asks for it; the URL does not matter here."""
         return _StubSession(self, login, limits, hurry)
+
+    def _change(self, alive: bool, hung: bool) -> None:
+        with self._changed:
+            self._alive, self._hung = alive, hung
+            self._changed.notify_all()
 
     def _lives(self, life: int) -> bool:
         return self._alive and self._life == life

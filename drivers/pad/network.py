@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import socket
-from types import TracebackType
 from typing import Any
 
 CONNECT_S = 3.0
@@ -81,7 +80,5 @@ class NetworkPort:
     def __enter__(self) -> NetworkPort:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._socket.close()
