@@ -107,15 +107,11 @@ def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop:
         stop.wait()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the stand-in robot as a command; returns the exit code."""
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the stand-in robot as a program; raises RobotError."""
     parser = argparse.ArgumentParser(description="A robot that reports what it is asked, on 127.0.0.1.")
     add_arguments(parser)
-    try:
-        run(parser.parse_args(arguments))
-    except RobotError as error:
-        sys.stderr.write(f"fake-robot: {error}\n")
-        return 2
+    run(parser.parse_args(arguments))
 
 
 def _port(text: str) -> int:
@@ -138,4 +134,4 @@ def _stop_at_end_of_stdin(stop: threading.Event) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import subprocess
 import sys
@@ -54,14 +53,6 @@ def refusal(capfd: pytest.CaptureFixture[str]) -> Refusal:
     return refusal
 
 
-@pytest.mark.parametrize("command", cli.COMMANDS, ids=lambda command: command.name)
-def test_every_command_has_a_main_and_a_help(command: cli.Command) -> None:
-    module = importlib.import_module(command.module)
-    with pytest.raises(SystemExit) as ended:
-        module.main(["--help"])
-    assert ended.value.code == 0
-
-
 def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--help"]) == 0
     shown = capsys.readouterr().out
@@ -84,11 +75,6 @@ def test_a_command_for_researchers_says_where_it_is(refusal: Refusal, name: str)
     assert f"python -m docs.studies {name}" in refusal(name)
 
 
-def test_the_version_is_that_of_the_distribution(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("touchd 0.")
-
-
 def test_an_internal_error_is_one_line_and_exit_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -102,10 +88,6 @@ def test_an_internal_error_is_one_line_and_exit_1(
 def main(arguments: Sequence[str]) -> int:
     """What the command "fail" of the test above runs."""
     raise KeyError("oops")
-
-
-def test_a_missing_configuration_is_one_line(refusal: Refusal) -> None:
-    assert "nowhere.yaml: cannot be read" in refusal("run", "-c", "nowhere.yaml")
 
 
 @pytest.mark.parametrize(
@@ -164,13 +146,6 @@ def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -
     assert "13 hours of recordings and quiet, 12 at most" in refusal(
         "classify", str(tmp_path / "rows.csv.gz")
     )
-
-
-def test_a_pace_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["replay", str(GESTURES), "--speed", "backwards"])
-    assert ended.value.code == 2
-    assert "--speed" in capsys.readouterr().err
 
 
 def test_classify_writes_the_events_as_json_lines() -> None:

@@ -8,11 +8,9 @@ import socket
 import subprocess
 import sys
 
-import pytest
 from rigs.programs import ran
 from rigs.robots import link_threads, message, needs_qi
 
-from daemon import cli
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink
@@ -50,10 +48,3 @@ def test_a_port_that_is_taken_is_one_line() -> None:
     assert done.returncode == 2
     assert done.stderr.startswith("touchd: cannot listen on port")
     assert len(done.stderr.splitlines()) == 1
-
-
-def test_a_port_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["fake-robot", "--port", "robot"])
-    assert ended.value.code == 2
-    assert "'robot' is not a port" in capsys.readouterr().err

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import http.client
 import socket
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 
@@ -154,14 +153,3 @@ def test_a_port_that_is_taken_is_said_in_one_line(command: str, capfd: pytest.Ca
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert f"cannot listen on 127.0.0.1 port {port}: another program does" in said[0]
-
-
-@pytest.mark.parametrize("command", ["run", "demo"])
-def test_a_library_that_is_missing_is_named_in_one_line(
-    command: str, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "websockets", None)
-    assert cli.main([command, "--live", "0"]) == 2
-    said = capfd.readouterr().err.splitlines()
-    assert len(said) == 1
-    assert "pip install 'websockets>=" in said[0]

@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
@@ -419,35 +418,6 @@ def test_a_scene_chooses_when_to_answer(stages: tuple[int, int, int]) -> None:
     bench = Bench(settings=PipelineSettings(decision=DecisionSettings(answer_at_frames=stages)))
     events = bench.feel(palm(8.5))
     assert [event.frames for event in predictions(events)] == list(stages)
-
-
-def test_chunking_of_bytes_changes_no_event() -> None:
-    pad = MadePad()
-    scans = np.concatenate([nothing(2.0), palm(3.0), nothing(1.5), pat(1.2), nothing(1.5), palm(0.4)])
-    counts = pad.counts(scans)
-    line = b"".join(
-        encode_fabric_grid(scan, int(ms))
-        for scan, ms in zip(counts, ideal_clock_ms(len(counts)), strict=True)
-    )
-    classifier = Classifier.load()
-
-    def events(sizes: Sequence[int]) -> list[Event]:
-        said: list[Event] = []
-        pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED)
-        parser = FabricGrid()
-        start = number = 0
-        while start < len(line):
-            size = sizes[number % len(sizes)]
-            for frame in parser.feed(line[start : start + size], 99.0):
-                pipeline.on_frame(frame)
-            start, number = start + size, number + 1
-        pipeline.flush()
-        return said
-
-    whole = events([len(line)])
-    assert sum(isinstance(event, TouchEnded) for event in whole) == 3
-    assert events([1]) == whole
-    assert events(np.random.default_rng(7).integers(1, 700, 100).tolist()) == whole
 
 
 class Fickle(Scripted):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -187,11 +185,3 @@ def test_what_cannot_be_drawn_is_one_line(
     told = capsys.readouterr().err
     assert message in told
     assert len(told.splitlines()) == 1
-
-
-def test_without_matplotlib_it_says_how_to_get_it(
-    recorded: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert cli.main(["plot", str(recorded)]) == 2
-    assert re.search(r"pip install '?matplotlib", capsys.readouterr().err)

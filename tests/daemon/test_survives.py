@@ -20,7 +20,7 @@ from rigs.live_rig import Served, frames_among, serving
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
 
-from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings, load
+from daemon.config import JournalSettings, SensorSettings, Settings, load
 from daemon.decide import Decision, DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode, encode
 from daemon.kept.journal import Journal, JournalError
@@ -339,16 +339,6 @@ def test_a_token_file_that_is_a_pipe_holds_nothing_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "token")
     with pytest.raises(RobotError, match="empty"):
         read_login(RobotSettings(url="tcps://127.0.0.1:1", user="nao", token_file=str(tmp_path / "token")))
-
-
-def test_merged_aliases_cost_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "touchd.yaml"
-    lines = ["a0: &a0 {k: v}"] + [
-        f"a{n}: &a{n} {{<<: [{', '.join([f'*a{n - 1}'] * 9)}]}}" for n in range(1, 9)
-    ]
-    path.write_text("\n".join(lines))
-    with pytest.raises(ConfigError, match="aliases"):
-        load(path)
 
 
 def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None:

@@ -65,12 +65,6 @@ def test_pressure_cannot_be_written_to() -> None:
 # --- intact frames, however they arrive --------------------------------------------------------------------
 
 
-def test_a_long_recording_fed_at_once_comes_out_whole() -> None:
-    parser = FabricGrid()
-    assert_are(parser.feed(packets(range(200)), 0.0), range(200))
-    assert parser.counts.frames == 200
-
-
 def test_a_frame_bears_the_arrival_of_its_last_byte() -> None:
     parser = FabricGrid()
     parser.feed(packets([0, 1]) + packet(2)[:-1], 10.0)

@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
-from rigs.programs import ran
-from rigs.robots import DETAIL, GESTURE, STATUS, Robot, both_kinds, every_robot, linked, message, needs_qi
+from rigs.robots import DETAIL, GESTURE, STATUS, Robot, both_kinds, every_robot, linked, message
 
 from drivers.fakes import fake_robot
-from drivers.fakes.fake_robot import LoopbackRobot
-from drivers.fakes.services import Call
 from drivers.robot.actions import Action, ActionRule, Leds
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
-from drivers.robot.session import QiSession, RobotError, RobotRefused
+from drivers.robot.session import RobotError, RobotRefused
 from drivers.robot.settings import RobotSettings
 
 
@@ -198,11 +193,6 @@ def test_without_qi_a_configured_robot_is_one_clear_line(monkeypatch: pytest.Mon
     assert "\n" not in str(error.value)
 
 
-def test_nothing_loads_qi_before_a_robot_is_configured() -> None:
-    script = "import sys, drivers.robot.link, drivers.fakes.fake_robot; sys.exit('qi' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", script], check=False, timeout=20).returncode == 0
-
-
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
@@ -226,22 +216,6 @@ def test_a_failed_login_is_one_clear_line(settings: dict[str, Any], complaint: s
         RobotLink(RobotSettings(**settings), open_session=lambda *_: pytest.fail("a session was opened"))
 
 
-@needs_qi
-def test_the_fake_robot_shows_calls_as_json() -> None:
-    command = [sys.executable, "-m", "drivers.fakes.fake_robot", "--port=0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        url = msgspec.json.decode(process.stdout.readline())["listening"]
-        session = QiSession(url, None, RobotLimits(), threading.Event())
-        session.connect()
-        session.call("ALTextToSpeech", "say", "Hello", limit_s=5)
-        call = msgspec.json.decode(process.stdout.readline(), type=Call)
-        session.close()
-        process.terminate()
-        assert process.wait(5) == 0
-    assert (call.service, call.method, call.arguments) == ("ALTextToSpeech", "say", ("Hello",))
-
-
 @pytest.mark.parametrize("wrong", ["--port=99999", "--call-s=-1", "--say-s=nan", "--without=ALNothing"])
 def test_the_fake_robot_command_refuses_what_makes_no_sense(
     wrong: str, capsys: pytest.CaptureFixture[str]
@@ -250,14 +224,3 @@ def test_the_fake_robot_command_refuses_what_makes_no_sense(
         fake_robot.main([wrong])
     assert exit_code.value.code == 2
     assert wrong.partition("=")[0] in capsys.readouterr().err
-
-
-@needs_qi
-def test_the_fake_robot_says_its_port_is_taken() -> None:
-    with LoopbackRobot() as robot:
-        port = robot.url.rsplit(":", 1)[1]
-        command = [sys.executable, "-m", "drivers.fakes.fake_robot", f"--port={port}"]
-        second = ran(command, timeout=20)
-    assert second.returncode == 2
-    assert second.stderr.count("\n") == 1
-    assert f"port {port}" in second.stderr
