@@ -8,9 +8,9 @@ import termios
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from rigs.doctor_rig import SETTINGS, heard, noise, resting
+from rigs.doctor_rig import SETTINGS, heard, resting
 from rigs.formats import encode_csv_line, encode_fabric_grid
-from rigs.sensor_rig import Encode
+from rigs.sensor_rig import Encode, as_8x8, noise, silence
 
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
@@ -23,20 +23,12 @@ from drivers.pad.port import open_port
 from drivers.recording import Stream, ideal_clock_ms
 
 
-def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
-    return encode_fabric_grid(counts, sensor_ms, rows=8, columns=8, crop=0)
-
-
-def nothing(counts: Counts, sensor_ms: int) -> bytes:
-    return b""
-
-
 @pytest.mark.parametrize(
     ("encode", "found", "advice"),
     [
         (as_8x8, "looks like fabric-grid 8x8, configured fabric-grid 10x10", "format: {"),
         (encode_csv_line, "looks like csv 10x10", "format: csv"),
-        (nothing, "no data", "reset button"),
+        (silence, "no data", "reset button"),
     ],
 )
 def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice: str) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
-from rigs.live_rig import SERVED, Served, frames_among, live_daemon, serving
+from rigs.live_rig import HANDSHAKE, SERVED, Served, frames_among, live_daemon, serving
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from websockets.exceptions import ConnectionClosed
@@ -37,10 +37,6 @@ NOW = "2026-11-20T10:00:00.000Z"
 BEGAN = TouchBegan(touch=1, time=NOW, sensor_ms=7)
 ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=NOW)
 BEGAN_AGAIN = TouchBegan(touch=2, time=NOW, sensor_ms=9)
-HANDSHAKE = (
-    "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    "Sec-WebSocket-Key: dG91Y2hkdG91Y2hkdG91Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
-)
 PAD_UP = SensorEvent(state="up", time=NOW)
 
 

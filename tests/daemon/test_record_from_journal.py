@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import io
-import signal
 import time
+from contextlib import closing
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
-import yaml
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
-from rigs.running_daemon import run_daemon
+from rigs.running_daemon import Daemon, run_daemon
 from rigs.terminal import Terminal
 
 from daemon import cli
@@ -26,7 +25,6 @@ from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from daemon.kept.touches import read_since
 from daemon.pipeline import Pipeline
-from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
 from daemon.setup.destinations import encoder_for
@@ -316,19 +314,12 @@ def test_deleted_and_damaged_touches_are_passed_over(
     assert "No such file or directory" in lines
 
 
-def pad_of(stream: Stream, speed: float) -> FakePort:
-    return FakePort(stream, encoder_for(SensorSettings()), speed=speed)
-
-
-def keeping(port: FakePort, folder: Path, keep_touches: int | None = 20) -> Settings:
-    journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=keep_touches)
-    return Settings(sensor=SensorSettings(port=port.path), journal=journal)
-
-
 def played(stream: Stream, folder: Path) -> list[Event]:
     """What the spawned daemon says of a stream while it keeps touches in a folder."""
-    with pad_of(stream, SPEED) as port:
-        return run_daemon(keeping(port, folder), folder, port)[0]
+    with FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port:
+        journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=20)
+        settings = Settings(sensor=SensorSettings(port=port.path), journal=journal)
+        return run_daemon(settings, folder, port)[0]
 
 
 def answers_to(stream: Stream) -> list[tuple[str, str, float]]:
@@ -378,34 +369,18 @@ def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path) -> None:
 
 
 def test_keeping_is_turned_on_and_off_while_the_daemon_runs(tmp_path: Path) -> None:
-    folder = folder_of(tmp_path / "events.jsonl")
-    with pad_of(stream_of(LENGTHS), 12.0) as port, (tmp_path / "log").open("w+b") as log:
-        off, on = keeping(port, tmp_path, None), keeping(port, tmp_path)
-        daemon = SpawnedDaemon(off, tmp_path, log)
-        try:
-            events = daemon.events()
-            # Before it hears the pad it may not be listening to signals yet.
-            assert any(isinstance(event, SensorEvent) for event in events)
-            assert not folder.exists()
-            configure(daemon, tmp_path, on)
-            while not kept_touches(folder):
-                time.sleep(0.01)
-            configure(daemon, tmp_path, off)
-            kept = kept_touches(folder)
-            assert port.wait(25)
-            daemon.process.terminate()
-            assert sum(isinstance(event, TouchEnded) for event in events) >= len(kept)
-        finally:
-            assert daemon.stop() == 0
+    path = tmp_path / "events.jsonl"
+    folder = folder_of(path)
+    with closing(Daemon(tmp_path)) as daemon:
+        daemon.await_event(SensorEvent)
+        assert not folder.exists()
+        daemon.configure(journal=JournalSettings(path=str(path), keep_touches=20))
+        daemon.await_log(1)
+        while not kept_touches(folder):
+            time.sleep(0.01)
+        daemon.configure(journal=JournalSettings(path=str(path)))
+        daemon.await_log(2)
+        kept = kept_touches(folder)
+        assert sum(isinstance(event, TouchEnded) for event in daemon.finish()) >= len(kept)
     assert kept_touches(folder) == kept
-    assert "changed: journal" in (tmp_path / "log").read_text()
-
-
-def configure(daemon: SpawnedDaemon, folder: Path, settings: Settings) -> None:
-    """Have the daemon go by other settings, and wait until it does."""
-    log = folder / "log"
-    before = log.read_text().count("configuration read again")
-    (folder / "touchd.yaml").write_text(yaml.safe_dump(msgspec.to_builtins(settings)))
-    daemon.process.send_signal(signal.SIGHUP)
-    while log.read_text().count("configuration read again") == before:
-        time.sleep(0.01)
+    assert [line.rpartition("changed: ")[2] for line in daemon.log()] == ["journal"] * 2

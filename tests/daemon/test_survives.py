@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
-from rigs.live_rig import Served, frames_among, serving
+from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
 
@@ -38,10 +38,6 @@ from drivers.recording import Recording, RecordingError, read_recordings, write_
 from drivers.robot.session import RobotError
 from drivers.robot.settings import RobotSettings, read_login
 
-HANDSHAKE = (
-    "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n"
-)
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)
 EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)

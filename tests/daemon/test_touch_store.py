@@ -24,7 +24,7 @@ from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
 from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.touch_frames import FeltTouch, cut
 from daemon.kept.touch_sink import CAPACITY, LONGEST_FRAMES, TouchSink
-from daemon.kept.touch_store import TouchStore, file_name, kept_touches, read_frames
+from daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.setup.destinations import open_touch_stores
 from drivers.frame import Counts, Frame
@@ -52,12 +52,14 @@ class StoreBench:
             self._feel(counts)
 
     def keep(self, store: TouchStore) -> None:
-        self.sink = TouchSink({"pad": store})
+        self.sink, self._folder = TouchSink({"pad": store}), store._folder
         self.sink.start()
 
-    def end(self) -> None:
+    def end(self) -> list[KeptTouch]:
+        """End; return what was kept."""
         self.pipeline.flush()
         self.sink.stop(10.0)
+        return kept_touches(self._folder)
 
     def _feel(self, counts: Counts) -> None:
         frame = Frame(len(self.sent), round(self.clock_ms) % 2**32, 100.0, counts)
@@ -92,8 +94,7 @@ def store(tmp_path: Path) -> TouchStore:
 def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store)
     bench.feel(pat(2.0), nothing(2.0))
-    bench.end()
-    (kept,) = kept_touches(tmp_path / "touches")
+    (kept,) = bench.end()
     (start,), (end,) = began(bench.events), ended(bench.events)
     assert (kept.time, kept.number) == (start.time, start.touch)
     assert start.sensor_ms == 1500
@@ -115,8 +116,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
 def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(2.0))
-    bench.end()
-    (kept,) = kept_touches(tmp_path / "touches")
+    (kept,) = bench.end()
     told = read_provenance(kept.path)
     assert told["sensor"] == "a made pad"
     assert told["touch"] == "1"
@@ -131,8 +131,7 @@ def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Pat
 def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
-    bench.end()
-    first, second = kept_touches(tmp_path / "touches")
+    first, second = bench.end()
     before = read_frames(second).before
     assert before is not None
     assert 40 <= len(before.counts) <= 46
@@ -145,8 +144,7 @@ def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_p
     bench.feel(palm(1.2))
     bench.clock_ms += 400
     bench.feel(palm(0.5))
-    bench.end()
-    kept = kept_touches(tmp_path / "touches")
+    kept = bench.end()
     assert [end.reason for end in ended(bench.events)] == ["gap", "stopped"]
     first, second = map(read_frames, (touch for touch in kept))
     assert first.after is None
@@ -157,8 +155,7 @@ def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_p
 def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store, clock_ms=2**32 - 2000)
     bench.feel(palm(1.5), nothing(1.0))
-    bench.end()
-    (kept,) = kept_touches(tmp_path / "touches")
+    (kept,) = bench.end()
     steps_ms = np.concatenate([np.diff(part.sensor_ms) for part in read_recordings(kept.path)])
     assert set(steps_ms.tolist()) == {18, 19}
     assert len(read_frames(kept).touch.counts) == ended(bench.events)[0].frames
@@ -169,8 +166,7 @@ def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path)
     bench.feel(palm(1.2), nothing(1.5))
     bench.clock_ms = 0
     bench.feel(nothing(0.7), palm(1.2), nothing(1.5))
-    bench.end()
-    _, after = kept_touches(tmp_path / "touches")
+    _, after = bench.end()
     frames = read_frames(after)
     assert frames.before is not None
     assert frames.before.sensor_ms[0] == 0
@@ -180,8 +176,7 @@ def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path)
 def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store)
     bench.feel(palm(70.0), nothing(1.0))
-    bench.end()
-    (kept,) = kept_touches(tmp_path / "touches")
+    (kept,) = bench.end()
     parts = read_recordings(kept.path)
     assert sum(len(part.counts) for part in parts) <= LONGEST_FRAMES
     assert parts[-1].gesture == UNLABELLED

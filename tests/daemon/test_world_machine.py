@@ -23,6 +23,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from rigs.expectations import DEMO, stream_of
+from rigs.live_rig import HANDSHAKE
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
@@ -64,11 +65,7 @@ def flood(port: int) -> socket.socket:
     """A viewer that asks for the stream, sends far more than it may, and reads nothing."""
     viewer = socket.create_connection(("127.0.0.1", port), timeout=2)
     with suppress(OSError):
-        viewer.sendall(
-            f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n".encode()
-            + (b"\x89\xbc" + bytes(64)) * 1000
-        )
+        viewer.sendall(HANDSHAKE.format(port=port).encode() + (b"\x89\xbc" + bytes(64)) * 1000)
     return viewer
 
 

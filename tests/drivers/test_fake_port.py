@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import serial
 from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.peers import wait_for
+from rigs.sensor_rig import stream_of
 
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.line_faults import NO_FAULTS, Faults
-from drivers.recording import Span, Stream, ideal_clock_ms
+from drivers.recording import Stream
 
 SIZE = 209
-
-
-def stream_of(frames: int) -> Stream:
-    counts = np.random.default_rng(1).integers(0, 1024, (frames, 8, 8)).astype(np.uint16)
-    return Stream(counts, ideal_clock_ms(frames, 1000), (Span(0, frames, "rub"),))
 
 
 def encoded(stream: Stream) -> bytes:
@@ -52,21 +48,9 @@ def played(stream: Stream, faults: Faults) -> bytes:
         return read_to_end(port, reader)
 
 
-def until(true: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    deadline_s = time.monotonic() + timeout_s
-    while not true() and time.monotonic() < deadline_s:
-        time.sleep(0.002)
-    return true()
-
-
 def descriptors() -> set[str]:
-    return {
-        f"{fd}:{os.readlink(f'/proc/self/fd/{fd}')}" for fd in os.listdir("/proc/self/fd") if _is_open(fd)
-    }
-
-
-def _is_open(fd: str) -> bool:
-    return Path(f"/proc/self/fd/{fd}").is_symlink()
+    links = (link for link in Path("/proc/self/fd").iterdir() if link.is_symlink())
+    return {f"{link.name}:{link.readlink()}" for link in links}
 
 
 @pytest.fixture(autouse=True)
@@ -188,7 +172,7 @@ def test_it_stops_at_once_whether_unread_blocked_or_playing() -> None:
         port.start()
     with opened(blocked), opened(playing) as reader:
         reader.read(1)
-        assert until(lambda: bool(np.isfinite(blocked.sent_s).sum() > 50))
+        wait_for(lambda: bool(np.isfinite(blocked.sent_s).sum() > 50))
         begun_s = time.monotonic()
         for port in (unread, blocked, playing):
             port.stop()

@@ -6,7 +6,6 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -16,59 +15,28 @@ from rigs.robots import (
     IMPATIENT,
     LOGIN,
     Robot,
-    States,
     every_robot,
     link_threads,
     linked,
-    message,
     needs_openssl,
     needs_qi,
+    reach,
 )
 
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
-from drivers.robot.link import RobotLink
 
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
-def _idle(robot: Robot, link: RobotLink, states: States) -> None:
-    states.wait_for("up")
-
-
-def _dead(robot: Robot, link: RobotLink, states: States) -> None:
-    states.wait_for("up")
-    robot.kill()
-    states.wait_for("up", "down")
-
-
-def _hung_in_a_call(robot: Robot, link: RobotLink, states: States) -> None:
-    states.wait_for("up")
-    robot.hang()
-    link.publish(message())
-
-
-def _hung_while_connecting(robot: Robot, link: RobotLink, states: States) -> None:
-    states.wait_for("up")
-    robot.hang()
-    states.wait_for("up", "down")
-    time.sleep(0.2)
-
-
-def _speaking(robot: Robot, link: RobotLink, states: States) -> None:
-    states.wait_for("up")
-    link.publish(message())
-    robot.calls.wait_for(lambda call: call.method == "say")
-
-
 @every_robot
-@pytest.mark.parametrize("state", [_idle, _dead, _hung_in_a_call, _hung_while_connecting, _speaking])
+@pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
 def test_stopping_takes_less_than_two_seconds_and_leaves_no_thread(
-    make_robot: type[Robot], state: Callable[[Robot, RobotLink, States], None]
+    make_robot: type[Robot], state: str
 ) -> None:
     with make_robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, actions=(SAY,)) as (link, states):
-        state(robot, link, states)
+        reach(state, robot, link, states)
         started_s = time.monotonic()
         link.stop()
         assert time.monotonic() - started_s < 2.0

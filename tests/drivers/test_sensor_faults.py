@@ -14,9 +14,11 @@ from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_gr
 from rigs.sensor_rig import (
     Encode,
     Switch,
+    as_8x8,
     assert_played,
     next_frames,
     next_state,
+    noise,
     sensing,
     silence,
     stream_of,
@@ -52,16 +54,8 @@ def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture)
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again after 0.")
 
 
-def noise(counts: Counts, sensor_ms: int) -> bytes:
-    return np.random.default_rng(sensor_ms).bytes(200)
-
-
 def half_frames(counts: Counts, sensor_ms: int) -> bytes:
     return encode_fabric_grid(counts, sensor_ms)[: 20 + sensor_ms % 150]
-
-
-def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
-    return encode_fabric_grid(counts, sensor_ms, rows=8, columns=8, crop=0)
 
 
 def clock_stands(counts: Counts, sensor_ms: int) -> bytes:

@@ -8,15 +8,16 @@ from __future__ import annotations
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.running_daemon import run_daemon
+from rigs.service_manager import Manager
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan
@@ -93,18 +94,14 @@ def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
     # Held up for eight turns of the recording, it then gets all of them as fast as the line can carry.
     stream = splice(read_recordings(LENGTHS) * TURNS)
     held_up_s = HELD_UP_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / SPEED
-    manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    manager.bind(str(tmp_path / "notify"))
     with (
-        manager,
+        closing(Manager(tmp_path)) as manager,
         FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port,
         (tmp_path / "log").open("w+") as log,
     ):
         settings = Settings(sensor=SensorSettings(port=port.path))
-        environment = {"NOTIFY_SOCKET": str(tmp_path / "notify")}
-        daemon = SpawnedDaemon(settings, tmp_path, log.buffer, environment)
-        manager.settimeout(20)
-        assert manager.recv(4096) == b"READY=1"
+        daemon = SpawnedDaemon(settings, tmp_path, log.buffer, manager.environ)
+        manager.await_ready()
         daemon.process.send_signal(signal.SIGSTOP)
         assert not port.wait(held_up_s)
         daemon.process.send_signal(signal.SIGCONT)
@@ -112,7 +109,7 @@ def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
         daemon.process.terminate()
         events = list(daemon.events())
         assert daemon.stop() == 0
-        statuses = _heard(manager)
+        statuses = manager.heard()
         log.seek(0)
         said = log.read()
     in_all = IN_ALL.search(said)
@@ -124,17 +121,6 @@ def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
     assert any(re.search(r"frames/s, \d+ touches, [1-9]\d* frames dropped", status) for status in statuses)
     assert _last_turn(events) == expected(LENGTHS)
     sys.stdout.write(f"held up for {held_up_s:.0f} s: {processed} frames, {dropped} dropped\n")
-
-
-def _heard(manager: socket.socket) -> list[str]:
-    """Return everything that has come."""
-    manager.setblocking(False)
-    messages = []
-    while True:
-        try:
-            messages.append(manager.recv(4096).decode())
-        except BlockingIOError:
-            return messages
 
 
 def _last_turn(events: list[Event]) -> list[dict[str, object]]:

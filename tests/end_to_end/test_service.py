@@ -6,7 +6,6 @@ import fcntl
 import os
 import shutil
 import signal
-import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from pathlib import Path
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.programs import ran
+from rigs.service_manager import Manager
 
 from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.events import SensorEvent, decode
@@ -29,35 +29,9 @@ from drivers.robot.settings import RobotSettings
 UNITS = Path(__file__).parents[2] / "systemd"
 
 
-class Manager:
-    """What systemd is to a service: a socket that takes its notifications."""
-
-    def __init__(self, path: Path) -> None:
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.bind(str(path))
-        self._socket.settimeout(15)
-        self.environ = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "3600000000"}
-
-    def hear(self) -> str:
-        return self._socket.recv(4096).decode()
-
-    def heard(self) -> list[str]:
-        """Everything that has come so far."""
-        self._socket.setblocking(False)
-        messages = []
-        while True:
-            try:
-                messages.append(self.hear())
-            except BlockingIOError:
-                return messages
-
-    def close(self) -> None:
-        self._socket.close()
-
-
 @pytest.fixture
 def manager(tmp_path: Path) -> Iterator[Manager]:
-    manager = Manager(tmp_path / "notify")
+    manager = Manager(tmp_path)
     yield manager
     manager.close()
 
@@ -178,17 +152,12 @@ def spawn(settings: Settings, folder: Path, manager: Manager) -> SpawnedDaemon:
     return SpawnedDaemon(settings, folder, None, manager.environ)
 
 
-def await_ready(manager: Manager) -> None:
-    while manager.hear() != "READY=1":
-        pass
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_daemon_within_two_seconds(
     tmp_path: Path, manager: Manager, pad: FakePort, number: signal.Signals
 ) -> None:
     daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)), tmp_path, manager)
-    await_ready(manager)
+    manager.await_ready()
     asked_s = time.monotonic()
     daemon.process.send_signal(number)
     assert daemon.process.wait(10) == 0
@@ -199,7 +168,7 @@ def test_a_signal_ends_the_daemon_within_two_seconds(
 
 def test_a_missing_pad_is_awaited_and_reported(tmp_path: Path, manager: Manager) -> None:
     daemon = spawn(Settings(sensor=SensorSettings(port=str(tmp_path / "pad"))), tmp_path, manager)
-    await_ready(manager)
+    manager.await_ready()
     event = next(daemon.events())
     assert isinstance(event, SensorEvent)
     assert event.state == "down"

@@ -55,7 +55,3 @@ def systemd_says(answer: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
     program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
     program.chmod(0o755)
     monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
-
-
-def noise(counts: Counts, sensor_ms: int) -> bytes:
-    return np.random.default_rng(sensor_ms).bytes(200)

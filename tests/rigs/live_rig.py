@@ -28,6 +28,10 @@ from model.classifier import Classifier
 SERVED = re.compile(r"live page: (http://\S+)/")
 IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 STARTS_WITHIN_S = 20.0
+HANDSHAKE = (
+    "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    "Sec-WebSocket-Key: dG91Y2hkdG91Y2hkdG91Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
 
 
 class LiveDaemon:

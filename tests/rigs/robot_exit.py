@@ -8,7 +8,7 @@ import sys
 import time
 from typing import Any
 
-from rigs.robots import States, message
+from rigs.robots import States, reach
 
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import DEFAULT_PAD
@@ -40,28 +40,6 @@ def main(state: str) -> int:
             raise SystemExit(0)
         link.stop()
         return 0 if time.monotonic() - started_s < 2.0 else 3
-
-
-def reach(state: str, robot: LoopbackRobot, link: RobotLink, states: States) -> None:
-    """Wait until the link is in a state."""
-    if state in ("refused", "wrong-token"):
-        states.wait_for("down")
-    elif state == "mute":
-        time.sleep(0.2)
-    else:
-        states.wait_for("up")
-    if state == "busy":
-        link.publish(message())
-        robot.calls.wait_for(lambda call: call.method == "say")
-    elif state == "killed":
-        robot.kill()
-        states.wait_for("up", "down")
-    elif state in ("hung", "hung-connect"):
-        robot.hang()
-        link.publish(message())
-    if state == "hung-connect":
-        states.wait_for("up", "down")
-        time.sleep(0.3)
 
 
 if __name__ == "__main__":

@@ -86,5 +86,27 @@ def linked(robot: Robot, url: str = "", **settings: Any) -> Iterator[tuple[Robot
         link.stop()
 
 
+def reach(state: str, robot: Robot, link: RobotLink, states: States) -> None:
+    """Wait until a link is in a state."""
+    if state in ("refused", "wrong-token"):
+        states.wait_for("down")
+    elif state == "mute":
+        time.sleep(0.2)
+    else:
+        states.wait_for("up")
+    if state == "busy":
+        link.publish(message())
+        robot.calls.wait_for(lambda call: call.method == "say")
+    elif state == "killed":
+        robot.kill()
+        states.wait_for("up", "down")
+    elif state in ("hung", "hung-connect"):
+        robot.hang()
+        link.publish(message())
+    if state == "hung-connect":
+        states.wait_for("up", "down")
+        time.sleep(0.3)
+
+
 def link_threads() -> list[str]:
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("touchd-robot")]

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 import numpy as np
-from rigs.formats import FabricGrid
+from rigs.formats import FabricGrid, encode_fabric_grid
 
 from drivers.frame import Counts, Frame
 from drivers.pad.format import PadFormat, encode_frame
@@ -82,6 +82,14 @@ class Switch:
 
 def silence(counts: Counts, sensor_ms: int) -> bytes:
     return b""
+
+
+def noise(counts: Counts, sensor_ms: int) -> bytes:
+    return np.random.default_rng(sensor_ms).bytes(200)
+
+
+def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_fabric_grid(counts, sensor_ms, rows=8, columns=8, crop=0)
 
 
 class PolledPad:
