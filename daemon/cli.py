@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     debug = "--debug" in words
     _open_missing_streams()
-    # Commands clean up after themselves, also when their terminal closes or they are told to end.
+    # SIGTERM and SIGHUP raise KeyboardInterrupt, so that commands clean up.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
@@ -97,14 +97,14 @@ def _run(words: Sequence[str]) -> int:
 
 
 def _open_missing_streams() -> None:
-    """Open /dev/null for standard streams that are closed, lest another file take their number."""
+    """Open /dev/null for standard streams that are closed, so that no other file gets their number."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
 
 
 def _discard_output() -> None:
-    """Let what is still buffered go nowhere, so that it raises nothing at exit."""
+    """Discard buffered output, so that flushing it at exit raises nothing."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 

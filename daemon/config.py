@@ -1,4 +1,4 @@
-"""One YAML file into typed settings; whatever is wrong with it is said in one line."""
+"""Reads a YAML file into typed settings; a mistake in it is reported in one line."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ Length = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
 
 
 def state_folder() -> Path:
-    """Return where touchd keeps what outlives it: systemd's folder for the service, else the user's own."""
+    """Return the folder for persistent state: systemd's for the service, else the user's."""
     if service := os.environ.get("STATE_DIRECTORY"):
         return Path(service)
     users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
@@ -68,8 +68,8 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     port: a device, a pty, tcp://host:port, udp://address:port to listen at, or any address that pyserial's
     `serial_for_url` takes. baud: bits per second.
     format: what the pad sends: the name of a preset, or a description; see docs/pads.md. protocol: the older
-    name of the same.
-    rows, columns, crop, invert, turn, mirror: as in a description, and instead of what the format says.
+    name of format.
+    rows, columns, crop, invert, turn, mirror: override those of the format.
     size_mm: height and width of the 8x8 taxels, for lengths in touches; None gives them in taxels alone.
     """
 
@@ -107,7 +107,7 @@ class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_
 
 
 class PadSettings(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One of several pads; scene and model are the file's where it has none of its own."""
+    """One of several pads; scene and model default to those of the file."""
 
     scene: SceneSettings | None = None
     model: str | None = None
@@ -117,9 +117,9 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
 
     path: null is events.jsonl in the service's state folder, or in the user's where there is no service.
-    max_mb: size at which a new file is begun. keep: how many older files stay, path.1 being the newest.
-    keep_touches: of how many of the last touches the pad's frames are kept too, in path.touches/, a minute of
-    each at most; None keeps no frame.
+    max_mb: size at which a new file is begun. keep: number of older files; path.1 is the newest.
+    keep_touches: number of latest touches whose frames are kept in path.touches/, at most a minute of each;
+    None keeps none.
     """
 
     path: str | None = None
@@ -146,8 +146,8 @@ class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd.
 
-    sensor: the only pad. sensors: instead of it, several pads by their names. language: what gestures are
-    called in, by robot, page and terminal. words: a gesture's own name and phrase, in place of those shipped.
+    sensor: the only pad. sensors: instead of it, several pads by their names. language: of gesture names on
+    robot, page and terminal. words: a gesture's name and phrase, replacing the shipped ones.
     """
 
     sensor: SensorSettings = SensorSettings()
@@ -212,16 +212,16 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def pipeline(self) -> PipelineSettings:
-        """What the pipeline needs of this."""
+        """The pipeline's settings."""
         return PipelineSettings(
             ring=self.ring, touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm
         )
 
 
 def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:
-    """Return the settings of the pad of that name, which only one of several needs, at another port if any.
+    """Return the settings of one pad, at another port if given; only one of several pads needs its name.
 
-    Raises ConfigError when there is none, or when it takes a name to tell which.
+    Raises ConfigError when there is no such pad, or the name is missing.
     """
     pads = settings.pads
     chosen = pads.get(name) if name else next(iter(pads.values())) if len(pads) == 1 else None
@@ -265,9 +265,9 @@ SYNTAX_HINTS = {
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """A key given twice is an error, where YAML would let the last one win in silence; so is an alias.
+    """Refuses duplicate keys, of which YAML silently takes the last, and aliases.
 
-    A few hundred bytes of aliases can stand for gigabytes.
+    A few hundred bytes of aliases can expand to gigabytes.
     """
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -306,7 +306,7 @@ def convert(text: bytes | str, struct: type[T]) -> T:
 
 
 def _rename(raw: object) -> None:
-    """Take keys by their names of the release before, with a warning each."""
+    """Accept key names of the previous release, with a warning each."""
     touch = raw.get("touch") if isinstance(raw, dict) else None
     if not isinstance(touch, dict):
         return
@@ -331,7 +331,7 @@ def _plain_syntax(error: yaml.MarkedYAMLError) -> str:
 
 
 def _name_in_mapping(where: str, raw: Any, struct: type[msgspec.Struct]) -> str:
-    """Put the name of the wrong value into a path, where msgspec says of a mapping only [...]."""
+    """Put the name of the wrong value into a path; for a mapping msgspec says only [...]."""
     before, bracket, after = where.partition("[...]")
     if not bracket:
         return where
@@ -345,7 +345,7 @@ def _name_in_mapping(where: str, raw: Any, struct: type[msgspec.Struct]) -> str:
 
 
 def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
-    """Turn msgspec's message into one that names the setting, what may stand there and what does."""
+    """Turn msgspec's message into one that names the setting, the allowed values and the given one."""
     problem, _, where = message.partition(" - at `")
     keys = tuple(re.findall(r"\.(\w+)", _name_in_mapping(where, raw, struct)))
     name = ".".join(keys)
@@ -392,7 +392,7 @@ def _section(struct: type[msgspec.Struct], keys: Keys) -> type[msgspec.Struct]:
 
 
 def _parts(hint: Any) -> list[Any]:
-    """Return a type and all that it is made of: `tuple[A, ...] | None` holds A."""
+    """Return a type and its components: `tuple[A, ...] | None` holds A."""
     return [hint, *(part for argument in typing.get_args(hint) for part in _parts(argument))]
 
 
@@ -403,7 +403,7 @@ def _value(raw: Any, keys: Keys) -> Any:
 
 
 def _shortly(value: Any) -> str:
-    # Two levels are enough to recognise a value, and nested aliases could make a third astronomic.
+    # Two levels are enough to recognise a value; deeper ones could be huge.
     short = reprlib.Repr()
     short.maxlevel = 2
     return short.repr(value)

@@ -1,4 +1,4 @@
-"""What to say about a touch, and when to change one's mind."""
+"""Decides what to report of a touch, and when to revise it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 # Frames after which a touch may be answered early, about a sixth of a second.
 EARLIEST_FRAMES = 9
 
-# A gesture has changed when the logarithm of the odds between the one told and another has turned by this
-# much since the last answer. Smaller probabilities than the second count as that.
+# A gesture has changed when the log odds between the told one and another have shifted by this much since the
+# last answer. Probabilities below the second constant are raised to it.
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Sureness:
-    """An answer is sure once one gesture has had this confidence for so many frames on end."""
+    """An answer is sure once a gesture has had this confidence for this many frames in a row."""
 
     confidence: float
     frames: int
@@ -65,7 +65,7 @@ class ProbabilityModel(typing.Protocol):
     def steps(
         self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
     ) -> list[tuple[NDArray[np.float64], State]]:
-        """Return the same for touches up to now, from as many new frames of each and the states before."""
+        """Return the same for several touches, from equally many new frames of each and their states."""
         ...
 
 
@@ -77,7 +77,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
-    ongoing: whether another gesture is told after the final answer, when the hand goes on with one.
+    ongoing: whether a change of gesture after the final answer is told.
     revise_margin: an answer the robot has heard is replaced only by one more probable than it by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
     """
@@ -99,7 +99,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What a touch is at one stage; the fields are those of `daemon.events.Prediction`."""
+    """The answer at one stage; the fields are those of `daemon.events.Prediction`."""
 
     stage: Stage
     gesture: str
@@ -116,7 +116,7 @@ class Decision:
     reaches `speak_above`; at "final" it is told in any case. An answer that the robot has heard is replaced
     only by a gesture that is now more probable than it by `revise_margin` and, except at "final", reaches
     `speak_above`; otherwise it stands, and is not told again. "notouch" may stand, but is never told and
-    replaces nothing that was.
+    replaces no told answer.
     """
 
     def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
@@ -125,7 +125,7 @@ class Decision:
         occurs = {*(settings.gestures or labels), NO_TOUCH}
         self._occurs = np.array([label in occurs for label in labels])
         sure = SURE[settings.sure]
-        # What may not be told is no answer to hurry with.
+        # An answer that may not be told is not given early.
         self._sure = Sureness(max(sure.confidence, settings.speak_above), sure.frames)
         self.may_be_early = settings.early == "when_sure"
         self._leads: tuple[str, int] = ("", 0)
@@ -137,8 +137,8 @@ class Decision:
         """Return the answer to (labels,) calibrated probabilities at a stage.
 
         At "released", when nothing was told and nothing can be, the answer's stage is "uncertain" instead. At
-        "uncertain", for a touch that ended with nothing told, it is always that. may_tell: False where it
-        comes too late to be told. An "ongoing" answer is reported, and stands, only when it is told.
+        "uncertain", for a touch that ended with nothing told, it is always that. may_tell: False when it is
+        too late to tell. An "ongoing" answer is reported, and stands, only when it is told.
         """
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
@@ -159,7 +159,7 @@ class Decision:
     def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
         """Whether (labels,) of a touch's latest frames speak for another gesture than the one last answered.
 
-        That they do is not enough, for an answer may have been wrong: the frames before spoke against it.
+        A high probability is not enough, as the last answer may have been wrong: the odds must have shifted.
         """
         now, before = self.weigh(probabilities), self._answered
         best = max(now, key=lambda label: now[label])
@@ -173,7 +173,7 @@ class Decision:
         return log_odds(now, best, stands) + log_odds(before, stands, best) >= CHANGED_LOG_ODDS
 
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
-        """Whether to answer early now, `frames` into the touch; to be asked once a frame, in order."""
+        """Whether to answer early now, `frames` into the touch; call once a frame, in order."""
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
         if best == NO_TOUCH or scene[best] < self._sure.confidence:
@@ -187,7 +187,7 @@ class Decision:
         return stage == "final" or confidence >= self._settings.speak_above
 
     def _uncertain(self, scene: dict[str, float], best: str, may_tell: bool) -> Answer:
-        """The robot hears that there was a touch without a name, unless the model sees no touch at all."""
+        """Report a touch without a name, unless the model sees no touch at all."""
         return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell and best != NO_TOUCH)
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:

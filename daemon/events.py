@@ -38,7 +38,7 @@ class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
-    """What the touch is, as far as it has come.
+    """The answer to a touch so far.
 
     stage: see `daemon.decide`. frames: length of the window asked about.
     elapsed_s: from the touch's first frame to the window's last.
@@ -47,7 +47,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     changed: the answer differs from the touch's previous one. told: the robot is told now.
     degraded: frames of this touch were lost and bridged.
     latency_ms: from the arrival of the frame that made this answer due to its hand-over.
-    age_ms: from when the hand was so, by the pad's clock, to the hand-over; 0 in older journals.
+    age_ms: from the window's last frame, by the pad's clock, to the hand-over; 0 in older journals.
     feel: what the touch was like so far.
     """
 
@@ -70,7 +70,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="live_prediction"):
-    """What the model makes of the touch at this moment: for whoever looks, and no event.
+    """The model's current probabilities for a touch, for viewers; not an event.
 
     frames: length of the touch so far. probabilities: as in `Prediction`.
     """
@@ -104,7 +104,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
-    """The pad came, went, feels no touch ("degraded"), or no light touch for all its noise ("disturbed").
+    """The pad came, went, feels no touch ("degraded"), or is too noisy for light ones ("disturbed").
 
     reason: one line for people, empty when there is nothing to add.
     """
@@ -140,7 +140,7 @@ Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEve
 
 
 def one_line(reason: str) -> str:
-    """Return a reason, perhaps a library's, as an event holds it: one line of at most MAX_REASON_BYTES."""
+    """Return a reason, perhaps a library's, as one line of at most MAX_REASON_BYTES."""
     printable = "".join(character if character.isprintable() else " " for character in reason)
     return printable.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
 

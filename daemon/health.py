@@ -1,4 +1,4 @@
-"""What systemd is told of the daemon (sd_notify): ready once, alive only by what it did, and its status."""
+"""Reports to systemd (sd_notify): ready once, the watchdog only after work done, and a status line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HEARD_S = 4.0
 
 
 class Notifier:
-    """Tells systemd that the service is ready, alive and how it fares; silent when nobody asked.
+    """Sends readiness, watchdog and status to systemd; does nothing without a manager.
 
     environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID as systemd sets them (sd_notify(3),
     sd_watchdog_enabled(3)).
@@ -41,7 +41,7 @@ class Notifier:
         return self._socket is not None
 
     def send(self, **fields: str | int) -> None:
-        """Send fields such as READY=1; a manager that does not take them is left alone."""
+        """Send fields such as READY=1; a manager that does not take them is ignored."""
         if self._socket is not None:
             message = "\n".join(f"{name}={value}" for name, value in fields.items())
             try:
@@ -59,7 +59,7 @@ class Notifier:
 class Health:
     """Feeds the watchdog while every pad delivers frames that are processed or is known to be away.
 
-    A reader that died, or a loop that hangs, does neither, and systemd starts the daemon again.
+    When a reader dies or the loop hangs, systemd restarts the daemon.
     """
 
     def __init__(self, notifier: Notifier) -> None:
@@ -100,7 +100,7 @@ class Health:
             self._feed()
 
     def report(self, touches: int, dropped: int) -> None:
-        """Say every few seconds how it goes: frames a second, touches so far, frames dropped so far."""
+        """Report the status every few seconds: frames a second, touches so far, frames dropped so far."""
         now_s = time.monotonic()
         passed_s = now_s - self._status_s
         if passed_s < STATUS_EVERY_S:
@@ -120,7 +120,7 @@ class Health:
         self._frames = 0
 
     def end(self, touches: int, dropped: int) -> None:
-        """Say what it was in all."""
+        """Log the totals."""
         frames = self._frames_in_all + self._frames
         log.info("%d frames, %d touches, %d frames dropped in all", frames, touches, dropped)
 

@@ -53,20 +53,20 @@ CALM: tuple[PadState, str] = ("up", "the pad is calm again")
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# After the final answer the last three quarters of a second are asked about alone, three times a second.
-# The mean of two such stretches shows whether the gesture has changed.
+# After the final answer the network is asked about the last three quarters of a second alone, three times a
+# second. The mean of two such windows shows whether the gesture has changed.
 ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 40
 ONGOING_STRETCHES = 2
-# An answer due in a quiet longer than a pat's lift-off waits until it is clear what the quiet is: a pause,
-# best asked about with the quiet in it (in HAART 90 % right, 70 without), or the end, best without (80 %, 60
-# with). In HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
+# Defer an answer that falls into a silence longer than a pat's lift-off until we know whether it is a pause
+# (include it: in HAART 90 % right, 70 without) or the end (exclude it: 80 %, 60 with). In HAART 2 % of
+# answers wait, by 0.2 s on average, nearly all of them for a stroke.
 LIFT_OFF_FRAMES = 13
 # While somebody looks, the network is asked every third frame.
 SHOWN_STRIDE_FRAMES = 3
-# So many frames the network may be behind a touch between two marks.
+# Most frames by which the network may lag a touch between two marks.
 BEHIND_FRAMES = 27
-# How far ahead an answer must be for frames to wait: twice as long as they do.
+# Frames may wait only when no answer is due within this many, twice as long as they wait.
 WAIT_FRAMES = 6
 
 
@@ -92,11 +92,11 @@ class Clock:
 
 @dataclass
 class Touch:
-    """The touch that goes on.
+    """The current touch.
 
     due: the stages still to come, with the length at which each is asked. heard: the model's answers so far,
     by length. state: the model's, after the touch's first `given` frames, of `length` so far. stretches:
-    what the model made of the last few after the final answer.
+    the model's answers to the last windows after the final answer.
     """
 
     number: int
@@ -118,15 +118,15 @@ class Touch:
 
 
 class Pipeline:
-    """Takes frames and the sensor's comings and goings in their order, and emits events as they fall due.
+    """Takes frames and the sensor's states in order, and emits events as they fall due.
 
-    What it says depends only on the frames, not on when or how they arrived; the times in events are the
-    clock's. While nothing touches, the model is asked three times a second.
-    before: the pipeline whose place this one takes between two touches. What that knew of the pad, and the
-    numbers of touches, go on.
-    viewers: returns whoever looks now, to be called with what the model makes of a touch as it goes on.
-    behind_frames: so many the model may be behind a touch, see `catch_up`.
-    first_index: of the grid; that of several pads should differ, so that their looks fall on other frames.
+    Events depend only on the frames, not on when or how they arrived; their times are the clock's. While
+    nothing touches, the model is asked three times a second.
+    before: the pipeline that this one replaces between two touches; its knowledge of the pad and its touch
+    numbers are taken over.
+    viewers: returns the current viewers, to be called with live predictions.
+    behind_frames: how many frames the model may lag a touch, see `catch_up`.
+    first_index: of the grid; it should differ among pads, so that their looks fall on different frames.
     """
 
     def __init__(
@@ -148,7 +148,7 @@ class Pipeline:
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
         self._final_frames = settings.decision.answer_at_frames[-1]
-        # At the end of a touch its last frames lie behind by the quiet in which the end was known.
+        # At the end of a touch its last frame is older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
         self._tracker: TouchTracker = TouchTracker(
@@ -182,7 +182,7 @@ class Pipeline:
 
     @property
     def is_behind(self) -> bool:
-        """Whether the model should catch up before the next frame: it is a mark's, or many have come."""
+        """Whether to catch up before the next frame: it is at a mark, or many frames have come."""
         touch = self._touch
         if touch is None or not touch.given < touch.length <= self._final_frames:
             return False
@@ -210,7 +210,7 @@ class Pipeline:
             self._tell_sensor("degraded" if why else "up", why)
 
     def on_sensor_state(self, state: SensorState) -> None:
-        """Take note that the sensor came or went; its going ends the touch, and rest is learned anew."""
+        """Note that the sensor came or went; when it goes, the touch ends and rest is calibrated anew."""
         if state.state == "down":
             self._stop("sensor")
             self._age.forget()
@@ -279,7 +279,7 @@ class Pipeline:
             degraded=any(earlier.bridged for earlier in so_far),
             meter=FeelMeter(self._tracker.baseline.counts, self._tracker.baseline.noise_floor, self._size_mm),
         )
-        # The newest frame is taken like those that follow.
+        # The caller adds the newest frame, like those that follow.
         for earlier in so_far[:-1]:
             self._touch.meter.add(earlier.pressure)
         sensor_ms = _as_sent(so_far[0])
@@ -302,7 +302,7 @@ class Pipeline:
                 show(live)
 
     def _hear(self, touch: Touch) -> Generator[Step, Heard, NDArray[np.float64]]:
-        """Give the model the touch's new frames; keep and return what it says."""
+        """Give the model the touch's new frames; keep and return its answer."""
         length = touch.length
         window = self._ring.window(touch.first_index + length, length - touch.given)
         heard, touch.state = yield Step(self._model, window, touch.state, touch.given)
@@ -375,7 +375,7 @@ class Pipeline:
         window: tuple[int, int],
         since_s: float,
     ) -> None:
-        """Decide on what the model said of a touch's frames; window: how many of its first how many."""
+        """Decide on the model's answer; window: its length, and the touch's length at its end."""
         frames, length = window
         last = touch.first_index + length - 1
         age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
@@ -417,6 +417,6 @@ def _as_sent(frame: GridFrame) -> int:
 
 
 def _history_frames(settings: PipelineSettings) -> int:
-    """The longest window, and how far from the newest frame it may end: in a quiet, and in a bridged gap."""
+    """Return the frames to keep: the longest window, and a quiet and a bridged gap after it."""
     spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s + 2) * FRAME_RATE_HZ)
     return settings.decision.answer_at_frames[-1] + CALIBRATION_FRAMES + LEFT_ANYHOW_FRAMES + spare_frames

@@ -26,7 +26,7 @@ from drivers.queue import Signal
 
 # Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
 IDLE_S = 0.25
-# So long after a frame the model catches up: late, for then an answer to the next finds the caches warm.
+# Delay after a frame before the model catches up: late, so that the next frame's answer finds warm caches.
 CATCH_UP_S = 0.008
 SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
@@ -38,7 +38,7 @@ if typing.TYPE_CHECKING:
 
 
 class Service:
-    """The daemon's loop and all that it joins. Raises TouchdError when the settings cannot be used."""
+    """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used."""
 
     def __init__(self, settings: Settings, health: Health) -> None:
         self._health = health
@@ -63,8 +63,8 @@ class Service:
         self._view = view
 
     def run(self, stop: threading.Event) -> None:
-        """Run until `stop` is set; then touches that went on have ended and every sink has been stopped."""
-        # What was loaded stays: a collection that looks through it all would take as long as an answer may.
+        """Run until `stop` is set; then end current touches and stop every sink."""
+        # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
         gc.freeze()
         self._events.sinks = (*self._parts.sinks, *self._more_sinks)
         for sink in self._events.sinks:
@@ -92,9 +92,9 @@ class Service:
         return self._make(settings, self._parts)
 
     def replace(self, parts: Parts) -> None:
-        """Go on with these parts, each pad from its next touch on, while `run` goes on in another thread.
+        """Swap in these parts, each pad between two touches, while `run` goes on in another thread.
 
-        Returns when all have taken over. No frame and no touch number is lost.
+        Returns when all are swapped. No frame and no touch number is lost.
         """
         before = self._parts
         readers = [pad.sensor for pad in parts.pads.values()]
@@ -111,7 +111,7 @@ class Service:
         for reader in readers:
             if reader not in readers_before:
                 reader.start()
-        # One after the other: the journal before may be the same file.
+        # One after the other: the old journal may be the same file.
         _stop([sink for sink in before.sinks if sink not in parts.sinks], REPLACED_STOP_S)
         for sink in parts.sinks:
             if sink not in before.sinks:
@@ -121,7 +121,7 @@ class Service:
         return Parts(settings, self._events.emit, self._viewers, self._arrived, self._numbers, before)
 
     def _viewers(self) -> list[Callable[[LivePrediction], None]]:
-        """Return whoever looks at what the model makes of a touch at this moment."""
+        """Return the current viewers of live predictions."""
         live, view = self._parts.live, self._view
         return [
             *([live.put_live] if live is not None and live.is_watched else []),
@@ -134,7 +134,7 @@ class Service:
         return bool(self._viewers()) or any(bridge.pad == pad.name for bridge in bridges)
 
     def _move_on_to(self, parts: Parts) -> None:
-        """Have each pad that is between two touches go on by the new parts; then so do the sinks."""
+        """Move each pad that is between two touches to the new parts, then the sinks."""
         for name, pad in list(self._pads.items()):
             new = parts.pads.get(name)
             if new is pad or pad.pipeline.has_touch or (len(pad.queue) and new is None):
@@ -183,7 +183,7 @@ class Service:
         """Process the oldest thing in each pad's queue; return whether there was any."""
         taken = [(pad, pad.queue.get_nowait()) for pad in pads]
         frames = [(pad, item) for pad, item in taken if isinstance(item, Frame)]
-        # Before the events that they cause.
+        # Frames go out before the events that they cause.
         if self._parts.kept is not None:
             for pad, frame in frames:
                 self._parts.kept.take(frame, pad.name)
@@ -197,7 +197,7 @@ class Service:
         return any(item is not None for _, item in taken)
 
     def _pass_on(self, pad: Pad, frame: Frame) -> None:
-        """Have everybody else know of a frame that a pad's pipeline has taken."""
+        """Pass on a frame that a pad's pipeline has processed."""
         parts = self._parts
         pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
         pad.catch_up_s = frame.host_s + CATCH_UP_S if pad.pipeline.is_behind else math.inf
@@ -212,7 +212,7 @@ class Service:
                 bridge.put_frame(frame)
 
     def _catch_up(self, pads: Sequence[Pad]) -> None:
-        """Have the model catch up on the pads for which it is time."""
+        """Have the model catch up on the pads that are due."""
         now_s = time.monotonic()
         behind = [pad for pad in pads if pad.catch_up_s <= now_s]
         for pad in behind:

@@ -48,7 +48,7 @@ class Sink(typing.Protocol):
         ...
 
     def stop(self, timeout_s: float) -> None:
-        """Pass on what is queued, as far as the time allows, and end; may come without `start`."""
+        """Pass on queued items within the time limit, then end; may be called without `start`."""
         ...
 
 
@@ -56,7 +56,7 @@ class EventFanout:
     """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
 
     sinks: assigned anew when the configuration changes. touches: how many began.
-    standing: what was last heard of each pad and of the robot.
+    standing: the last state of each pad and of the robot.
     """
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class QueuedSink(ABC, Generic[Item]):
 
     def __init__(self, name: str, capacity: int = CAPACITY) -> None:
         self.name = name
-        # None is the end, which is never dropped.
+        # None marks the end and is never dropped.
         self._items: DroppingQueue[Item | None] = DroppingQueue(capacity, lambda item: item is not None)
         self._draining = False
         self._abandoned = threading.Event()
@@ -120,7 +120,7 @@ class QueuedSink(ABC, Generic[Item]):
 
 
 class LineSink(QueuedSink[Item]):
-    """Lines to a file descriptor that somebody reads, or not, or that leads to a disk that is full.
+    """Writes lines to a file descriptor, which may have no reader or a full disk.
 
     on_gone: called once, from the sink's thread, when nobody reads any more.
     """
@@ -141,7 +141,7 @@ class LineSink(QueuedSink[Item]):
 
     def write(self, item: Item) -> None:
         """Write one line; waits for a slow reader, not for one that is gone. A full disk costs the line."""
-        # What a full disk left of a line is ended first.
+        # First end the line that a full disk cut off.
         data = b"\n" * self._is_cut_off + self.line_of(item) + b"\n"
         try:
             while data and not self._abandoned.is_set():
@@ -187,7 +187,7 @@ class LinesSink(LineSink[Event]):
 
 
 class LogSink(LineSink[str]):
-    """The daemon's own log, for which no thread of the daemon waits; says how many lines nobody read."""
+    """Writes the log without blocking any thread of the daemon; reports how many lines were dropped."""
 
     def __init__(self, fd: int, capacity: int = CAPACITY) -> None:
         super().__init__("log", fd, capacity=capacity)
@@ -232,9 +232,9 @@ class JournalSink(QueuedSink[Event]):
 
 
 class RobotSink:
-    """Tells the robot what is to be told, and whether there is a pad. The link has its own queue and thread.
+    """Sends told answers and the pads' states to the robot. The link has its own queue and thread.
 
-    numbers: of the messages; they go on when another link takes over.
+    numbers: of the messages; they continue after a reload.
     """
 
     name = "robot"

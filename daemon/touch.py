@@ -9,7 +9,7 @@ baseline that shifted or a pad that wobbles: it begins a touch when it moves on 
 A touch ends when contact has been gone for `quiet_s`. A fabric rarely comes back to where it was, and noise
 may have begun meanwhile, so a touch also ends when the pad shows that nobody touches it, whatever it reads:
 it keeps still far below the touch's own level; or it has become far calmer than the touch was; or the network
-sees no touch, several times running. What it reads then is its baseline. A load that keeps still at the
+sees no touch, several times running. What it reads then becomes its baseline. A load that keeps still at the
 touch's level for `settled_s` is no hand, for a resting hand trembles. The figures behind the numbers are in
 docs/touch.md.
 """
@@ -37,7 +37,7 @@ BACKDATE_COUNTS = 1.0
 # A pad silent for longer, or restarted, may have been moved or changed: it is calibrated anew.
 CHANGED_AFTER_MS = 2000.0
 
-# Contact so firm that nothing but a hand makes it, or this many times what the untouched pad lately made.
+# Contact that only a hand makes: this much, or this many times the untouched pad's recent peak.
 FIRM_COUNTS = 60.0
 FIRM_RESTLESS = 3.0
 # A baseline's shift is over after two frames; a hand goes on moving, by so many counts summed over the pad.
@@ -50,7 +50,7 @@ LEAST_ASKED_FRAMES = 18
 ASK_LIGHT_FRAMES = 9
 NO_TOUCH_MOVING = 0.5
 NO_TOUCH_STILL = 0.3
-# What the untouched pad's contact reached lately has to be exceeded by half, and is forgotten in 20 seconds.
+# Contact must exceed the untouched pad's recent peak by half; the peak is forgotten in 20 seconds.
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
 
@@ -61,7 +61,7 @@ SWING_FRAMES = 14
 NEW_VIBRATION_FRAMES = 108
 CALM_AGAIN_FRAMES = 540
 
-# The end is looked for nine times a second.
+# The end is checked nine times a second.
 END_STRIDE_FRAMES = 6
 # Far below the touch's level: a share of its highest half second, or less contact than a resting hand makes.
 LOW_SHARE = 0.35
@@ -196,14 +196,14 @@ class TouchTracker:
 
     @property
     def last_contact_index(self) -> int:
-        """The last grid frame with contact of the touch that goes on; the median shows its end late."""
+        """The current touch's last grid frame with contact; the median delays it."""
         if self._held is None or self._held.last == self._index:
             return self._index
         return max(self._held.first, self._held.last - SMOOTH_FRAMES // 2)
 
     @property
     def is_settled(self) -> bool:
-        """Whether the pad rests, or is clearly touched: nothing that takes a second look has begun."""
+        """Whether the pad rests, or is clearly touched: nothing ambiguous has begun."""
         if self._held is None:
             return self._light is None and self._baseline.is_known
         return self._index == self._held.last and not self.may_be_over
@@ -399,7 +399,7 @@ class TouchTracker:
         return bool((change <= np.maximum(allowed, STILL_COUNTS)).all() and (spread <= noise).all())
 
     def _take_for_rest(self, held: _Held, reason: EndReason) -> Release | None:
-        """End the touch, and take what the pad reads now for its rest."""
+        """End the touch, and take the current readings as rest."""
         if reason == "released":
             over_frames = (
                 max(held.still_frames, held.calm_frames, SECOND_FRAMES if self._sight.is_none else 0)

@@ -1,4 +1,4 @@
-"""Libraries that are not in every installation, and the command that brings them."""
+"""Optional libraries, and the command that installs them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXTRAS = {
 
 
 def extra_of(module: str) -> str | None:
-    """Return the extra that brings a module, None for one that no extra brings."""
+    """Return the extra that installs a module, None for any other module."""
     root = module.partition(".")[0]
     return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
 

@@ -1,4 +1,4 @@
-"""One reading of the pad, as everything to its right sees it."""
+"""One reading of the pad."""
 
 from __future__ import annotations
 

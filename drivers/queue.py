@@ -34,7 +34,7 @@ class Signal:
 class DroppingQueue(Generic[Item]):
     """A bounded queue for one reader that gives up its oldest item when full, and counts it in `dropped`.
 
-    may_drop: items to keep as long as there are others to give up are those for which it returns False.
+    may_drop: returns False for items to keep as long as there are others to drop.
     filled: set when something is put; of several queues, one thread can wait on the same.
     """
 

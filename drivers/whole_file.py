@@ -1,4 +1,4 @@
-"""Writing a file so that it is there whole or not at all, whenever the power goes."""
+"""Writes a file whole or not at all, even if the power fails."""
 
 from __future__ import annotations
 

@@ -3,5 +3,5 @@
 import os
 
 # From 1.29 on, ONNX Runtime for Linux keeps a database of what it runs in the home folder and sends it to its
-# makers. It asks for the wish not to before anything else can: while it is imported.
+# makers. It checks the opt-out while it is imported.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

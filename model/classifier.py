@@ -23,7 +23,7 @@ METADATA_KEY = "touchd"
 TRIAL_S = 10.0
 TRIAL_FRAMES = 54
 
-# Every event of an answer carries them all, and is bounded by these.
+# Every answer's event carries all of them; these limits bound its size.
 Label: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,24}$")]
 Labels: TypeAlias = Annotated[tuple[Label, ...], msgspec.Meta(min_length=1, max_length=12)]
 Name: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.+-]{1,64}$")]
@@ -200,7 +200,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options.log_severity_level = 3
     # Denormal floats take the processor tens of times longer and mean nothing here.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
-    # Weights outside the file would be looked for in the working folder; here there are none to be found.
+    # External weights would be looked for in the working folder; in this one there are none.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")

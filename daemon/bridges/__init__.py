@@ -1,1 +1,1 @@
-"""Other systems than the robot: each a sink of its own, imported only when it is configured."""
+"""Bridges to systems other than the robot: each is a sink, imported only when it is configured."""

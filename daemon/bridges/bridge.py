@@ -12,7 +12,7 @@ from daemon.sinks import CAPACITY, QueuedSink
 from drivers.errors import TouchdError
 from drivers.frame import Frame
 
-# A second of frames: more of them would only delay events, and are late themselves.
+# One second of frames; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
 
@@ -25,8 +25,8 @@ class Bridge(QueuedSink[Event | Frame]):
     """Passes one pad's events on to another system, and its frames where they are wanted.
 
     `open`, `write` and `close` run in the sink's own thread. Events wait while the peer is away, the oldest
-    are dropped when the queue is full; frames are not queued then. Other pads' events are passed over.
-    frames_hz: frames a second at most, math.inf for all; None wants none.
+    are dropped when the queue is full; frames are not queued then. Other pads' events are ignored.
+    frames_hz: frames a second at most, math.inf for all, None for none.
     """
 
     def __init__(self, name: str, pad: str, frames_hz: float | None, capacity: int = CAPACITY) -> None:

@@ -11,16 +11,16 @@ from daemon.config import SceneSettings, Settings
 from daemon.decide import NO_TOUCH, ProbabilityModel
 from drivers.extras import how_to_install
 
-# What a bridge is made of: the section's name and content, the pad, the gestures that can be told of it.
+# A bridge's section name and content, its pad, and the gestures that it can report.
 Key = tuple[str, Section, str, tuple[str, ...]]
 
 
 def make_bridges(
     settings: Settings, models: Mapping[str, ProbabilityModel], before: Mapping[Key, Bridge]
 ) -> dict[Key, Bridge]:
-    """Return the configured bridges; those before stay where nothing changed, others are not yet started.
+    """Return the configured bridges; unchanged ones are kept, new ones are not yet started.
 
-    models: for each pad. Raises BridgeError when a bridge cannot be used so.
+    models: for each pad. Raises BridgeError when a bridge cannot be used as configured.
     """
     wanted = [
         (name, section, pad, _gestures(own.scene, models[pad]))
@@ -41,5 +41,5 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
 
 
 def _gestures(scene: SceneSettings, model: ProbabilityModel) -> tuple[str, ...]:
-    """Return what can be told of a pad."""
+    """Return the gestures that can be reported for a pad."""
     return tuple(scene.gestures or (label for label in model.labels if label != NO_TOUCH))

@@ -32,7 +32,7 @@ def make(settings: LslSettings, pad: str, labels: Sequence[str]) -> Bridge:
 
 
 class LslBridge(Bridge):
-    """Pushes markers and frames, each with the time at which it arose; whoever listens comes and goes."""
+    """Pushes markers and frames, each with its own time; listeners may come and go."""
 
     def __init__(self, settings: LslSettings, pad: str, capacity: int = CAPACITY) -> None:
         self._stream = f"{settings.name}-{pad}"
@@ -40,7 +40,7 @@ class LslBridge(Bridge):
 
     def open(self) -> None:
         """Announce both streams."""
-        # Neither clock is ever set, so that a frame's stamp is as exact however late it is sent.
+        # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
         self._ahead_s = _ahead_of(time.monotonic)
         self._markers = pylsl.StreamOutlet(
             self._info("markers", "Markers", 1, pylsl.IRREGULAR_RATE, "string")
@@ -59,7 +59,7 @@ class LslBridge(Bridge):
             self._markers.push_sample([marker_of(item)], epoch_s(item.time) + _ahead_of(time.time))
 
     def close(self) -> None:
-        """Take both streams away."""
+        """Remove both streams."""
         del self._markers, self._pressure
 
     def _info(self, name: str, kind: str, channels: int, rate_hz: float, form: str) -> pylsl.StreamInfo:
@@ -86,7 +86,7 @@ def marker_of(event: Event) -> str:
 
 
 def _ahead_of(clock: Callable[[], float]) -> float:
-    """Return by how many seconds LSL's clock is ahead of another, by the quickest of a few looks at both."""
+    """Return by how many seconds LSL's clock is ahead, from the quickest of a few readings of both."""
 
     def look() -> tuple[float, float]:
         before_s, lsl_s, after_s = clock(), float(pylsl.local_clock()), clock()

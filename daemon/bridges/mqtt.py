@@ -22,7 +22,7 @@ KEEPALIVE_S = 10
 CONNECT_S = 3.0
 RECONNECT_FIRST_S, RECONNECT_CAP_S = 0.1, 1.0
 MAX_PASSWORD_BYTES = 4096
-# What Home Assistant is to make of an event: told answers only, the gesture as the event's type.
+# Home Assistant's template: told answers only, with the gesture as the event's type.
 TO_HOME_ASSISTANT = (
     "{% if value_json.type == 'prediction' and value_json.told %}"
     "{{ {'event_type': value_json.gesture, 'confidence': value_json.confidence, "
@@ -31,7 +31,7 @@ TO_HOME_ASSISTANT = (
 
 
 def make(settings: MqttSettings, pad: str, labels: Sequence[str]) -> Bridge:
-    """Return the bridge, not yet started; raises BridgeError when it cannot be used so."""
+    """Return the bridge, not yet started; raises BridgeError when it cannot be used as configured."""
     password = _read_password(settings.password_file) if settings.password_file else None
     context = _tls(settings.ca_file) if settings.tls else None
     return MqttBridge(settings, pad, labels, password, context)
@@ -41,7 +41,7 @@ class MqttBridge(Bridge):
     """Publishes each event with QoS 1, one at a time and in order, and keeps the state retained.
 
     The state is the pad's (see `SensorEvent`), stopped (touchd has ended) or, as the last will, lost.
-    paho's own thread holds the connection and makes it anew.
+    paho's own thread keeps the connection and reconnects.
     """
 
     def __init__(

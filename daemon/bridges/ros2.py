@@ -1,4 +1,4 @@
-"""ROS 2 without a ROS installation: what its nodes publish, over the same DDS wire."""
+"""ROS 2 without a ROS installation: the messages that its nodes publish, over DDS."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from daemon.events import Event, Prediction, encode
 from daemon.sinks import CAPACITY
 from drivers.frame import Frame
 
-# What rclpy and rclcpp ask for by default. A reliable writer suits readers of either kind.
+# The defaults of rclpy and rclcpp. A reliable writer suits reliable and best-effort readers.
 QOS = Qos(
     Policy.Reliability.Reliable(duration(milliseconds=100)),
     Policy.Durability.Volatile,

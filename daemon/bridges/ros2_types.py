@@ -1,6 +1,6 @@
 """The ROS 2 messages that are published, as DDS knows them: std_msgs/String and sensor_msgs/Image.
 
-cyclonedds reads the annotations, so they must not be put off by a `from __future__` here.
+cyclonedds reads the annotations at run time, so `from __future__ import annotations` must not stand here.
 """
 
 from dataclasses import dataclass

@@ -23,9 +23,9 @@ CONNECT_S = 1.0
 CLOSE_S = 0.2
 PING_S = 5.0
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
-# A reply is short; subscribed to nothing, we get none.
+# Replies are short, and without a subscription there are none.
 MOST_HEARD_BYTES = 64 * 1024
-# In the form that servers of both generations know.
+# In the form that servers of ROS 1 and ROS 2 accept.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
@@ -35,7 +35,7 @@ def make(settings: RosbridgeSettings, pad: str, labels: Sequence[str]) -> Bridge
 
 
 class RosbridgeBridge(Bridge):
-    """Publishes the topics of `Ros2Bridge`; a thread of its own holds the connection and makes it anew."""
+    """Publishes the topics of `Ros2Bridge`; a thread of its own keeps the connection and reconnects."""
 
     def __init__(self, settings: RosbridgeSettings, pad: str, capacity: int = CAPACITY) -> None:
         self._settings = settings
@@ -49,7 +49,7 @@ class RosbridgeBridge(Bridge):
 
     def open(self) -> None:
         """Begin to connect."""
-        # What comes of each attempt is told here, once.
+        # The keeper thread logs failed attempts itself, once.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
         self._keeper.start()
 
@@ -119,7 +119,7 @@ class RosbridgeBridge(Bridge):
         return msgspec.json.encode(operation).decode()
 
     def _image(self, frame: Frame) -> dict[str, Any]:
-        # The server itself puts the time into the header.
+        # The server fills in the header's time.
         return {
             "header": {"frame_id": self.pad},
             "height": ROWS,

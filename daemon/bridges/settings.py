@@ -47,7 +47,7 @@ class LslSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 class Ros2Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """ROS 2 over DDS. A pad's topics are NAMESPACE/PAD/gesture, event and pressure.
 
-    domain: ROS_DOMAIN_ID of the nodes that shall hear.
+    domain: ROS_DOMAIN_ID of the listening nodes.
     """
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0

@@ -13,11 +13,11 @@ from drivers.errors import TouchdError
 log = logging.getLogger(__name__)
 
 MAX_LINE_BYTES = 64 * 1024
-# A process that is killed while it writes leaves whole pages: Linux looks for the signal between them. So no
-# event may cross one; the line before is filled up with blanks, which JSON ignores.
+# A process killed while it writes leaves whole pages, as Linux checks for signals between pages. So no event
+# may cross a page; the line before is padded with blanks, which JSON ignores.
 PAGE_BYTES = 4096
 MAX_EVENT_BYTES = 1024
-# With which every line begins.
+# The beginning of every line.
 FIRST_BYTES = b'{"type":"'
 
 
@@ -29,7 +29,7 @@ class Journal:
     """Appends lines to a file; a full disk is warned of once and costs lines, never the daemon.
 
     path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file is
-    begun. before: the journal that this one takes the place of, perhaps on the same file. Only one process
+    begun. before: the journal that this one replaces, perhaps on the same file. Only one process
     writes a journal. Raises JournalError when the file cannot be opened, or is no journal and left as it is.
     """
 
@@ -42,7 +42,7 @@ class Journal:
         self.lost = 0
         try:
             if before is not None and before.is_on(path):
-                # The lock goes with it.
+                # The duplicate shares the lock.
                 self._fd = os.dup(before._fd)
             else:
                 self._fd = _open(path)

@@ -31,7 +31,7 @@ def prepare(folder: Path) -> None:
 
 
 def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
-    """Write recordings to their file, whole or not at all; raises RecordingError, also when it is there."""
+    """Write recordings to a new file, whole or not at all; raises RecordingError, also when it exists."""
     try:
         with whole_file(path, replace=False) as partial:
             write_recordings(partial, recordings, provenance)

@@ -1,4 +1,4 @@
-"""The pad's frames around a touch that is over, cut into rest before it, the touch, and quiet after it."""
+"""The frames around a finished touch, cut into rest before, touch, and quiet after."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.pad.pace import pace_of, steps_ms
 from drivers.recording import NO_TOUCH, UNLABELLED, Recording
 
 LEAD_MS = 1000
-# Frames further apart than this are not of one stretch of time.
+# Frames further apart than this are not contiguous.
 CUT_MS = 1000
 
 
@@ -53,7 +53,7 @@ class TouchPieces:
         return f"{pace.rate_hz:.2f} Hz, {pace.lost} frames lost"
 
     def recordings(self) -> list[Recording]:
-        """Return them as recordings on one clock, of which nobody has said yet who touched what and how."""
+        """Return them as unlabelled recordings on one clock."""
         pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
         frames = [frame for _, piece in pieces for frame in piece]
         clock_ms = frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(frames))])

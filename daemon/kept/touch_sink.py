@@ -1,7 +1,7 @@
-"""Gathers the pad's frames of each touch as it goes by, and has them written to disk where that is wanted.
+"""Collects the frames of each touch and has them written to disk, where configured.
 
-In the loop a frame costs two appends; cutting, packing and writing are done in a thread of their own. It has
-work only after a touch, when the next answer is a second away or more.
+In the loop a frame costs two appends. A thread of its own cuts, packs and writes, only after a touch, when
+the next answer is a second away or more.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class TouchSink(QueuedSink[FeltTouch]):
                 if touch is not None:
                     super().put(touch)
             case SensorEvent():
-                # What comes is another pad's, or of one whose clock has started anew.
+                # The next frames are another pad's, or its clock restarted.
                 self._pads.pop(item.pad, None)
 
     def write(self, item: FeltTouch) -> None:

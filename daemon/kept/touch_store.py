@@ -76,7 +76,7 @@ class TouchStore:
         self._count += 1
         path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
         try:
-            # Who wants no touch kept any longer may have deleted them with their folder.
+            # A user may have deleted the touches with their folder.
             self._make_folder()
             pieces = cut(touch)
             keep(path, pieces.recordings(), self._provenance(touch, pieces))
@@ -93,7 +93,7 @@ class TouchStore:
             self._failing = False
 
     def _make_folder(self) -> None:
-        """Make the folder where it is not there; like the journal, it is not for everybody's eyes."""
+        """Make the folder where it is not there; like the journal, it is not world-readable."""
         self._folder.mkdir(FOLDER_MODE, exist_ok=True)
 
     def _provenance(self, touch: FeltTouch, pieces: TouchPieces) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Events put together again to touches: each with what was said of it, from a pipeline or from a journal."""
+"""Groups events by touch, from a pipeline or from a journal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
 from daemon.kept.journal import MAX_LINE_BYTES, JournalError
 
-# The end of a journal that is looked at, thousands of touches; one may grow to gigabytes.
+# Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
 TAIL_BYTES = 4_000_000
 
 
@@ -26,7 +26,7 @@ class ReportedTouch:
 
 
 def gather(events: Iterable[Event]) -> list[ReportedTouch]:
-    """Return the touches that events tell of, in order; what belongs to none of them is left out."""
+    """Return the touches among events, in order; events of no touch are left out."""
     touches: list[ReportedTouch] = []
     latest: dict[str, ReportedTouch] = {}
     for event in events:
@@ -46,7 +46,7 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
 
 
 def read_journal(path: Path) -> list[ReportedTouch]:
-    """Return the touches in the last part of a journal; raises JournalError when it is none."""
+    """Return the touches in the last part of a journal; raises JournalError when it is not a journal."""
     try:
         with path.open("rb") as file:
             size = os.fstat(file.fileno()).st_size
@@ -54,7 +54,7 @@ def read_journal(path: Path) -> list[ReportedTouch]:
             lines = file.read(TAIL_BYTES).split(b"\n")
     except OSError as error:
         raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error
-    # What stands before the first newline of a part, and after the last of any, is no whole line.
+    # Text before a part's first newline, or after the last newline, is not a whole line.
     whole = lines[1 if size > TAIL_BYTES else 0 : -1]
     events: list[Event] = []
     wrong = ""

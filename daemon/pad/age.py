@@ -1,4 +1,4 @@
-"""What a pad's own clock tells besides the grid: how old its frames are, and whether they can be felt."""
+"""Uses the pad's clock to tell how old frames are, and whether touches can be felt."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from daemon.touch import CALIBRATION_FRAMES
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame
 
-# A frame that comes later than the one before by more than this, by the pad's clock, was held up on its way.
+# A frame that arrives later than the one before by more than this, by the pad's clock, was held up.
 HELD_UP_S = 0.1
-# So a delay that stays, and is no delay then, is forgiven in time.
+# Share by which a lasting delay is forgiven.
 FORGIVEN_SHARE = 0.02
-# No touch is felt before so many frames without a gap, half a second, and none at all in this time without.
+# Feeling a touch takes half a second of frames without a gap; report when there was none for this long.
 DEAF_S = 3.0
 
 
 class Age:
-    """How old frames are: how much later they come than the pad's clock and the host's, so far, agreed on.
+    """Age of frames: their delay beyond the current offset between the pad's clock and the host's.
 
-    A pad that is played slowly, or whose clock is a little off, drifts without a jump, and is followed.
+    A pad that plays slowly, or whose clock is slightly off, drifts without a jump and is followed.
     """
 
     def __init__(self) -> None:
@@ -40,11 +40,11 @@ class Age:
         self._offset_s = min(lag_s, self._offset_s + FORGIVEN_SHARE * min(passed_s, HELD_UP_S))
 
     def forget(self) -> None:
-        """What comes is another pad's, or of one whose clock has started anew."""
+        """The next frames are another pad's, or its clock restarted."""
         self._offset_s = None
 
     def of(self, frame: GridFrame, now_s: float) -> float:
-        """Return how long ago the pad was so, in seconds, at a time of the host's."""
+        """Return a frame's age in seconds at a time of the host's."""
         if self._offset_s is None:
             return 0.0
         return max(0.0, now_s - self._offset_s - frame.sensor_ms / 1000.0)
@@ -61,9 +61,9 @@ class Feeling:
         self._is_degraded = False
 
     def update(self, frame: Frame, restarted: bool) -> str | None:
-        """Take a frame, and whether it goes on from the last; return what changed, None for nothing.
+        """Take a frame, and whether the grid restarted with it; return what changed, None for nothing.
 
-        That is why no touch can be felt from now on, or "" when touches can be felt again.
+        What changed is the reason why touches can no longer be felt, or "" when they can again.
         """
         self._frames.append(frame)
         self._without_gap = 0 if restarted else self._without_gap + 1

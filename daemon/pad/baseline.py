@@ -26,7 +26,7 @@ SWAY_KEPT = 0.995
 class Baseline:
     """What each taxel reads while nothing touches the pad, and how much it strays.
 
-    counts: (64,) what it reads. noise_floor: (64,) counts above it that mean nothing. sway: (64,) the most
+    counts: (64,) what it reads. noise_floor: (64,) counts above it that are noise. sway: (64,) the most
     that it lately moved from one half second to the next.
     """
 
@@ -55,7 +55,7 @@ class Baseline:
 
     @property
     def mean_noise_floor(self) -> float:
-        """What the taxels' noise alone makes of the noise floor, on average."""
+        """Mean noise floor that the taxels' noise alone would give."""
         return float(np.add.reduce(self._noise)) / TAXELS
 
     def track_sway(self, change: Taxels) -> None:

@@ -1,4 +1,4 @@
-"""What a touch was like, from its frames alone: how long, how hard, how wide, where to, how fast it beat."""
+"""Describes a touch from its frames: duration, pressure, area, path and rhythm."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 # A taxel is touched above twice its noise, and above this many counts on a quiet pad.
 TOUCHED_COUNTS = 4.0
-# The centroid follows by this share a frame, so that noise walks no path: 4 frames.
+# The centroid is smoothed by this share a frame (4 frames), so that noise adds no path.
 CENTROID_SHARE = 0.25
-# A beat rises from below the one to above the other share of the strongest load.
+# A beat rises from below the first to above the second share of the peak load.
 FALLEN_SHARE, RISEN_SHARE = 0.15, 0.4
 MOST_LOADS = round(60 * FRAME_RATE_HZ)
 
@@ -79,7 +79,7 @@ class FeelMeter:
             return
         touched = np.count_nonzero(rise)
         if self._last != self._frames - 1:
-            # The hand was lifted: how far it went in the air is no path.
+            # The hand was lifted: movement in the air does not count.
             self._place = None
         self._last = self._frames
         self._touched_frames += 1

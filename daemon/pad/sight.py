@@ -1,4 +1,4 @@
-"""What the network makes of a pad: whether it sees a touch, measured by what it makes of the pad at rest."""
+"""Whether the network sees a touch, relative to what it says of the pad at rest."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from drivers.frame import COLUMNS, ROWS
 NoTouch = Callable[[NDArray[np.float32]], float]
 Frames = NDArray[np.float32]
 
-# Below this probability of no touch, in the mean of three looks, the network sees a touch; from that, none.
+# The network sees a touch when its mean no-touch probability over three looks is below the first, and none
+# when it is above the second.
 TOUCH, NONE = 0.15, 0.5
 # A single look this low speaks against the end of a touch.
 DOUBT = 0.2
 LOOKS = 3
-# On a pad that it knows less well, as under mains hum, these are lower; far below, its word is nothing.
+# On a pad unlike those it learned from, as under mains hum, these are lower; far below, it is ignored.
 REST_SHARE = 0.6
 KNOWN_REST = 0.2
-# What it makes of the rest is learned over ten looks, and forgotten more slowly, for a touch may go unseen.
+# The no-touch probability at rest rises over ten looks and falls more slowly, as a touch may go unnoticed.
 RISES, FALLS = 0.1, 0.05
 
 
@@ -60,12 +61,12 @@ class Sight:
         return not few and self._mean >= self._than(NONE) and min(self._looks) >= self._than(DOUBT)
 
     def forget_rest(self) -> None:
-        """It may be another pad."""
+        """Forget the pad's rest: it may be another pad."""
         self._at_rest = None
         self._looks.clear()
 
     def forget_looks(self) -> None:
-        """The next look is the first."""
+        """Forget earlier looks."""
         self._looks.clear()
 
     def is_below(self, no_touch: float, frames: Frames) -> bool:

@@ -1,4 +1,4 @@
-"""Several pads side by side: what they ask of the network alike is asked in one run."""
+"""Runs several pads side by side and batches equal requests to the network."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Heard: TypeAlias = tuple[NDArray[np.float64], State]
 
 @dataclass(frozen=True)
 class Step:
-    """What is asked: what (T, 8, 8) frames more make of a touch, from the state after its first `given`."""
+    """A request to the network: (T, 8, 8) new frames of a touch, from the state after its first `given`."""
 
     model: ProbabilityModel
     frames: NDArray[np.float32]
@@ -32,7 +32,7 @@ Work: TypeAlias = Generator[Step, Heard, None]
 
 
 def work_off(works: Iterable[Work]) -> None:
-    """Do all of it; each goes on in its own order."""
+    """Do all work; each keeps its own order."""
     todo: list[tuple[Work, Heard | None]] = [(work, None) for work in works]
     while todo:
         alike: defaultdict[tuple[int, int, int], list[tuple[Work, Step]]] = defaultdict(list)

@@ -1,4 +1,4 @@
-"""What the configuration says of pad, journal, robot and live page, made into the things themselves."""
+"""Makes pad, journal, robot link and live page from the configuration."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def open_journal(settings: JournalSettings | None, before: Journal | None = None
     if settings is None:
         return None
     if settings.path is None:
-        # The user's folder of state may not be there yet; a path that was given is not made up.
+        # Make the default state folder when it is missing, but not the folder of a configured path.
         with suppress(OSError):
             settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     max_bytes = round(settings.max_mb * BYTES_PER_MB)
@@ -44,7 +44,7 @@ def open_journal(settings: JournalSettings | None, before: Journal | None = None
 
 
 def open_touch_stores(settings: Settings) -> dict[str, TouchStore]:
-    """Return where the frames of each pad's touches are kept, if they are; raises ConfigError."""
+    """Return the touch store of each pad that has one; raises ConfigError."""
     journal = settings.journal
     if journal is None or journal.keep_touches is None:
         return {}
@@ -77,7 +77,7 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
 
 
 def scenes_of(settings: Settings, models: Mapping[str, ProbabilityModel]) -> dict[str, Scene]:
-    """Return what the live page is told of how answers are made on each pad."""
+    """Return each pad's scene, as the live page needs it."""
     return {
         name: Scene(
             pad.pipeline, models[name], settings.robot is not None, settings.vocabulary, settings.language
@@ -91,7 +91,7 @@ def open_live_page(
 ) -> LiveServer | None:
     """Return the server of the live page, not yet started, if one is configured; raises LiveError.
 
-    before: the server that it takes the place of.
+    before: the server that it replaces.
     """
     if settings.live is None:
         return None
@@ -103,7 +103,7 @@ def open_live_page(
 
 
 def description_of(sensor: SensorSettings) -> str:
-    """Return in a line which pad it is and how it is read, for those who use its recordings later."""
+    """Return a line that says which pad it is and how it is read, for recordings."""
     pad = sensor.described
     return f"{pad}, crop {pad.crop}, invert {pad.invert}, at {sensor.baud} baud on {sensor.port}"
 
@@ -114,5 +114,5 @@ def parser_for(sensor: SensorSettings) -> FrameParser:
 
 
 def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:
-    """Return what turns counts (8, 8) and the sensor's clock in ms into the bytes that the pad would send."""
+    """Return an encoder from counts (8, 8) and the sensor's clock in ms to the pad's bytes."""
     return partial(encode_frame, sensor.described)

@@ -1,4 +1,4 @@
-"""What the daemon is made of, made from one configuration: at start, and again when it is reloaded."""
+"""Makes the daemon's parts from a configuration, at start and at every reload."""
 
 from __future__ import annotations
 
@@ -40,12 +40,11 @@ BEHIND_OF_SEVERAL_FRAMES = 9
 
 
 class Pad:
-    """One pad: its reader, the queue that this fills, and the pipeline that makes events of what is in it.
+    """One pad: its reader, the queue that this fills, and the pipeline that empties it.
 
     settings: those of this pad. arrived: set whenever something waits in the queue.
     number: its place among the pads. behind_frames: see `Pipeline`.
-    before: the same pad by other settings; its queue goes on, and its reader
-    where the port does.
+    before: the same pad under the previous settings; its queue is kept, and its reader if the port stays.
     catch_up_s: when its pipeline should catch up, `time.monotonic()`.
     """
 
@@ -86,7 +85,7 @@ class Pad:
         )
 
     def go_on_from(self, before: Pad) -> None:
-        """Take the place of the same pad by other settings, between two touches."""
+        """Replace the same pad under the previous settings, between two touches."""
         self.pipeline = Pipeline(
             self.settings.pipeline,
             self.model,
@@ -99,13 +98,13 @@ class Pad:
 
 
 class Parts:
-    """Models, pads and sinks as the settings say; those without a sink for something have None there.
+    """Models, pads and sinks as configured; None for a sink that is not.
 
-    emit: gets what any part has to say. viewers: see `Pipeline`. arrived: see `Pad`.
+    emit: takes every event. viewers: see `Pipeline`. arrived: see `Pad`.
     numbers: of messages to a robot.
-    before: parts that run now; what the settings leave as it is is taken over from them.
-    Nothing runs before it is started. Raises TouchdError when the settings cannot be used; then nothing of it
-    is left.
+    before: the running parts; unchanged ones are taken over.
+    Nothing runs before it is started. Raises TouchdError when the settings cannot be used, and leaves nothing
+    behind.
     """
 
     def __init__(
@@ -180,7 +179,7 @@ class Parts:
 
     @property
     def sinks(self) -> tuple[Sink, ...]:
-        """The sinks that there are."""
+        """All configured sinks."""
         one_each = (self.journal, self.robot, self.live, self.kept)
         return (*(sink for sink in one_each if sink is not None), *self.bridges.values())
 
@@ -228,10 +227,10 @@ def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
 
 
 def check_pad(settings: Settings) -> None:
-    """Raise SensorError when the only port can never work as it is.
+    """Raise SensorError when the only port can never work.
 
-    One that is not there, not permitted or busy is waited for: udev and other programs may be late at boot.
-    One of several pads that cannot work must not keep the others from it; its events say why.
+    A missing, forbidden or busy port is waited for: udev and other programs may be late at boot.
+    With several pads, one that cannot work must not stop the others; its events say why.
     """
     if settings.sensors:
         return

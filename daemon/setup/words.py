@@ -1,4 +1,4 @@
-"""How gestures are called where people read or hear of them, in the languages that ship with touchd."""
+"""Names and phrases for gestures, in the languages that ship with touchd."""
 
 from __future__ import annotations
 
@@ -46,5 +46,5 @@ def vocabulary(language: Language, own: Vocabulary) -> Vocabulary:
 
 
 def name_of(words: Vocabulary, gesture: str) -> str:
-    """Return what a gesture is called; a model's own is called as its label."""
+    """Return a gesture's name; without one, its label."""
     return words[gesture].name if gesture in words else gesture

@@ -1,4 +1,4 @@
-"""A pad without a pad: a pseudo-terminal that plays a stream to whoever opens it as a serial port."""
+"""A fake pad: a pseudo-terminal that plays a stream to whoever opens it as a serial port."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.frame import FRAME_RATE_HZ, Counts
 from drivers.recording import Stream
 
 POLL_S = 0.002
-# pyserial discards what waits in a port just after opening it; a reader that does not is given this long.
+# pyserial discards waiting input just after opening a port; a reader that does not is given this long.
 SETTLE_S = 0.5
 # The kernel hands bytes over in the background: empty once is not yet empty.
 EMPTY_FOR_S = 0.02

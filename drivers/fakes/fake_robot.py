@@ -100,7 +100,7 @@ def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop:
                 f"cannot listen on port {options.port}: {why}; choose another with --port"
             ) from error
         for name, service in services.items():
-            # Else a speech would hold up every other call.
+            # Otherwise a speech would block every other call.
             qi.multiThreaded()(type(service))
             session.registerService(name, service)
         report({"listening": url})

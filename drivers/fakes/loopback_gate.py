@@ -1,7 +1,7 @@
-"""The door of a NAOqi 2.9: TLS in front of a plain qi server, and a user and token asked of who comes in.
+"""The login of NAOqi 2.9: TLS, a user and a token in front of a plain qi server.
 
-Python's qi can be a client of such a robot but not the server, so this does what the server would: it ends
-the TLS, looks into the first message for the login, and from then on passes bytes through.
+Python's qi can be a client of such a robot but not the server, so this does the server's part: it terminates
+TLS, checks the login in the first message, and then passes bytes through.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Gate:
         threading.Thread(target=self._accept, name="loopback-gate", daemon=True).start()
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Accept no more clients."""
         self._listener.close()
 
     def _accept(self) -> None:

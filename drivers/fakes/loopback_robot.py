@@ -99,7 +99,7 @@ class LoopbackRobot:
         return QiSession(url, login, limits, hurry)
 
     def _wait_for_url(self, reports: IO[bytes]) -> str:
-        # Whatever goes wrong in the other process, this one does not wait for ever.
+        # Do not wait for ever when the other process fails.
         timer = threading.Timer(START_S, self._signal, args=(signal.SIGKILL,))
         timer.start()
         url = self._follow(reports)

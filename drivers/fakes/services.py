@@ -27,7 +27,7 @@ class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class CallLog:
-    """The last calls, for whoever wants to know what the robot did. Safe to use from several threads."""
+    """The last calls that the robot got. Safe to use from several threads."""
 
     def __init__(self, on_call: Callable[[Call], None] | None = None) -> None:
         self._on_call = on_call

@@ -3,7 +3,7 @@
 Which frames are intact: read from the left, a window of one frame's length is well-formed when it begins with
 the header, holds no value above full scale and its checksum, if any, is right; the sensor's clock, if any,
 then decides (see `clock.py`). A window refused for any of these is given up by its first byte only, so a true
-frame that begins inside is found. What a format cannot show, no reader can tell: the fabric pad's checksum
+frame that begins inside is found. Some damage cannot be detected: the fabric pad's checksum
 sums low bytes only, so a flip in bit 8 or 9 of a value passes.
 """
 
@@ -147,7 +147,7 @@ class BinaryFrames(FrameParser):
         self._in_refused_run = True
 
     def _drop(self, count: int) -> None:
-        """Pass over bytes of no frame; each frame's length that no refusal explains counts as one lost."""
+        """Skip bytes outside frames; each frame's length that no refusal explains counts as one lost."""
         if count == 0:
             return
         self._position += count
@@ -165,7 +165,7 @@ class Replies(FrameParser):
     _has_stray = False
 
     def ask(self, now_s: float) -> None:
-        """Take note that the pad is asked now."""
+        """Note that the pad was polled now."""
         super().ask(now_s)
         self._has_stray = False
 
@@ -179,7 +179,7 @@ class Replies(FrameParser):
                 reply, self._buffer, self._asked = self._buffer, b"", False
                 readings = self._take(reply, host_s)
         if data:
-            # Nobody asked for it.
+            # Unsolicited bytes.
             self.counts.bytes_dropped += len(data)
             self.counts.bad_framing += not self._has_stray
             self._has_stray = True

@@ -77,7 +77,7 @@ def _steps_on(earlier_ms: int, later_ms: int) -> bool:
     return 0 < (later_ms - earlier_ms) % CLOCK_MODULUS <= MAX_STEP_MS
 
 
-# Of what a frame arrives off its expected time, the share by which phase and period follow. A jitter of 16 ms
+# Shares of a frame's arrival error by which phase and period follow. A jitter of 16 ms
 # (a USB adapter's) becomes 1.6 ms; a pad 5 % off its stated rate is followed within a second.
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 0.005
@@ -87,7 +87,7 @@ LOST_S = 0.25
 class ArrivalClock:
     """Stamps frames of a pad without a clock by their arrival, jitter smoothed: a phase-locked fit.
 
-    rate_hz: of the pad, as far as it is known. Frames that come more than LOST_S late begin anew.
+    rate_hz: of the pad, as far as it is known. A frame more than LOST_S late resets it.
     """
 
     def __init__(self, rate_hz: float) -> None:

@@ -52,9 +52,9 @@ def diagnose(data: bytes, expected: PadFormat) -> tuple[str, str]:
 
 
 def propose(data: bytes) -> PadFormat | None:
-    """Return a description by which these bytes, of a pad that nobody knows, become frames; None without one.
+    """Return a description that decodes the bytes of an unknown pad; None without one.
 
-    What the bytes cannot show is left at its usual value: above all how the pad lies.
+    What the bytes cannot show, above all the pad's orientation, keeps its default.
     """
     guesses = [*(_binaries(data) if _numbers_a_line(data) is None else _texts(data))]
     for guess in sorted(guesses, key=_plausibility, reverse=True):
@@ -69,7 +69,8 @@ def propose(data: bytes) -> PadFormat | None:
 
 
 def _plausibility(guess: PadFormat) -> float:
-    """A checksum or a clock that fits is no accident; pads are mostly square; a long header is a cell's."""
+    """Rate a guess: a checksum or clock that fits is no accident; pads are mostly square; a long header is
+    cells."""
     square = min(guess.rows, guess.columns) / max(guess.rows, guess.columns)
     header = len(guess.first_bytes)
     return (
@@ -79,7 +80,7 @@ def _plausibility(guess: PadFormat) -> float:
         + 0.5 * (guess.cell == "u16")
         + 0.1 * (guess.framing == "line")
         - 0.05 * abs(header - 3)
-        # Cells read from the wrong byte on seem larger than they are.
+        # Cells read from a wrong offset look larger.
         - 0.1 * FULL_SCALES.index(guess.full_scale)
     )
 

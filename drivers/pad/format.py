@@ -1,4 +1,4 @@
-"""What a pad sends, described rather than programmed: framing, cells, clock, checksum, lie of the grid."""
+"""What a pad sends, described rather than programmed: framing, cells, clock, checksum, orientation."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def line(self) -> tuple[object, ...]:
-        """What comes over the line, whatever the grid and its values."""
+        """The line's format, without the grid and its values."""
         cells = (self.cell, self.order, self.checksum, self.poll)
         return (self.framing, self.header, self.footer, self.end, self.clock, *cells)
 
@@ -100,7 +100,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def first_bytes(self) -> bytes:
-        """What stands before every frame but perhaps the first: its header, after the last one's footer."""
+        """The bytes before every frame but perhaps the first: the previous one's footer and its header."""
         return bytes.fromhex(self.footer) + bytes.fromhex(self.header)
 
     @property
@@ -138,7 +138,7 @@ class Layout:
             shares = shares[:, ::-1]
         self._shares: Grid = np.ascontiguousarray(shares.reshape(ROWS * COLUMNS, -1), dtype=np.float32)
         self._scale = np.float32(MAX_COUNT / described.full_scale)
-        # Where each taxel is one cell, in counts already, these cells are all there is to know.
+        # The cell of each taxel, if each taxel is one cell in counts.
         is_plain = self._scale == 1 and np.count_nonzero(self._shares) == ROWS * COLUMNS
         self._cells = self._shares.argmax(axis=1).reshape(ROWS, COLUMNS) if is_plain else None
 
@@ -158,7 +158,7 @@ class Layout:
         return counts
 
     def values(self, counts: Counts) -> NDArray[np.uint16]:
-        """Turn pressure (8, 8) into values (rows, columns) that give it back; what is cropped is at rest."""
+        """Turn pressure (8, 8) into values (rows, columns) that decode to it; cropped cells are at rest."""
         described = self._format
         turned = np.rot90(counts[:, ::-1] if described.mirror else counts, described.turn // 90)
         left = (described.rows - 2 * described.crop, described.columns - 2 * described.crop)

@@ -118,7 +118,7 @@ class Ring:
         return frames
 
     def reset(self) -> None:
-        """Take the next frame for the first of another sensor; the history and its indices stay."""
+        """Treat the next frame as the first of another sensor; the history and its indices stay."""
         self._sensor_ms = None
 
     def frames(self, start_index: int, stop_index: int) -> list[GridFrame]:

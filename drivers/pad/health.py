@@ -2,7 +2,7 @@
 
 The fabric pad is never still: in all of HAART's recordings, at rest and under hands, each of the 64 taxels
 changes at least every 2 s, and none reads above 972. So a taxel that stands still is broken, not merely
-untouched. Pads that are silent at rest exist too; on those stillness means nothing, and none is told of.
+untouched. Pads that are silent at rest exist too; on those stillness means nothing and is not reported.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Kind = Literal["frozen", "dead line", "stuck taxel", "saturated", "drift"]
 # The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
 # From there it takes a taxel about 8 s to count as still, and half a second to count as lively again.
 AVERAGE_S = 2.0
-# Half a second of frames is looked at at once, which takes a twentieth of the time of one by one.
+# Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
 BLOCK_FRAMES = 27
 STILL_SHARE = 0.01
 UNKNOWN_SHARE = 0.05
@@ -37,7 +37,7 @@ SATURATED_TAXELS = 16
 REST_BLOCK_S = 10.0
 REST_BLOCKS = 6
 DRIFT_COUNTS = 10.0
-# Taxels of one broken wire do not fall still in the same frame; it is told when the picture is whole.
+# Taxels of one broken wire do not fall still in the same frame; report once all have.
 SETTLE_S = 2.0
 
 
@@ -65,7 +65,7 @@ class PadHealth:
         self._changing_since_s: dict[Kind, float] = {}
 
     def update(self, frame: Frame) -> Finding | None:
-        """Take the next frame; return what it lets begin or end, at most one thing a block of frames."""
+        """Take the next frame; return the finding that begins or ends with it, at most one a block."""
         self._block.append(frame)
         if len(self._block) <= BLOCK_FRAMES:
             return None
@@ -87,7 +87,7 @@ class PadHealth:
         self._rest.update(pressure[1:].min(axis=0), self._clock_s)
 
     def _troubles(self) -> dict[Kind, str]:
-        """What is wrong now, and how to say it."""
+        """The current faults, in words."""
         troubles: dict[Kind, str] = {}
         if self._saturation > (0.5 if "saturated" in self._told else 0.9):
             troubles["saturated"] = "a quarter of the pad or more is at its limit: too heavy a load, a short?"
@@ -137,7 +137,7 @@ class _RestLevel:
 
 
 def _passed_s(frames: Sequence[Frame]) -> float:
-    """Return how long frames took by the pad's clock; one that jumped does not tell, and counts as 1 s."""
+    """Return how long frames took by the pad's clock; 1 s where the clock jumped."""
     clock_ms = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
     return float(np.minimum(np.diff(clock_ms) % CLOCK_MODULUS / 1000, 1.0).sum())
 

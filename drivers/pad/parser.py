@@ -13,7 +13,7 @@ from drivers.pad.clock import ArrivalClock, ClockCheck
 from drivers.pad.format import PadFormat, layout_of
 from drivers.pad.framing import ProtocolCounts, Reading
 
-# A pad that has not answered by then is asked anew.
+# A pad that has not answered by then is polled again.
 REPLY_S = 0.2
 
 
@@ -57,7 +57,7 @@ class FrameParser(ABC):
         return max(0.0, self._asked_s + 1 / self.format.rate_hz - now_s)
 
     def ask(self, now_s: float) -> None:
-        """Take note that the pad is asked now; half a reply will not become whole any more."""
+        """Note that the pad was polled now; an incomplete reply is given up."""
         if self._asked and self._buffer:
             self.counts.bad_framing += 1
             self.counts.bytes_dropped += len(self._buffer)
@@ -77,7 +77,8 @@ class FrameParser(ABC):
         self._arrivals.reset()
 
     def _judge(self, sensor_ms: int | None, host_s: float, values: NDArray[np.uint16]) -> list[Reading]:
-        """Return what a well-formed frame lets out; sensor_ms: None for a pad without a clock."""
+        """Return the readings that a well-formed frame confirms; sensor_ms: None for a pad without a
+        clock."""
         self._asked = False
         pressure = self._layout.pressure(values)
         if sensor_ms is None:

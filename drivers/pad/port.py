@@ -68,7 +68,7 @@ def open_port(port: str, baud: int) -> Line:
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise _explained(port, error) from error
-    # An FTDI adapter else holds bytes back for up to 16 ms; other ports do not know the setting.
+    # Otherwise an FTDI adapter delays bytes by up to 16 ms; other ports lack the setting.
     with contextlib.suppress(AttributeError, NotImplementedError, OSError, ValueError):
         opened.set_low_latency_mode(True)
     return opened
@@ -109,7 +109,7 @@ def _ask(opened: Line, parser: FrameParser) -> None:
     if wait_s > READ_TIMEOUT_S:
         return
     time.sleep(wait_s)
-    # A late answer to the question before must not pass for half of the next.
+    # A late reply to the previous poll must not become half of the next.
     opened.reset_input_buffer()
     parser.ask(time.monotonic())
     opened.write(parser.poll)

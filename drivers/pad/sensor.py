@@ -92,7 +92,7 @@ class Sensor:
             except SensorError as error:
                 self._announcer.down(error.kind, str(error))
             except Exception as error:
-                # Whatever it is, the next attempt may do better; a reader that died would be down for ever.
+                # Retry after any error: a dead reader would stay down.
                 log.debug("the reader of %s failed", self._port, exc_info=True)
                 self._announcer.down("internal", f"internal error while reading {self._port}: {error!r}")
             if time.monotonic() - begun_s > self._longest_retry_s:
@@ -100,7 +100,7 @@ class Sensor:
             self._stop.wait(self._backoff.pause_s())
 
     def _read(self, opened: Line) -> None:
-        """Read until stopped, or until silence makes it worth opening the port anew."""
+        """Read until stopped, or until a long silence calls for reopening the port."""
         self._protocol.reset()
         recent = b""
         byte_s = frame_s = looked_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""Whether the pad can be felt, said when it changes: to the daemon as a state, to a person in the log."""
+"""Reports changes of the pad's state: to the daemon as a state, to people in the log."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Literal
 
 log = logging.getLogger(__name__)
 
-# An outage so soon after the last is the same trouble, a loose plug: logged again only when it lasts.
+# An outage this soon after the last is the same fault, a loose plug: logged again only when it lasts.
 STEADY_S = 10.0
 
 
@@ -24,11 +24,11 @@ class SensorState:
 
 
 class Announcer:
-    """Turns what the reader meets, again and again, into one state and one log line per change.
+    """Turns the reader's repeated results into one state and one log line per change.
 
     The first failure is a warning, its repeats are debug, recovery is one line with how long it took. Within
-    an outage a cause of another kind is told too, once it was met twice running; what is only passed through
-    on the way back (a device file that has no permissions yet) is not.
+    an outage another cause is reported too, once it occurred twice in a row; a passing one (a device file
+    that has no permissions yet) is not.
     """
 
     def __init__(self, emit: Callable[[SensorState], None]) -> None:

@@ -1,4 +1,4 @@
-"""A pad that breaks, told to a person: a warning when it begins, a line when it is over, and no flood."""
+"""Logs a pad's faults: a warning when one begins, a line when it is over, and no flood."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.pad.health import Finding, Kind, PadHealth
 
 log = logging.getLogger(__name__)
 
-# A trouble that is back so soon is the same one, a loose wire: told again only when it lasts.
+# A fault that is back this soon is the same one, a loose wire: logged again only when it lasts.
 SAME_TROUBLE_S = 600.0
 LASTS_S = 60.0
 
@@ -17,7 +17,7 @@ LASTS_S = 60.0
 class PadWatch:
     """Watches the frames for a pad that is broken (see `drivers.pad.health`) and logs what it finds.
 
-    name: said with it, where the pad has one.
+    name: the pad's, logged with it.
     """
 
     def __init__(self, name: str = DEFAULT_PAD) -> None:

@@ -1,4 +1,4 @@
-"""What the robot shall do on an answer, as the configuration says it; nothing here needs a robot.
+"""What the robot does on an answer, as configured; nothing here needs a robot.
 
 actions:
   - gestures: [stroke, rub]            # left out: any gesture

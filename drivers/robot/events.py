@@ -25,7 +25,7 @@ class EventDuty:
         self._limits = limits
         self._remove_at_s: dict[str, float] = {}
         self._told_status: dict[str, str] = {}
-        # Written by whoever knows the pads, read here; replacing a value is atomic.
+        # Written by another thread, read here; replacing a value is atomic.
         self.status: dict[str, str] = dict.fromkeys(pads, "up")
 
     def begin(self, session: RobotSession) -> None:

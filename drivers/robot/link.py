@@ -1,6 +1,6 @@
-"""The link to a Nao: what was felt becomes events in its memory and, if wanted, things it does.
+"""The link to a Nao: answers become events in its memory and, if configured, actions.
 
-The daemon hands messages over and goes on; whether the robot is there, hangs or refuses never reaches it.
+The daemon never waits for the robot, whether that is there, hangs or refuses.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class RobotLink:
                 opener,
                 ReactionDuty(limits, words, on_act or (lambda *_: None)),
                 limits,
-                # The worker of the events says when the robot comes and goes; twice would be a flood.
+                # Only the event worker reports when the robot comes and goes.
                 lambda *_: None,
             )
 

@@ -15,9 +15,9 @@ from drivers.errors import TouchdError
 from drivers.extras import how_to_install
 from drivers.robot.limits import RobotLimits
 
-# While waiting, how often the wish to stop is looked for.
+# Poll interval for the stop event while waiting.
 SLICE_MS = 50
-# What a call may take in all once the daemon stops; three of them fit into the two seconds it has for that.
+# Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
 HURRY_S = 0.25
 
 
@@ -35,7 +35,7 @@ class RobotRefused(Exception):  # noqa: N818 - as above
 
 @dataclass(frozen=True)
 class Login:
-    """Who touchd is for a robot that asks (NAOqi 2.9). The token is kept out of every text made of this."""
+    """The login for a robot that asks for one (NAOqi 2.9). No text made of this shows the token."""
 
     user: str
     token: str = field(repr=False)

@@ -54,7 +54,7 @@ def read_login(settings: RobotSettings) -> Login | None:
     The token comes from a file or an environment variable, and is in no text made of the result.
     """
     if not re.fullmatch(r"tcps?://[^\s/@:]+:\d+", settings.url):
-        # A password in it is nobody's business.
+        # Do not show a password in it.
         shown = re.sub(r"//.*@", "//***@", settings.url)
         raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
     if settings.user is None:
@@ -88,7 +88,7 @@ def _is_here(host: str) -> bool:
 
 def _read_token(settings: RobotSettings) -> str:
     if settings.token_file is not None:
-        # What is no path may be the token itself.
+        # A value that is no path may be the token itself.
         where = settings.token_file if "/" in settings.token_file else "(not shown, since it is no full path)"
         try:
             # A pipe that nobody writes to must not hold the daemon up.

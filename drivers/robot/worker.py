@@ -1,4 +1,4 @@
-"""A thread that keeps a session with the robot and works off a bounded queue, whatever the robot does."""
+"""A thread that keeps a session with the robot and processes a bounded queue, whatever the robot does."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Item_contra = TypeVar("Item_contra", contravariant=True)
 Item = TypeVar("Item")
 LinkState = Literal["up", "down"]
 
-# How often a quiet connection is looked at, which bounds how long a killed robot goes unnoticed.
+# Poll interval for an idle connection; bounds how long a killed robot goes unnoticed.
 LOOK_S = 0.05
-# Of the two seconds that stopping may take, what is left for answers that were given just before.
+# Time to drain the queue on shutdown.
 LAST_WORDS_S = 0.5
 
 
@@ -138,7 +138,7 @@ class RobotWorker(Generic[Item]):
             except (RobotLost, RobotRefused) as error:
                 self._tell("down", str(error))
             except Exception as error:
-                # A link that dies in silence is what users complain of most, so it outlives our own mistakes.
+                # The link survives internal errors: a link that dies silently is what users complain of most.
                 log.exception("the link to the robot failed in a way not foreseen")
                 self._tell("down", f"{type(error).__name__}: {error}")
             self._stopping.wait(self._backoff.pause_s())

@@ -172,7 +172,7 @@ def _temperature(
 ) -> float:
     """Return the likeliest temperature for left-out answers, held to the pretrained's where they are few.
 
-    WindowFeatures of one recording resemble each other, so a recording counts as one answer.
+    Windows of one recording resemble each other, so a recording counts as one answer.
     """
     truth = np.array([labels.index(recordings[i].gesture) for i in answers.recordings], dtype=np.int64)
     count = len(np.unique(answers.recordings))

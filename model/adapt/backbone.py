@@ -23,7 +23,7 @@ from model.training.augment import begin_from_rest, crop, vary
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64
-# A recording shorter than a crop begins where it begins, at its own pace; its last frame is then repeated.
+# A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 
 

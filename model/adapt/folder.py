@@ -44,7 +44,7 @@ def read_folder(folder: Path, known: Sequence[str]) -> list[Recording]:
             if frames > MOST_FRAMES:
                 raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
             _check(path, recording)
-            # On both sides of a left-out comparison, a recording that is there twice would answer for itself.
+            # A recording that is there twice would be on both sides of a left-out comparison.
             digest = hashlib.sha256(recording.counts.tobytes()).digest()
             if digest in first_of:
                 raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")

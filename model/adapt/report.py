@@ -1,4 +1,4 @@
-"""What adapting did, in words and a table of 80 characters, and what of it cannot be told."""
+"""Reports what adapting did, in words and a table 80 characters wide, and how certain that is."""
 
 from __future__ import annotations
 

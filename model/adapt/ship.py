@@ -27,7 +27,7 @@ SUFFIX = ".onnx"
 
 
 class OutputError(TouchdError):
-    """The adapted model cannot be written where it shall go; the message says why and what to do."""
+    """The adapted model cannot be written; the message says why and what to do."""
 
 
 def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings: AdaptSettings) -> Adapted:
@@ -86,7 +86,7 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
         data_sha256=data_hash(adapted.recordings),
         scores={"adapted": msgspec.to_builtins(adapted.comparison)},
     )
-    # It tells at length what it would do for a library that is not there.
+    # The exporter logs at length about a library that is not installed.
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
     try:
         with whole_file(output, replace=False) as partial:
