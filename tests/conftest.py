@@ -12,6 +12,34 @@ import pytest
 
 from model.classifier import SHIPPED_MODEL, Classifier
 
+# The files that take longest, longest first: begun last, they would keep one worker busy after the others.
+LONGEST = (
+    "test_adapt.py",
+    "test_end_to_end.py",
+    "test_robot_faults.py",
+    "test_cli.py",
+    "test_live_page.py",
+    "test_stability.py",
+    "test_pads.py",
+    "test_table1.py",
+    "test_tgc.py",
+    "test_scores.py",
+    "test_sensor_faults.py",
+    "test_first_day.py",
+    "test_reread.py",
+    "test_report.py",
+    "test_live.py",
+    "test_early.py",
+    "test_speed.py",
+    "test_touch_haart.py",
+    "test_soak.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with what takes longest."""
+    items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
 
 @pytest.fixture(scope="session")
 def classifier() -> Classifier:

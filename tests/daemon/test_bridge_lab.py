@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs.made_events import PREDICTION
-from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of, wait_for
+from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of
+from rigs.wait import wait_for
 
 from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
 

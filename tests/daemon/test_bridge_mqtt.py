@@ -14,10 +14,11 @@ from typing import Any
 import msgspec
 import pytest
 from rigs.made_events import PREDICTION
-from rigs.peers import broker, frame, needs_mosquitto, subscribed, touch, wait_for
+from rigs.peers import broker, frame, needs_mosquitto, subscribed, touch
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
+from rigs.wait import wait_for
 
 from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.bridges import Key, make_bridges

@@ -10,17 +10,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from rigs.peers import (
-    LslPeer,
-    MqttPeer,
-    Peer,
-    Ros2Peer,
-    RosbridgePeer,
-    frame,
-    needs_mosquitto,
-    touch,
-    wait_for,
-)
+from rigs.peers import LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto, touch
+from rigs.wait import wait_for
 
 from daemon.bridges.bridge import Bridge
 

@@ -6,8 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rigs.peers import wait_for
 from rigs.robots import linked, message, needs_qi
+from rigs.wait import wait_for
 
 from drivers.fakes.fake_robot import LoopbackRobot
 

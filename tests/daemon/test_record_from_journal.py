@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import time
 from contextlib import closing
 from pathlib import Path
 
@@ -13,8 +12,10 @@ import pytest
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
+from rigs.patient_port import playing
 from rigs.running_daemon import Daemon, run_daemon
 from rigs.terminal import Terminal
+from rigs.wait import wait_for
 
 from daemon import cli
 from daemon.commands.classify import play
@@ -27,9 +28,7 @@ from daemon.kept.touches import read_since
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
-from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
-from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, read_provenance, read_recordings
 
 SPEED = 20.0
@@ -316,7 +315,7 @@ def test_deleted_and_damaged_touches_are_passed_over(
 
 def played(stream: Stream, folder: Path) -> list[Event]:
     """What the spawned daemon says of a stream while it keeps touches in a folder."""
-    with FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port:
+    with playing(stream, SPEED) as port:
         journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=20)
         settings = Settings(sensor=SensorSettings(port=port.path), journal=journal)
         return run_daemon(settings, folder, port)[0]
@@ -376,8 +375,7 @@ def test_keeping_is_turned_on_and_off_while_the_daemon_runs(tmp_path: Path) -> N
         assert not folder.exists()
         daemon.configure(journal=JournalSettings(path=str(path), keep_touches=20))
         daemon.await_log(1)
-        while not kept_touches(folder):
-            time.sleep(0.01)
+        wait_for(lambda: kept_touches(folder))
         daemon.configure(journal=JournalSettings(path=str(path)))
         daemon.await_log(2)
         kept = kept_touches(folder)

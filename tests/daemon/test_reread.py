@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.patient_port import playing
 from rigs.running_daemon import SPEED, Daemon
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.settings import MqttSettings
 from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings
@@ -17,11 +18,9 @@ from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.playback.rig import outline
-from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings
-from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import Frame
 from drivers.robot.session import qi_installed
@@ -88,7 +87,7 @@ def test_a_reload_loses_no_frame_and_no_number(daemon: Daemon, tmp_path: Path) -
 
 
 def test_another_port_is_read_from_then_on(daemon: Daemon) -> None:
-    with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=SPEED) as other:
+    with playing(LENGTHS, SPEED) as other:
         daemon.configure(sensor=SensorSettings(port=other.path))
         while not any(isinstance(e, SensorEvent) and other.path in e.reason for e in daemon.events):
             daemon.await_event(SensorEvent)
@@ -148,10 +147,7 @@ def reloads(read: Callable[[], Settings], made: Callable[[], object]) -> Reloade
 
 
 def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
-    until_s = time.monotonic() + 5
-    while text not in caplog.text:
-        assert time.monotonic() < until_s, caplog.text
-        time.sleep(0.01)
+    wait_for(lambda: text in caplog.text)
 
 
 def test_a_failure_nobody_foresaw_does_not_disable_the_next_reload(caplog: pytest.LogCaptureFixture) -> None:
@@ -166,8 +162,13 @@ def test_a_failure_nobody_foresaw_does_not_disable_the_next_reload(caplog: pytes
 
 
 def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCaptureFixture) -> None:
-    goes_on = threading.Event()
-    reads: Iterator[Callable[[], object]] = iter([lambda: goes_on.wait(10), lambda: None])
+    hangs, goes_on = threading.Event(), threading.Event()
+
+    def hang() -> None:
+        hangs.set()
+        goes_on.wait(WITHIN_S)
+
+    reads: Iterator[Callable[[], object]] = iter([hang, lambda: None])
 
     def read() -> Settings:
         next(reads)()
@@ -176,12 +177,12 @@ def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCapture
     asked = threading.Event()
     with caplog.at_level("INFO"), rereading(asked, reloads(read, Made)):
         asked.set()
-        time.sleep(0.1)
+        assert hangs.wait(WITHIN_S)
         asked.set()
         await_message(caplog, "configuration read again")
         goes_on.set()
         for thread in threading.enumerate():
             if thread.name == "touchd-reload":
-                thread.join(5)
+                thread.join(WITHIN_S)
     # The older one, once it goes on, changes nothing.
     assert caplog.text.count("configuration read again") == 1

@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 from rigs.formats import encode_fabric_grid
-from rigs.peers import RosbridgePeer, touch, wait_for
+from rigs.peers import RosbridgePeer, touch
 from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
+from rigs.wait import wait_for
 
 from drivers.backoff import Backoff
 from drivers.fakes.fake_port import FakePort

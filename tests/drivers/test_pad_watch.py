@@ -7,18 +7,17 @@ from pathlib import Path
 
 import pytest
 from rigs.made_pad import MadePad, nothing
+from rigs.patient_port import playing
 from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import SensorEvent
-from daemon.setup.destinations import encoder_for
-from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ, Counts, Frame
 from drivers.pad.watch import LASTS_S, SAME_TROUBLE_S, PadWatch
 from drivers.recording import Stream, ideal_clock_ms
 
 BROKEN = "row 7 of the pad stands still: a broken wire?"
-SPEED = 16.0
+SPEED = 100.0
 
 
 def pad(seconds: float, broken: tuple[tuple[float, float], ...]) -> Counts:
@@ -44,7 +43,7 @@ def told(counts: Counts, caplog: pytest.LogCaptureFixture) -> list[tuple[int, st
 def test_a_dead_row_and_its_return_are_told_once(tmp_path: Path) -> None:
     counts = pad(32, ((4, 20),))
     stream = Stream(counts, ideal_clock_ms(len(counts)), ())
-    with FakePort(stream, encoder_for(SensorSettings()), speed=SPEED) as port:
+    with playing(stream, SPEED) as port:
         events, said = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
     lines = [line for line in said.splitlines() if "pad.watch" in line]
     assert lines == [f"WARNING drivers.pad.watch: {BROKEN}", f"INFO drivers.pad.watch: no longer: {BROKEN}"]

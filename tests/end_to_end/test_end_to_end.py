@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
+from rigs.patient_port import PatientPort
 from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
@@ -22,7 +23,6 @@ from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for, parser_for
 from docs.studies.sessions.plan import SessionSettings, sessions
 from docs.studies.sessions.score import SessionScore, judge, score
-from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.fakes.hand import simulate
 from drivers.fakes.line_faults import Faults
@@ -31,11 +31,8 @@ from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
 
-# As fast as leaves the daemon time on a busy machine: the sensor's clock counts, not the arrival.
-SPEED = 20.0
-# A pad at rest takes the daemon less time, and a frame lost to a busy machine changes nothing.
-SPEED_AT_REST = 50.0
-PLAY_S = 25.0
+# The sensor's clock counts, not the arrival.
+SPEED = 100.0
 BEGINNING = 650
 
 
@@ -62,12 +59,11 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
         protocol: str = "fabric-grid",
         faults: Faults | None = None,
         robot: RobotSettings | None = None,
-        speed: float = SPEED,
     ) -> list[Event]:
         sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
-        with FakePort(stream, encoder_for(sensor), speed=speed, faults=faults or Faults()) as port:
+        with PatientPort(stream, encoder_for(sensor), speed=SPEED, faults=faults or Faults()) as port:
             sensor = msgspec.structs.replace(sensor, port=port.path)
-            return run_daemon(Settings(sensor=sensor, robot=robot), tmp_path, port, within_s=PLAY_S)[0]
+            return run_daemon(Settings(sensor=sensor, robot=robot), tmp_path, port)[0]
 
     return run
 
@@ -175,7 +171,7 @@ def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[E
 def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
     with LoopbackRobot() as robot:
         at_rest = splice(simulate([("notouch", 60.0)], seed=5))
-        said = run(at_rest, robot=RobotSettings(url=robot.url), speed=SPEED_AT_REST)
+        said = run(at_rest, robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == []
     assert not [event for event in said if isinstance(event, TouchBegan | Prediction)]

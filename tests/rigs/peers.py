@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rigs.sockets import free_port
+from rigs.wait import wait_for
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
@@ -48,13 +49,6 @@ def touch(number: int) -> TouchBegan:
 def frame(number: int, host_s: float | None = None) -> Frame:
     counts = np.random.default_rng(number).integers(0, 1024, (8, 8)).astype(np.uint16)
     return Frame(number, number * 19, time.monotonic() if host_s is None else host_s, counts)
-
-
-def wait_for(condition: Callable[[], bool], timeout_s: float = 10.0) -> None:
-    deadline_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline_s, "not in time"
-        time.sleep(0.01)
 
 
 class Peer(ABC):

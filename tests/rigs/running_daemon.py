@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import yaml
-from rigs.expectations import LENGTHS, stream_of
+from rigs.expectations import LENGTHS
+from rigs.patient_port import PatientPort, playing
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event
 from daemon.playback.rig import SpawnedDaemon
-from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 
 SPEED = 16.0
@@ -24,11 +24,12 @@ class Daemon:
     """The spawned daemon on a fake pad, the lines of its log, and its configuration to write anew."""
 
     def __init__(self, folder: Path) -> None:
-        self.port = FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=SPEED)
+        self.port = playing(LENGTHS, SPEED)
         self.settings = Settings(sensor=SensorSettings(port=self.port.path))
         self._folder = folder
         self._log = (folder / "log").open("w+b")
         self._daemon = SpawnedDaemon(self.settings, folder, self._log)
+        self.port.reader = self._daemon.process.pid
         self.port.start()
         self._events = self._daemon.events()
         self.events: list[Event] = []
@@ -54,12 +55,12 @@ class Daemon:
         return [line for line in lines if "daemon.setup.reread" in line]
 
     def await_log(self, count: int) -> None:
-        while len(self.log()) < count:
-            time.sleep(0.01)
+        wait_for(lambda: len(self.log()) >= count)
 
     def finish(self) -> list[Event]:
         """Play to the end, and return all events."""
-        assert self.port.wait(25)
+        assert self.port.wait(WITHIN_S)
+        self.port.settle()
         self._daemon.process.terminate()
         self.events += self._events
         assert self._daemon.stop() == 0
@@ -72,13 +73,18 @@ class Daemon:
 
 
 def run_daemon(
-    settings: Settings, folder: Path, *until: FakePort, within_s: float = 25
+    settings: Settings, folder: Path, *until: FakePort, within_s: float = WITHIN_S
 ) -> tuple[list[Event], str]:
     """Run the daemon until these ports have been played; return its events and its log."""
     with (folder / "log").open("w+b") as log:
         daemon = SpawnedDaemon(settings, folder, log)
+        patient = [port for port in until if isinstance(port, PatientPort)]
         try:
+            for port in patient:
+                port.reader = daemon.process.pid
             assert all(port.wait(within_s) for port in until), "the daemon did not take what was played"
+            for port in patient:
+                port.settle()
         finally:
             daemon.process.terminate()
             events = list(daemon.events())

@@ -5,6 +5,8 @@ from __future__ import annotations
 import socket
 from pathlib import Path
 
+from rigs.wait import WITHIN_S
+
 
 class Manager:
     """A socket that takes a service's notifications."""
@@ -13,7 +15,7 @@ class Manager:
         path = folder / "notify"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.bind(str(path))
-        self._socket.settimeout(20)
+        self._socket.settimeout(WITHIN_S)
         self.environ = {"NOTIFY_SOCKET": str(path), "WATCHDOG_USEC": "3600000000"}
 
     def hear(self) -> str:

@@ -1,0 +1,20 @@
+"""Waiting for what is to come of itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+# No promise to anybody, but what a very busy machine may take.
+WITHIN_S = 50.0
+
+
+def wait_for(what: Callable[[], T], within_s: float = WITHIN_S) -> T:
+    """Wait until something is there, or true; return it."""
+    until_s = time.monotonic() + within_s
+    while not (found := what()):
+        assert time.monotonic() < until_s, "it did not come"
+        time.sleep(0.01)
+    return found
