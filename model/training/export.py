@@ -51,6 +51,8 @@ class CalibratedTGC(nn.Module):
         return torch.softmax(logits / temperature, dim=-1), state
 
     def _temperature(self, frames: Tensor) -> Tensor:
+        # Past the last length the bends cancel; in float32 the error would grow with the frames.
+        frames = torch.minimum(frames, self.lengths[-1])
         return self.first + (self.bends * torch.relu(frames - self.lengths)).sum()
 
 

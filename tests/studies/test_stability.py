@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from onnxruntime import OrtValue
 from rich.console import Console
 
 from docs.studies.checks import stability
 from docs.studies.checks.hard_cases import hand, hard_cases
 from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, CaseResult
 from drivers.frame import MAX_COUNT
-from model.classifier import SHIPPED_MODEL, Classifier, ModelError
+from model.classifier import SHIPPED_MODEL, Classifier, ModelError, State
 
 # Every case is asked in both runtimes; a busy machine takes its time.
 pytestmark = pytest.mark.timeout(120)
@@ -91,6 +92,27 @@ def test_the_tiny_values_are_denormal() -> None:
 def test_the_longest_window_and_the_shortest_are_there() -> None:
     assert {len(window) for window in CASES["the longest window"].windows} == {432}
     assert {len(window) for window in CASES["a window of 1 frame"].windows} == {1}
+
+
+def test_an_answer_does_not_drift_over_hundreds_of_hours() -> None:
+    pytest.importorskip("torch", reason="needs the extra `train`")
+    import torch
+
+    from docs.studies.checks.reference import Reference
+
+    classifier = Classifier.load()
+    exact = Reference.load(SHIPPED_MODEL.with_suffix(".pt"), classifier.metadata)
+    _, state = classifier.step(hand(400))
+    _, exact_state = exact.step(hand(400), exact.initial_state())
+    for times in (1, 1_000, 3_000, 30_000, 100_000):
+        # As if these frames had come so many times over.
+        longer = np.array([[[1], [times], [1]]], np.float64)
+        tensors = {"pooled": state.tensors["pooled"].numpy() * longer, "frames": np.array([400.0 * times])}
+        older = {name: OrtValue.ortvalue_from_numpy(tensor) for name, tensor in tensors.items()}
+        answer, _ = classifier.step(hand(9), State({**state.tensors, **older}))
+        pooled, frames = (torch.from_numpy(tensors[name]) for name in ("pooled", "frames"))
+        expected, _ = exact.step(hand(9), exact_state._replace(pooled=pooled, frames=frames))
+        assert np.abs(answer - expected).max() <= TOLERANCES[stability.BATCH]
 
 
 @pytest.mark.slow
