@@ -60,7 +60,7 @@ class CallLog:
         """Return what the robot said, plainly or animated, oldest first."""
         return [call.arguments[0] for call in self.all() if call.method == "say"]
 
-    def wait_for(self, wanted: Callable[[Call], bool], timeout_s: float = 10.0) -> Call:
+    def wait_for(self, wanted: Callable[[Call], bool], timeout_s: float = 50.0) -> Call:
         """Return the first call that is wanted, past or to come; raises TimeoutError with the last ones."""
         with self._grew:
             if not self._grew.wait_for(lambda: any(map(wanted, self._calls)), timeout_s):
@@ -69,7 +69,7 @@ class CallLog:
                 )
             return next(filter(wanted, self._calls))
 
-    def wait_for_raise(self, event: str, value: object, timeout_s: float = 10.0) -> Call:
+    def wait_for_raise(self, event: str, value: object, timeout_s: float = 50.0) -> Call:
         """Return the call that raised an event with this value; raises TimeoutError."""
         return self.wait_for(
             lambda call: _is_raise(call, event) and call.arguments[1] == value, timeout_s=timeout_s

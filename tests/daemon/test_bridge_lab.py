@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rigs.made_events import PREDICTION
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
 
@@ -21,7 +21,7 @@ def test_lsl_frames_bear_their_time_of_arrival_within_2_ms(tmp_path: Path) -> No
     peer = LslPeer(tmp_path)
     bridge = peer.bridge()
     inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
-    time.sleep(0.3)
+    wait_for(lambda: bridge._pressure.have_consumers())
     # LSL's clock was read no sooner than the first and no later than the last of these.
     arrived: list[tuple[float, float]] = []
     for number in range(27):
@@ -31,7 +31,7 @@ def test_lsl_frames_bear_their_time_of_arrival_within_2_ms(tmp_path: Path) -> No
         arrived.append((before_s - late_s, after_s - late_s))
         bridge.put_frame(frame(number, now_s - late_s))
         time.sleep(1 / 54)
-    pulled = [inlet.pull_sample(timeout=5) for _ in range(27)]
+    pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(27)]
     info = inlet.info()
     bridge.stop(2.0)
     assert (info.channel_count(), info.nominal_srate()) == (64, 54.0)
@@ -48,7 +48,7 @@ def test_lsl_markers_bear_the_events_own_time(tmp_path: Path) -> None:
     peer = LslPeer(tmp_path)
     bridge = peer.bridge()
     inlet = inlet_of(f"{peer.name}-{PAD}-markers", threading.Event())
-    time.sleep(0.3)
+    wait_for(lambda: bridge._markers.have_consumers())
     ago = timestamp(time.time() - 1.0)
     ago_s = pylsl.local_clock() - 1.0
     for event in (
@@ -60,7 +60,7 @@ def test_lsl_markers_bear_the_events_own_time(tmp_path: Path) -> None:
         RobotAction(touch=1, action="say", what="Hello", time=ago),
     ):
         bridge.put(event)
-    pulled = [inlet.pull_sample(timeout=5) for _ in range(6)]
+    pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(6)]
     bridge.stop(2.0)
     markers = [sample[0] for sample, _ in pulled]
     assert markers == [
@@ -71,7 +71,7 @@ def test_lsl_markers_bear_the_events_own_time(tmp_path: Path) -> None:
         "robot/up",
         "robot_action/say",
     ]
-    assert pulled[0][1] == pytest.approx(ago_s, abs=0.02)
+    assert pulled[0][1] == pytest.approx(ago_s, abs=0.2)
 
 
 def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from rigs.peers import LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto, touch
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.bridge import Bridge
 
@@ -42,9 +42,7 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
 def put_until_heard(peer: Peer, bridge: Bridge, number: int) -> int:
     """Put events until one is heard, as a peer without memory hears only what comes after it was found."""
     heard = len(peer.heard)
-    deadline_s = time.monotonic() + 10.0
     while len(peer.heard) == heard:
-        assert time.monotonic() < deadline_s, "nothing is heard"
         bridge.put(touch(number))
         number += 1
         time.sleep(0.05)
@@ -108,7 +106,7 @@ def test_a_peer_that_accepts_and_never_speaks_holds_up_nothing(peer: Peer) -> No
         bridge = peer.bridge()
         for number in range(20):
             bridge.put(touch(number))
-        mute.settimeout(10)
+        mute.settimeout(WITHIN_S)
         with mute.accept()[0]:
             began_s = time.monotonic()
             bridge.stop(1.0)

@@ -16,6 +16,7 @@ import pytest
 from rigs.expectations import GESTURES, expected
 from rigs.made_events import PREDICTION
 from rigs.programs import ran
+from rigs.wait import WITHIN_S
 
 from daemon import cli
 from daemon.commands import demo
@@ -35,7 +36,7 @@ Refusal = Callable[..., str]
 
 
 def touchd(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return ran([sys.executable, "-m", "daemon", *arguments], timeout=25)
+    return ran([sys.executable, "-m", "daemon", *arguments])
 
 
 @pytest.fixture
@@ -176,7 +177,7 @@ def test_a_reader_may_leave_classify_early() -> None:
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == b""
-        assert process.wait(20) == 0
+        assert process.wait(WITHIN_S) == 0
 
 
 def test_replay_and_run_work_together_as_two_commands(tmp_path: Path) -> None:
@@ -195,8 +196,8 @@ def test_replay_and_run_work_together_as_two_commands(tmp_path: Path) -> None:
                 if json.loads(line)["type"] == "touch_ended":
                     break
             run.terminate()
-            assert run.wait(10) == 0
-        assert replay.wait(10) == 0
+            assert run.wait(WITHIN_S) == 0
+        assert replay.wait(WITHIN_S) == 0
 
 
 @pytest.mark.parametrize(

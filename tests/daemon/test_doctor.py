@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,11 @@ from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, ideal_clock_ms
 
 
-def test_a_sound_pad_passes_every_check(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sound_pad_passes_every_check(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A busy machine is told of, and rightly.
+    monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     counts = resting(4.0)
     with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,10 @@ from daemon.doctor.machine import check_model, check_robot, check_service
 from drivers.robot.settings import RobotSettings
 
 
-def test_a_missing_or_unfit_model_is_reported() -> None:
-    assert check_model(SETTINGS).verdict == "ok"
+def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    for slow_ms, verdict in ((math.inf, "ok"), (0.0, "warning")):
+        monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", slow_ms)
+        assert check_model(SETTINGS).verdict == verdict
     missing = check_model(Settings(model="/nowhere/model.onnx"))
     assert missing.verdict == "to do"
     assert "cannot be read" in missing.found

@@ -10,6 +10,7 @@ import sys
 
 from rigs.programs import ran
 from rigs.robots import link_threads, message, needs_qi
+from rigs.wait import WITHIN_S
 
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
@@ -36,15 +37,13 @@ def test_it_prints_its_address_and_every_call() -> None:
         assert said["arguments"] == ["That was a pat"]
         link.stop()
         process.send_signal(signal.SIGINT)
-        assert process.wait(10) == 0
+        assert process.wait(WITHIN_S) == 0
     assert link_threads() == []
 
 
 def test_a_port_that_is_taken_is_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        done = ran(
-            [sys.executable, "-m", "daemon", "fake-robot", "--port", str(taken.getsockname()[1])], timeout=20
-        )
+        done = ran([sys.executable, "-m", "daemon", "fake-robot", "--port", str(taken.getsockname()[1])])
     assert done.returncode == 2
     assert done.stderr.startswith("touchd: cannot listen on port")
     assert len(done.stderr.splitlines()) == 1

@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import pytest
 from rigs.expectations import GESTURES, answers, stream_of
 from rigs.programs import ran
 from rigs.terminal import Terminal
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon import cli
 from daemon.config import JournalSettings, LiveSettings, Settings, load
@@ -59,7 +59,7 @@ from daemon import cli
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:
-    return ran([sys.executable, "-c", WITHOUT_EXTRAS + code], timeout=25)
+    return ran([sys.executable, "-c", WITHOUT_EXTRAS + code])
 
 
 def test_every_command_helps_without_any_extra() -> None:
@@ -96,7 +96,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
     ],
 )
 def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, said: str) -> None:
-    done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m daemon {command}"], timeout=25)
+    done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m daemon {command}"])
     assert (done.returncode, said in done.stderr) == (code, True)
     assert len(done.stderr.splitlines()) == bool(said)
 
@@ -115,7 +115,7 @@ def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setenv("PATH", os.defpath)
     for folder in (tmp_path, ROOT):
         monkeypatch.chdir(folder)
-        done = ran([*shlex.split(own_name()), "--version"], check=True, timeout=20)
+        done = ran([*shlex.split(own_name()), "--version"], check=True)
         assert done.stdout.startswith("touchd 0.")
 
 
@@ -126,7 +126,7 @@ def test_bash_completes_commands_and_options(capsys: pytest.CaptureFixture[str])
     bash = shutil.which("bash")
     assert bash is not None
     for words, completed in (("touchd cla", "classify"), ("touchd demo --li", "--live")):
-        done = ran([bash, "-c", script + ask.format(words, 1 + words.count(" ") - 1)], check=True, timeout=10)
+        done = ran([bash, "-c", script + ask.format(words, 1 + words.count(" ") - 1)], check=True)
         assert completed in done.stdout.split()
 
 
@@ -190,10 +190,8 @@ def test_every_settled_touch_sets_the_example_action_off_once() -> None:
         sink.start()
         for event in events:
             sink.put(event)
-        until_s = time.monotonic() + 10
         settled = [event.gesture for event in events if isinstance(event, TouchEnded)]
-        while len(said) < len(settled) and time.monotonic() < until_s:
-            time.sleep(0.01)
+        wait_for(lambda: len(said) >= len(settled))
         sink.stop(2.0)
     early = [event for event in events if isinstance(event, Prediction) and event.stage == "early"]
     assert any(event.told for event in early)
@@ -243,5 +241,5 @@ def test_a_demo_that_is_told_to_end_leaves_nothing_behind(
         process.stdout.readline()
         assert list(tmp_path.iterdir())
         process.send_signal(number)
-        assert process.wait(15) == 0
+        assert process.wait(WITHIN_S) == 0
     assert list(tmp_path.iterdir()) == []

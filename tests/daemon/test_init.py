@@ -16,6 +16,7 @@ from rigs.expectations import RECORDINGS, stream_of
 from rigs.robots import needs_qi
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
+from rigs.wait import WITHIN_S
 
 from daemon.commands import init
 from daemon.commands.init import main
@@ -124,7 +125,7 @@ def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
             terminal.answer(robot.url)
             assert "pad: fabric-grid 10x10" in terminal.until("robot: ")
             assert robot.url in terminal.until(" doctor -c")
-            assert terminal.process.wait(10) == 0
+            assert terminal.process.wait(WITHIN_S) == 0
         assert load(path).robot is not None
         run = [sys.executable, "-m", "daemon", "run", "-c", str(path)]
         with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as daemon:
@@ -133,5 +134,5 @@ def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
             daemon.terminate()
             first, *_ = [decode(line) for line in daemon.stdout if b"sensor" in line]
             assert isinstance(first, SensorEvent)
-            assert daemon.wait(10) == 0
+            assert daemon.wait(WITHIN_S) == 0
     assert (tmp_path / "state/touchd/events.jsonl").stat().st_size > 0

@@ -20,6 +20,7 @@ from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.live_rig import HANDSHAKE, SERVED, Served, frames_among, live_daemon, serving
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
+from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
@@ -48,7 +49,7 @@ def served() -> Iterator[Served]:
 
 def test_a_viewer_gets_every_event_and_frame(served: Served) -> None:
     with served.look() as viewer:
-        assert json.loads(viewer.recv(timeout=5))["type"] == "state"
+        assert json.loads(viewer.recv(timeout=WITHIN_S))["type"] == "state"
         served.sink.put(BEGAN)
         wanted = served.put_frame()
         assert frames_among(viewer, wanted) == [encode(BEGAN).decode(), wanted]
@@ -61,7 +62,7 @@ def test_a_late_viewer_gets_the_current_state(served: Served) -> None:
             served.sink.put(event)
         frames_among(early, served.put_frame())
         with served.look() as late:
-            state = json.loads(late.recv(timeout=5))
+            state = json.loads(late.recv(timeout=WITHIN_S))
     touches = [(touch["began"]["touch"], touch["ended"] is not None) for touch in state["touches"]]
     assert touches == [(1, True), (2, False)]
     assert state["sensor"]["state"] == "up"
@@ -88,7 +89,7 @@ def test_rate_and_drops_are_told_again_and_again(served: Served) -> None:
 def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
     """Return the next message of a kind."""
     while True:
-        message = viewer.recv(timeout=5)
+        message = viewer.recv(timeout=WITHIN_S)
         if isinstance(message, str) and (told := json.loads(message))["type"] == kind:
             return dict(told)
 
@@ -98,7 +99,7 @@ def test_a_viewer_that_stalls_costs_the_others_nothing(served: Served) -> None:
     narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     narrow.connect(("127.0.0.1", served.port))
     with served.look() as quick, served.look(sock=narrow, max_queue=1) as slow:
-        quick.recv(timeout=5)
+        quick.recv(timeout=WITHIN_S)
         for _ in range(2000):
             frames_among(quick, served.put_frame())
         served.sink.put(BEGAN)
@@ -121,7 +122,7 @@ def test_a_viewer_that_stalls_costs_the_others_nothing(served: Served) -> None:
 
 def test_a_viewer_who_no_longer_answers_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daemon.live.server.PING_EVERY_S", 0.2)
-    with serving() as served, socket.create_connection(("127.0.0.1", served.port), timeout=10) as dead:
+    with serving() as served, socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S) as dead:
         dead.sendall(HANDSHAKE.format(port=served.port).encode())
         with suppress(ConnectionResetError):
             while dead.recv(65536):
@@ -138,7 +139,7 @@ def hung(server: LiveServer) -> Iterator[None]:
         goes_on.wait()
 
     server._loop.call_soon_threadsafe(hang)
-    assert hangs.wait(5)
+    assert hangs.wait(WITHIN_S)
     try:
         yield
     finally:
@@ -210,7 +211,7 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
             closing.enter_context(connect(f"ws://127.0.0.1:{daemon.port}/stream", max_queue=1))
         unfinished = closing.enter_context(socket.create_connection(("127.0.0.1", daemon.port)))
         unfinished.sendall(b"GET /stream HTTP/1.1\r\n")
-        assert pad.wait(25)
+        assert pad.wait(WITHIN_S)
         asked_s = time.monotonic()
         assert daemon.stop() == 0
         assert time.monotonic() - asked_s < 2.0
@@ -244,7 +245,7 @@ def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         # Its daemon is ready, and the page there, once the pad is.
         assert any(line.startswith("pad up") for line in demo.stdout)
-        with urllib.request.urlopen(f"{served[1]}/", timeout=5) as answer:
+        with urllib.request.urlopen(f"{served[1]}/", timeout=WITHIN_S) as answer:
             assert answer.status == 200
         demo.send_signal(signal.SIGINT)
-        assert demo.wait(20) == 0
+        assert demo.wait(WITHIN_S) == 0

@@ -9,6 +9,7 @@ from contextlib import ExitStack, suppress
 
 import pytest
 from rigs.live_rig import Served, frames_among, serving
+from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from daemon import cli
@@ -29,10 +30,10 @@ def test_more_viewers_than_there_is_room_for_are_told_so(served: Served) -> None
     with ExitStack() as closing:
         viewers = [closing.enter_context(served.look()) for _ in range(MOST_VIEWERS)]
         for viewer in viewers:
-            viewer.recv(timeout=5)
+            viewer.recv(timeout=WITHIN_S)
         one_more = closing.enter_context(served.look())
         with pytest.raises(ConnectionClosed, match="too many are looking already"):
-            one_more.recv(timeout=5)
+            one_more.recv(timeout=WITHIN_S)
         viewers[0].close()
         wanted = served.put_frame()
         for viewer in viewers[1:]:
@@ -42,17 +43,17 @@ def test_more_viewers_than_there_is_room_for_are_told_so(served: Served) -> None
 @pytest.mark.parametrize(("said", "why"), [("x", "nothing is read here"), ("x" * 1000, "1009")])
 def test_who_says_anything_is_shown_the_door(served: Served, said: str, why: str) -> None:
     with served.look() as viewer:
-        viewer.recv(timeout=5)
+        viewer.recv(timeout=WITHIN_S)
         viewer.send(said)
         with pytest.raises(ConnectionClosed, match=why):
-            viewer.recv(timeout=5)
+            viewer.recv(timeout=WITHIN_S)
 
 
 def test_idle_connections_do_not_exhaust_descriptors(served: Served) -> None:
     with served.look() as viewer, ExitStack() as closing:
-        viewer.recv(timeout=5)
+        viewer.recv(timeout=WITHIN_S)
         idle = [
-            closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=5))
+            closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S))
             for _ in range(MOST_CONNECTIONS)
         ]
         # The viewer is inside as well, so that the last of these is one too many, and is not waited for.
@@ -81,7 +82,7 @@ def test_whatever_else_is_asked_for_is_not_there(served: Served, path: str) -> N
 
 
 def test_nothing_but_reading_is_possible(served: Served) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=5)
+    connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=WITHIN_S)
     with suppress(http.client.RemoteDisconnected):
         connection.request("POST", "/", body=b"x")
         assert connection.getresponse().status >= 400
@@ -98,7 +99,7 @@ def test_another_page_in_the_same_browser_gets_no_stream(served: Served, origin:
     with pytest.raises(InvalidStatus, match="403"), served.look(origin=origin):
         pass
     with served.look(origin=f"http://127.0.0.1:{served.port}") as viewer:
-        viewer.recv(timeout=5)
+        viewer.recv(timeout=WITHIN_S)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
 from rigs.running_daemon import Daemon, run_daemon
 from rigs.terminal import Terminal
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon import cli
 from daemon.commands.classify import play
@@ -206,7 +206,7 @@ def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
         terminal.answer("u", "undone", "quit: ")
         terminal.answer("l", "Enter to end, u undo: ")
         terminal.answer("")
-        assert terminal.process.wait(10) == 0
+        assert terminal.process.wait(WITHIN_S) == 0
     assert [name.rpartition("_")[0] for name in lab.files()] == ["anna_foam_fur_tickle", "ben_foam_fur_rub"]
 
 
@@ -232,7 +232,7 @@ def test_a_slip_is_undone_and_a_crash_resumed(lab: Lab) -> None:
         terminal.until("1 of 1: touch 1")
         terminal.until("quit: ")
         terminal.answer("q", "the same command goes on from here")
-        assert terminal.process.wait(10) == 0
+        assert terminal.process.wait(WITHIN_S) == 0
 
 
 def test_half_a_recording_left_by_a_crash_is_no_label(lab: Lab) -> None:

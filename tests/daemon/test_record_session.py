@@ -11,6 +11,7 @@ import pytest
 from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
+from rigs.wait import WITHIN_S
 
 from daemon import cli
 from daemon.config import SensorSettings, Settings
@@ -86,7 +87,7 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, port: FakeP
                 pat_until_it_is_felt(terminal, hand)
                 terminal.answer("")
         terminal.until("2 of 3 recordings are in")
-        assert terminal.process.wait(10) == 0
+        assert terminal.process.wait(WITHIN_S) == 0
     assert "no touch was felt" in terminal.shown
     (pat,) = read_recordings(tmp_path / "anna_foam_none_pat_1.csv.gz")
     assert (pat.participant, pat.substrate, pat.cover, pat.gesture) == ("anna", "foam", "none", "pat")
@@ -136,7 +137,7 @@ def test_who_has_had_enough_is_told_how_to_go_on(tmp_path: Path, port: FakePort)
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
         terminal.until("Enter to begin")
         terminal.answer("q", "the same command goes on from here")
-        assert terminal.process.wait(10) == 0
+        assert terminal.process.wait(WITHIN_S) == 0
 
 
 def test_without_anybody_to_answer_it_ends(

@@ -19,6 +19,7 @@ from rigs.felt_touch import felt
 from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
+from rigs.wait import WITHIN_S
 
 from daemon.config import JournalSettings, SensorSettings, Settings, load
 from daemon.decide import Decision, DecisionSettings
@@ -55,8 +56,11 @@ def served() -> Iterator[Served]:
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
 def test_a_flooding_viewer_is_let_go(served: Served, said: bytes) -> None:
-    with served.look() as viewer, socket.create_connection(("127.0.0.1", served.port), timeout=5) as flood:
-        viewer.recv(timeout=5)
+    with (
+        served.look() as viewer,
+        socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as flood,
+    ):
+        viewer.recv(timeout=WITHIN_S)
         flood.sendall(HANDSHAKE.format(port=served.port).encode() + EMPTY_TEXT * (said != PING))
         sent = 0
         with suppress(ConnectionError):
@@ -86,7 +90,7 @@ def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
             assert any(isinstance(event, TouchEnded) for event in daemon.events())
             daemon.process.send_signal(signal.SIGTERM)
             asked_s = time.monotonic()
-            assert daemon.process.wait(10) == 0
+            assert daemon.process.wait(WITHIN_S) == 0
             assert time.monotonic() - asked_s < 5.0
         finally:
             daemon.stop()

@@ -10,6 +10,7 @@ from rigs import terminal as terminal_rig
 from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
+from rigs.wait import WITHIN_S
 
 from daemon import cli
 from daemon.commands.teach import with_model
@@ -54,7 +55,7 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
                 question = terminal.until(" ")
                 terminal.answer("k" if question == "do" else "")
             terminal.until("Set.")
-            assert terminal.process.wait(20) == 0
+            assert terminal.process.wait(WITHIN_S) == 0
     settings = load(config)
     assert settings == Settings(sensor=SensorSettings(port=port.path), model=settings.model)
     assert "pat" in Classifier.load(Path(str(settings.model))).labels

@@ -22,6 +22,7 @@ import pytest
 from rich.cells import cell_len
 from rich.console import Console
 from rigs.made_events import PREDICTION
+from rigs.wait import WITHIN_S
 
 from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from daemon.setup.words import Language, vocabulary
@@ -153,7 +154,7 @@ def test_resizing_and_ending_leave_the_terminal_clean() -> None:
     stream = pyte.ByteStream(screen)
 
     def show_until(text: str) -> None:
-        until_s = time.monotonic() + 20
+        until_s = time.monotonic() + WITHIN_S
         while not any(text in line for line in screen.display):
             assert time.monotonic() < until_s, screen.display
             if select.select([master], [], [], 0.5)[0]:
@@ -174,17 +175,18 @@ def test_resizing_and_ending_leave_the_terminal_clean() -> None:
     ):
         show_until("pad up")
         resize(60, 24)
-        # Two refreshes later all is drawn anew.
-        until_s = time.monotonic() + 0.5
-        while time.monotonic() < until_s:
-            if select.select([master], [], [], 0.1)[0]:
-                stream.feed(os.read(master, 65536))
+        # A refresh begins at the top left; two later all is drawn anew.
+        drawn = b""
+        while drawn.count(b"\x1b[H") < 4:
+            assert select.select([master], [], [], WITHIN_S)[0], screen.display
+            drawn += os.read(master, 65536)
+        stream.feed(drawn)
         for once in ("touchd", "Last touches", "firm", "2.67 s"):
             assert sum(once in line for line in screen.display) == 1, (once, screen.display)
         os.write(master, b"\n")
         left = b""
         while b"gone" not in left:
-            assert select.select([master], [], [], 10)[0], left
+            assert select.select([master], [], [], WITHIN_S)[0], left
             left += os.read(master, 65536)
     assert b"\x1b[?1049l" in left
     assert b"\x1b[?25h" in left

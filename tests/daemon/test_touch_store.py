@@ -19,6 +19,7 @@ from rigs.felt_touch import felt
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
+from rigs.wait import WITHIN_S
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
 from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
@@ -245,7 +246,7 @@ class StuckStore(TouchStore):
         self.goes_on = threading.Event()
 
     def add(self, touch: FeltTouch) -> None:
-        self.goes_on.wait(20)
+        self.goes_on.wait(WITHIN_S)
         super().add(touch)
 
 

@@ -27,6 +27,7 @@ from rigs.live_rig import HANDSHAKE
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
+from rigs.wait import WITHIN_S
 from websockets.sync.client import connect
 
 from daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings
@@ -297,7 +298,7 @@ def test_a_process_holds_until_it_is_told_to_end(tmp_path: Path, seed: int) -> N
             most_mb = max(most_mb, resident_mb(process.daemon.process.pid))
         process.daemon.process.send_signal(signal.SIGTERM)
         asked_s = time.monotonic()
-        assert process.daemon.process.wait(20) == 0
+        assert process.daemon.process.wait(WITHIN_S) == 0
         # Ten times the pad's pace on a machine that others use: what waits is not all processed.
         assert time.monotonic() - asked_s < 8.0
         process.reader.join()

@@ -81,9 +81,10 @@ def test_the_pace_is_the_recordings_without_drift() -> None:
     with FakePort(stream, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
         read_to_end(port, reader)
     due_s = (stream.sensor_ms - 1000) / 1000 / 2.0
-    late_s = (port.sent_s - port.sent_s[0]) - due_s
-    assert late_s.min() > -0.05
-    assert np.median(late_s) < 0.05
+    late_s = port.sent_s - due_s
+    # A busy machine may be late with any frame, but is early with none.
+    assert np.median(late_s) - late_s.min() < 0.05
+    assert abs(np.median(late_s[20:]) - np.median(late_s[:20])) < 0.05
 
 
 def test_a_looped_stream_goes_on_and_so_does_its_clock() -> None:

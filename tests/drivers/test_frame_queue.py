@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 import numpy as np
+from rigs.wait import WITHIN_S
 
 from drivers.frame import Frame
 from drivers.pad.sensor import FrameQueue, SensorState
@@ -37,6 +38,6 @@ def test_a_queue_of_nothing_but_states_is_bounded_too() -> None:
 def test_a_waiting_reader_is_woken_by_the_next_item() -> None:
     queue = FrameQueue()
     threading.Timer(0.05, queue.put, [frame(7)]).start()
-    item = queue.get(5.0)
+    item = queue.get(WITHIN_S)
     assert isinstance(item, Frame)
     assert item.number == 7

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.haart_folder import needs_haart
+from rigs.wait import WITHIN_S
 
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
@@ -71,7 +72,7 @@ def through_the_port(counts: Counts) -> list[Frame]:
         sensor = Sensor(port.path, 512000, FabricGrid(), queue)
         sensor.start()
         while len(frames) < len(counts):
-            item = queue.get(5.0)
+            item = queue.get(WITHIN_S)
             assert item is not None
             if isinstance(item, Frame):
                 frames.append(item)

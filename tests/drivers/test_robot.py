@@ -63,16 +63,16 @@ def test_the_gesture_goes_from_memory_one_second_later(robot: Robot) -> None:
         raised = robot.calls.wait_for_raise(GESTURE, "stroke")
         removed = robot.calls.wait_for(lambda call: call.method == "removeData")
         assert removed.arguments == (GESTURE,)
-        assert removed.time_s - raised.time_s == pytest.approx(1.0, abs=0.5)
+        assert 0.9 < removed.time_s - raised.time_s < 5.0
 
 
 def test_another_gesture_starts_the_second_anew(robot: Robot) -> None:
-    with linked(robot, limits=RobotLimits(shown_s=0.4)) as (link, _):
+    with linked(robot, limits=RobotLimits(shown_s=0.8)) as (link, _):
         link.publish(message("stroke", 1))
         threading.Event().wait(0.2)
         link.publish(message("pat", 2))
         removed = robot.calls.wait_for(lambda call: call.method == "removeData")
-        assert removed.time_s - robot.calls.wait_for_raise(GESTURE, "pat").time_s >= 0.39
+        assert removed.time_s - robot.calls.wait_for_raise(GESTURE, "pat").time_s >= 0.79
         assert [call.method for call in robot.calls.all()].count("removeData") == 1
 
 

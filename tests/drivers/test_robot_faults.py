@@ -47,12 +47,12 @@ def test_a_robot_that_comes_later_is_found(make_robot: type[Robot]) -> None:
 @every_robot
 def test_a_kill_during_a_call_is_survived(make_robot: type[Robot]) -> None:
     limits = RobotLimits(call_s=20)
-    with make_robot(call_s=0.1) as robot, linked(robot, limits=limits) as (link, states):
+    with make_robot(call_s=0.2) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
         link.publish(message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
         robot.kill()
-        states.wait_for("up", "down", timeout_s=2)
+        states.wait_for("up", "down", timeout_s=10)
         robot.start()
         states.wait_for("up", "down", "up")
         link.publish(message("pat"))
@@ -67,7 +67,7 @@ def test_a_kill_while_all_is_quiet_is_noticed(make_robot: type[Robot]) -> None:
     with make_robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (_, states):
         states.wait_for("up")
         robot.kill()
-        states.wait_for("up", "down", timeout_s=2)
+        states.wait_for("up", "down", timeout_s=10)
 
 
 @every_robot
@@ -75,9 +75,9 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it(make_robot: type[Robot
     with make_robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         robot.hang()
-        assert "no answer within" in states.wait_for("up", "down", timeout_s=5)
+        assert "no answer within" in states.wait_for("up", "down")
         robot.resume()
-        states.wait_for("up", "down", "up", timeout_s=5)
+        states.wait_for("up", "down", "up")
         link.publish(message("pat"))
         robot.calls.wait_for_raise(GESTURE, "pat")
 
@@ -98,7 +98,7 @@ def test_a_slow_robot_is_heard_once_call_s_allows(make_robot: type[Robot]) -> No
     with make_robot(call_s=0.4) as robot:
         with linked(robot, call_s=0.2) as (_, states):
             assert "no answer within 0.2 s" in states.wait_for("down")
-        with linked(robot, call_s=0.8) as (link, states):
+        with linked(robot, call_s=5.0) as (link, states):
             link.publish(message("pat"))
             robot.calls.wait_for_raise(GESTURE, "pat")
             states.wait_for("up")
@@ -119,13 +119,13 @@ def test_a_returning_robot_gets_the_status_each_time(make_robot: type[Robot]) ->
 
 @every_robot
 def test_late_news_is_dropped_and_fresh_news_told(make_robot: type[Robot]) -> None:
-    limits = RobotLimits(stale_s=0.1)
+    limits = RobotLimits(stale_s=0.5)
     with make_robot() as robot:
         robot.kill()
         with linked(robot, limits=limits) as (link, states):
             link.publish(message("stale"))
             states.wait_for("down")
-            time.sleep(0.15)
+            time.sleep(0.6)
             robot.start()
             states.wait_for("down", "up")
             link.publish(message("fresh"))
@@ -199,7 +199,7 @@ def test_publishing_to_a_hung_robot_returns_at_once(make_robot: type[Robot]) -> 
     with make_robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):
         states.wait_for("up")
         robot.hang()
-        states.wait_for("up", "down", timeout_s=5)
+        states.wait_for("up", "down")
         started_s = time.monotonic()
         for number in range(500):
             link.publish(message(f"gesture {number}", number))
@@ -222,7 +222,7 @@ def test_an_absent_robot_is_one_warning(caplog: pytest.LogCaptureFixture) -> Non
         states.wait_for("down", "up")
     lines = [(record.levelname, record.getMessage()) for record in caplog.records]
     assert [level for level, _ in lines] == ["WARNING", "INFO"]
-    assert "up again after 0." in lines[1][1]
+    assert "up again after " in lines[1][1]
 
 
 def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixture) -> None:

@@ -23,6 +23,7 @@ from rigs.sensor_rig import (
     silence,
     stream_of,
 )
+from rigs.wait import WITHIN_S
 
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
@@ -34,11 +35,11 @@ from drivers.recording import Stream
 
 
 def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels: str) -> None:
-    """Right frames come within two seconds from now, and this is all that was logged."""
+    """Right frames come before the port would be opened anew, and this is all that was logged."""
     begun_s = time.monotonic()
     assert next_state(queue).state == "up"
     next_frames(queue, 5)
-    assert time.monotonic() - begun_s < 2.0
+    assert time.monotonic() - begun_s < 5.0
     assert [record.levelname for record in caplog.records] == list(levels)
 
 
@@ -51,7 +52,7 @@ def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture)
         assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 0.5 s")
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
-    assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again after 0.")
+    assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again after ")
 
 
 def half_frames(counts: Counts, sensor_ms: int) -> bytes:
@@ -201,7 +202,7 @@ def test_retries_never_become_rarer_than_the_cap(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(sensor_module, "open_port", not_there)
     sensor = Sensor("pad", 512000, FabricGrid(), FrameQueue(), first_retry_s=0.001, longest_retry_s=0.004)
     sensor.start()
-    assert all(looked.acquire(timeout=5.0) for _ in range(50))
+    assert all(looked.acquire(timeout=WITHIN_S) for _ in range(50))
     sensor.stop()
 
 

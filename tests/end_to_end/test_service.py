@@ -164,7 +164,7 @@ def test_a_signal_ends_the_daemon_before_systemd_would(
     manager.await_ready()
     asked_s = time.monotonic()
     daemon.process.send_signal(number)
-    assert daemon.process.wait(10) == 0
+    assert daemon.process.wait(WITHIN_S) == 0
     assert time.monotonic() - asked_s < STOP_S
     assert daemon.stop() == 0
     assert "STOPPING=1" in manager.heard()
@@ -196,7 +196,7 @@ def test_stalled_reader_and_dead_robot_cost_no_journal_line(tmp_path: Path, mana
         pad.settle()
         asked_s = time.monotonic()
         daemon.process.terminate()
-        assert daemon.process.wait(10) == 0
+        assert daemon.process.wait(WITHIN_S) == 0
         assert time.monotonic() - asked_s < STOP_S
         daemon.stop()
     lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
@@ -210,4 +210,4 @@ def test_a_reader_that_goes_away_ends_the_daemon_cleanly(
     assert daemon.process.stdout is not None
     daemon.process.stdout.readline()
     daemon.process.stdout.close()
-    assert daemon.process.wait(20) == 0
+    assert daemon.process.wait(WITHIN_S) == 0

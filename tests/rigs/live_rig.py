@@ -5,7 +5,6 @@ from __future__ import annotations
 import http.client
 import re
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from rigs.sockets import free_port
+from rigs.wait import WITHIN_S, wait_for
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
@@ -27,7 +27,6 @@ from model.classifier import Classifier
 
 SERVED = re.compile(r"live page: (http://\S+)/")
 IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
-STARTS_WITHIN_S = 20.0
 HANDSHAKE = (
     "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     "Sec-WebSocket-Key: dG91Y2hkdG91Y2hkdG91Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
@@ -70,7 +69,7 @@ class LiveDaemon:
     def stop(self) -> int:
         if self.process.poll() is None:
             self.process.terminate()
-        code = self.process.wait(10)
+        code = self.process.wait(WITHIN_S)
         self._reader.join()
         self._daemon.stop()
         self._log.close()
@@ -81,12 +80,11 @@ class LiveDaemon:
             self.events.append(event)
 
     def _await_url(self) -> str:
-        until_s = time.monotonic() + STARTS_WITHIN_S
-        while (served := SERVED.search(self.log)) is None:
+        def served() -> re.Match[str] | None:
             assert self.process.poll() is None, self.log
-            assert time.monotonic() < until_s, self.log
-            time.sleep(0.02)
-        return served[1]
+            return SERVED.search(self.log)
+
+        return wait_for(served)[1]  # type: ignore[index]
 
 
 @contextmanager
@@ -131,7 +129,7 @@ class Served:
         return encode_frame(frame)
 
     def ask(self, path: str = "/", **headers: str) -> http.client.HTTPResponse:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=5)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=WITHIN_S)
         connection.request("GET", path, headers=headers)
         return connection.getresponse()
 
@@ -149,5 +147,5 @@ def frames_among(viewer: ClientConnection, wanted: bytes) -> list[str | bytes]:
     """Return everything that comes up to and with the wanted frame."""
     got: list[str | bytes] = []
     while wanted not in got:
-        got.append(viewer.recv(timeout=5))
+        got.append(viewer.recv(timeout=WITHIN_S))
     return got

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rigs.sockets import free_port
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
@@ -142,7 +142,7 @@ def subscribed(
     client.connect("localhost" if "ca_file" in options else "127.0.0.1", port)
     client.loop_start()
     try:
-        assert there.wait(10), "the broker has not answered"
+        assert there.wait(WITHIN_S), "the broker has not answered"
         yield messages
     finally:
         client.disconnect()
@@ -258,7 +258,7 @@ def inlet_of(name: str, ending: threading.Event) -> Any:
     while not ending.is_set():
         for info in pylsl.resolve_byprop("name", name, timeout=1.0):
             inlet = pylsl.StreamInlet(info, recover=False)
-            inlet.open_stream(timeout=5)
+            inlet.open_stream(timeout=WITHIN_S)
             return inlet
     raise AssertionError(f"no stream {name}")
 

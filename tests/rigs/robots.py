@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from rigs.sockets import free_port
+from rigs.wait import WITHIN_S
 
 from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
 from drivers.frame import DEFAULT_PAD
@@ -57,7 +58,7 @@ class States:
             self.told.append((state, reason))
             self._changed.notify_all()
 
-    def wait_for(self, *states: str, timeout_s: float = 10.0) -> str:
+    def wait_for(self, *states: str, timeout_s: float = WITHIN_S) -> str:
         """Wait until exactly these states were told; returns the reason of the last."""
         with self._changed:
             assert self._changed.wait_for(lambda: self._names() == states, timeout_s), self.told

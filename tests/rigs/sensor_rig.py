@@ -10,6 +10,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.wait import WITHIN_S
 
 from drivers.frame import Counts, Frame
 from drivers.pad.format import PadFormat, encode_frame
@@ -51,7 +52,7 @@ def sensing(
 def next_frames(queue: FrameQueue, count: int) -> list[Frame]:
     frames: list[Frame] = []
     while len(frames) < count:
-        item = queue.get(5.0)
+        item = queue.get(WITHIN_S)
         assert item is not None, f"only {len(frames)} of {count} frames came"
         if isinstance(item, Frame):
             frames.append(item)
@@ -59,7 +60,7 @@ def next_frames(queue: FrameQueue, count: int) -> list[Frame]:
 
 
 def next_state(queue: FrameQueue) -> SensorState:
-    while not isinstance(item := queue.get(5.0), SensorState):
+    while not isinstance(item := queue.get(WITHIN_S), SensorState):
         assert item is not None, "no state was told"
     return item
 

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 
-SHOWS_WITHIN_S = 20.0
+SHOWS_WITHIN_S = 50.0
 ESCAPES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
 
 
