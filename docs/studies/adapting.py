@@ -40,7 +40,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     """One network adapted to `each` recordings a gesture of one person that it never saw.
 
     before, after: macro accuracy on that person's other recordings, after 144 frames; error: of calibration.
-    others: what it gains, on average, each other person whom the network never saw either.
+    others: mean gain on the other people whom the network never saw.
     """
 
     participant: str

@@ -1,4 +1,4 @@
-"""Pages are written by hand; a study fills its tables into the places that a page marks for them.
+"""Fills a study's tables into the places that a hand-written page marks for them.
 
 A place is everything from `<!-- table: NAME -->` to `<!-- end -->`.
 """

@@ -1,6 +1,6 @@
-"""How answers fare on pads other than the lab's: `python -m docs.studies pads` fills docs/pads.md's table.
+"""Accuracy on pads other than the lab's: `python -m docs.studies pads` fills docs/pads.md's table.
 
-The simulated hand does the same touches on every pad, rendered on the pad's own cells and sent as its bytes.
+The simulated hand makes the same touches on every pad, rendered on the pad's cells and sent as its bytes.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ PAGE = Path(__file__).parents[1] / "pads.md"
 QUIET_S, TOUCH_S = 2.0, 3.8
 HANDS = 5
 SEED = 7
-# How much later than the last a frame of a pad without a clock may arrive, in seconds.
+# How much later than its predecessor a frame of a pad without a clock may arrive, in seconds.
 JITTER_S = 0.004
-# A pad is ruined by fewer touches felt, or right answers fewer by this share of all, than on the lab's.
+# A pad counts as ruined when touches are missed, or right answers are fewer by this share, than on the lab's.
 FELT_SHARE, RIGHT_SHARE = 0.9, 0.2
 
 
 @dataclass(frozen=True)
 class Rung:
-    """A pad. gain: how much more than the lab's it makes of the same hand."""
+    """A pad. gain: its counts for the same hand, relative to the lab's pad."""
 
     name: str
     described: PadFormat
@@ -98,7 +98,7 @@ def table_of(scores: Sequence[tuple[Rung, PadScore]]) -> str:
 
 
 def score(rung: Rung, hands: int) -> PadScore:
-    """Play so many hands, each of which does every gesture, on a pad; return how they were answered."""
+    """Play so many hands on a pad, each with every gesture; return how many were felt and right."""
     gestures = [gesture for gesture in GESTURES if gesture != NO_TOUCH] * hands
     events: list[Event] = []
     now_s = [0.0]
@@ -123,7 +123,7 @@ def score(rung: Rung, hands: int) -> PadScore:
 
 
 def frames_of(rung: Rung, gestures: Sequence[str]) -> Iterator[Frame]:
-    """Yield what the pad's parser makes of the gestures' bytes, each after and before a quiet time."""
+    """Yield the frames that the pad's parser reads from the gestures' bytes, each between quiet times."""
     described = rung.described
     cells = (described.rows - 2 * described.crop, described.columns - 2 * described.crop)
     rng = RandomState(SEED)

@@ -1,9 +1,9 @@
-"""int8 copies of a model file, by ONNX Runtime's quantization: loss, gain, and whether to ship one.
+"""int8 copies of a model file, by ONNX Runtime's quantization: accuracy, time and whether to ship one.
 
-Dynamic: the linear layers alone, scales found anew for each answer (convolutions so done take far longer than
-in float32). Static: linear layers and convolutions, scales from training windows. The loss is measured on
-participants left out: each fold's file is quantized by itself, on windows of those whom it was trained on.
-Needs the extra `train`.
+Dynamic: the linear layers alone, with scales computed for each answer (dynamic convolutions are far slower
+than float32 ones). Static: linear layers and convolutions, scales from training windows. The loss is measured
+on participants left out: each fold's file is quantized by itself, on windows of its training people. Needs
+the extra `train`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Quantize = Callable[[Path, Path, Sequence[Recording]], None]
 """Writes a copy of the first file to the second, by windows of the recordings."""
 CALIBRATION_WINDOWS = 128
 ANSWERS = 200
-# int8 is a second arithmetic to vouch for: worth it only for a plain gain in time at next to no loss.
+# int8 is a second arithmetic to verify: worth it only for a clear gain in time at next to no loss.
 LARGEST_SHARE_OF_TIME = 0.75
 LARGEST_LOSS = 0.005
 
@@ -83,7 +83,8 @@ def main(arguments: Sequence[str]) -> int:
 def run(model: Path, folds: Sequence[Path], training: Sequence[Recording]) -> list[Variant]:
     """Compare float32 and both kinds of int8.
 
-    folds: model files that left participants out, who are in their metadata; training: published recordings.
+    folds: model files with the participants that they left out in their metadata; training: published
+    recordings.
     Raises ModelError.
     """
     if not folds:
@@ -133,7 +134,7 @@ def table(variants: Sequence[Variant]) -> Table:
 
 
 def dynamic(model: Path, target: Path, calibration: Sequence[Recording]) -> None:
-    """Write an int8 copy whose scales are found anew for each answer; the recordings are not needed."""
+    """Write an int8 copy whose scales are computed for each answer; the recordings are not needed."""
     quantize_dynamic(
         model, target, weight_type=QuantType.QInt8, per_channel=True, op_types_to_quantize=["MatMul", "Gemm"]
     )

@@ -1,7 +1,7 @@
 """Size and speed of one answer, ours against the paper's TGC: `python -m docs.studies speed`.
 
-Shares are of processor time, each network on one thread. The paper's networks have random weights, which take
-as long as any. Needs the extra `train`.
+Shares are of processor time, each network on one thread. The paper's networks have random weights, which
+takes the same time. Needs the extra `train`.
 """
 
 from __future__ import annotations

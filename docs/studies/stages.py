@@ -1,8 +1,8 @@
 """Where the time goes from a frame's last byte to the robot: a bar a stage in docs/speed.md.
 
 `python -m docs.studies stages` runs the daemon's own service on a fake pad in another process, which is
-touched over and over, and notes when each answer that is told at a mark passed each stage. The robot is a
-stand-in behind real qi on loopback. What was measured is kept in docs/speed.json. Needs the extra `nao`.
+touched repeatedly, and notes when each answer told at a mark passed each stage. The robot is a stand-in
+behind real qi on loopback. The figures are kept in docs/speed.json. Needs the extra `nao`.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def measure(seconds: float) -> Times:
     since_boot_s = np.array(raised_s) - (time.time() - time.monotonic())
     passed = np.column_stack([sent_s[0][frames], rows, since_boot_s])
     steps_ms = 1000 * np.diff(passed, axis=1)
-    # An answer that waited until a quiet was over was asked about before.
+    # An answer that waited for a quiet time to end was computed earlier.
     steps_ms = steps_ms[(steps_ms >= 0).all(axis=1)]
     in_all_ms = steps_ms.sum(axis=1)
     return Times(
@@ -143,7 +143,7 @@ def measure(seconds: float) -> Times:
 
 
 def _pad(to: Connection, seconds: float) -> None:
-    """Be a pad that rests and is then touched; tell its port and, at its end, when each frame was sent."""
+    """Play a pad that rests and is then touched; send its port and, at the end, when each frame was sent."""
     script = [("notouch", REST_S)]
     for turn in range(max(1, round(seconds / (TOUCH_S + BETWEEN_S)))):
         script += [(TOUCHES[turn % len(TOUCHES)], TOUCH_S), ("notouch", BETWEEN_S)]
@@ -155,7 +155,7 @@ def _pad(to: Connection, seconds: float) -> None:
 
 @contextmanager
 def _noted(rows: list[tuple[float, ...]]) -> Iterator[None]:
-    """Meanwhile, append when each answer that is told passed each stage, from the frame's arrival on."""
+    """Within the context, append when each told answer passed each stage, from the frame's arrival on."""
     at: dict[str, float] = {}
 
     def note(before: str = "", after: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
@@ -182,7 +182,7 @@ def _noted(rows: list[tuple[float, ...]]) -> Iterator[None]:
         def noted(fanout: EventFanout, event: Event) -> None:
             if isinstance(event, Prediction) and event.told:
                 at["told"] = time.monotonic()
-                # What is told at a touch's end was not asked by steps.
+                # Answers at a touch's end were not computed by steps.
                 rows.append(tuple(at[name] if event.stage in MARKS else math.nan for name in PASSED))
             function(fanout, event)
 

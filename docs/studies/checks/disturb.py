@@ -1,4 +1,4 @@
-"""What a pad, a lab or a hand may do to a window of counts, for measuring how accuracy holds."""
+"""Disturbances of a window of counts by a pad, a lab or a hand, to measure how robust accuracy is."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def offset(by: float) -> Disturb:
 
 
 def half_pressure(counts: Counts32) -> Counts32:
-    """Halve what a hand adds, not the rest of a few counts."""
+    """Halve the pressure that a hand adds, not the rest level of a few counts."""
     rest = np.minimum(counts, np.float32(REST_COUNTS))
     disturbed: Counts32 = rest + (counts - rest) / 2
     return disturbed
@@ -70,7 +70,7 @@ def breathing(counts: Counts32) -> Counts32:
 
 
 def curved(counts: Counts32) -> Counts32:
-    """Bend the pad around a cylinder: towards its edges a touch is foreshortened and presses less."""
+    """Bend the pad around a cylinder: a touch near its edges is foreshortened and presses less."""
     columns = counts.shape[3]
     angles = BEND * np.linspace(-1.0, 1.0, columns)
     places = (np.sin(angles) / np.sin(BEND) + 1) / 2 * (columns - 1)
@@ -107,7 +107,7 @@ def dead_row(counts: Counts32) -> Counts32:
 
 
 def from_rest(counts: Counts32) -> Counts32:
-    """Let the touch begin from rest and rise over 75 ms, as a live one does; HAART's begin in the middle."""
+    """Let the touch begin from rest and rise over 75 ms, as a live one does; HAART's are cut mid-gesture."""
     contact = np.minimum(np.arange(counts.shape[1], dtype=np.float32) / RISE_FRAMES, 1.0)[:, None, None]
     risen: Counts32 = counts * contact + np.float32(REST_COUNTS) * (1.0 - contact)
     return risen
@@ -128,7 +128,7 @@ def lossy(counts: Counts32) -> Counts32:
 
 
 def pad_rate(rate_hz: float) -> Disturb:
-    """A pad that scans at another rate, laid back on the 54 Hz grid by linear interpolation."""
+    """A pad that scans at another rate, resampled to 54 Hz by linear interpolation."""
 
     def disturb(counts: Counts32) -> Counts32:
         length = counts.shape[1]
@@ -144,7 +144,7 @@ def pad_rate(rate_hz: float) -> Disturb:
 
 
 def _resample(frames: Counts32, places: Places, wanted: Places) -> Counts32:
-    """Interpolate frames (N, 8, 8), which lie at the places (N,), linearly at the wanted places."""
+    """Interpolate frames (N, 8, 8) from their places (N,) linearly to the wanted places."""
     right = np.clip(np.searchsorted(places, wanted), 1, len(places) - 1)
     left = right - 1
     part = np.clip((wanted - places[left]) / (places[right] - places[left]), 0.0, 1.0)

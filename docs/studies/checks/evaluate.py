@@ -1,7 +1,7 @@
 """The classifier's scores on windows: by length, class, participant, condition, framing and disturbance.
 
 Windows are the paper's: 432 // L non-overlapping windows a recording, accuracy averaged over classes. "Test"
-is the challenge's test participants, whom nothing was chosen on. "Left out" is HAART's training participants,
+is the challenge's test participants; nothing was chosen on them. "Left out" is HAART's training participants,
 each answered by a network of the same recipe that never saw them; "second study" is that study's people, in
 the same way.
 """

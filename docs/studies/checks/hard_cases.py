@@ -67,7 +67,7 @@ def hand(frames: int) -> Window:
 
 
 def drift() -> list[Window]:
-    """A usual touch, seen again and again over an hour in which the pad's offset rises."""
+    """A usual touch, repeated over an hour in which the pad's offset rises."""
     starts = np.linspace(0, DRIFT_FRAMES - FRAMES, DRIFT_STEPS)
     frames = starts[:, None] + np.arange(FRAMES)  # (DRIFT_STEPS, FRAMES)
     offsets = np.rint(DRIFT_COUNTS * frames / DRIFT_FRAMES)[:, :, None, None]
@@ -76,6 +76,6 @@ def drift() -> list[Window]:
 
 def tiny() -> Window:
     """Every denormal order of magnitude, from the smallest float to the smallest normal one."""
-    # As bits: where denormals are flushed to zero, arithmetic could not make them.
+    # Made from bits: where denormals are flushed to zero, arithmetic could not make them.
     bits = np.logspace(0, 23, num=FRAMES * ROWS * COLUMNS, base=2).astype(np.uint32)
     return bits.view(np.float32).reshape(FRAMES, ROWS, COLUMNS)

@@ -1,4 +1,4 @@
-"""What a model file is compared with: the network it was exported from, in PyTorch and float64."""
+"""The reference of a model file: the network it was exported from, in PyTorch and float64."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from model.training.export import CalibratedTGC
 
 @dataclass(frozen=True)
 class Reference:
-    """A trained network in PyTorch and float64: counts (T, 8, 8) to what it says of them."""
+    """A trained network in PyTorch and float64, which answers counts (T, 8, 8)."""
 
     calibrated: CalibratedTGC
 

@@ -1,8 +1,7 @@
 """Numerical stability of a model file, case by case.
 
-Probabilities must be finite and sum to 1, agree with the same network in float64, and depend on nothing but
-the frames that they are about: not on the batch, on later frames, on threads, on the counts' type, on chance,
-nor on whether the frames come at once or a few at a time.
+Probabilities must be finite, sum to 1, agree with the same network in float64, and depend only on their
+frames: not on the batch, later frames, threads, the counts' type, chance or how many frames come at a time.
 """
 
 from __future__ import annotations
@@ -84,8 +83,8 @@ def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[CaseResult]:
 
     hours: of one unbroken stream to check too, 2 minutes each.
 
-    What needs the extra `train` is left out without it; what needs the checkpoint that the file was exported
-    from, beside it as .pt, is left out where there is none. A damaged checkpoint raises CheckpointError.
+    Checks that need the extra `train`, or the checkpoint beside the file (.pt), are left out without it. A
+    damaged checkpoint raises CheckpointError.
     """
     classifier = Classifier.load(model)
     two_threads = Classifier.load(model, threads=2)
@@ -120,7 +119,7 @@ def _reference(model: Path, classifier: Classifier) -> Reference | None:
 def chunked(
     classifier: Classifier, window: NDArray[np.float32], sizes: Sequence[int], every: int = 1
 ) -> float:
-    """Return how far answers a few frames at a time are from whole windows', looked at every so many frames.
+    """Return how far answers to a few frames at a time are from those to whole windows.
 
     sizes: how many frames come at a time, over and over.
     """
@@ -137,7 +136,7 @@ def chunked(
 
 
 def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterator[float]:
-    """Stream one long touch of all gestures, and yield after each minute how far it is from float64."""
+    """Stream one long touch of all gestures; yield its deviation from float64 after each minute."""
     from model.training.threads import one_torch_thread
 
     script = [(gesture, 60 / len(GESTURES)) for gesture in GESTURES]
@@ -219,7 +218,7 @@ def _check_refusals(classifier: Classifier) -> CaseResult:
 
 
 def _check_extreme_logits(model: Path) -> CaseResult:
-    """Ask copies of the file whose logits are multiplied until the softmax is as steep as it can be."""
+    """Check copies of the file with multiplied logits, which make the softmax as steep as possible."""
     from docs.studies.checks.scale_logits import scale_logits
 
     deviations: list[float] = []

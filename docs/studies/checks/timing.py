@@ -1,4 +1,4 @@
-"""How long answers take, asked in turn in the same run: what else the machine does meets all alike."""
+"""Answer times, measured in turn in one run, so that other load on the machine affects all alike."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Stopping rules on the same streams of probabilities: how early one can tell, and what it costs.
+"""Compares stopping rules on the same streams of probabilities: how early they tell, and their errors.
 
-`python -m docs.studies early` asks the networks left out about the people of both studies, in about a minute,
+`python -m docs.studies early` asks the left-out networks about the people of both studies, in about a minute,
 and fills the tables and the figure of docs/early.md, and what `scene.sure` costs in docs/decision.md.
 """
 
@@ -38,7 +38,8 @@ MARKS = DecisionSettings().answer_at_frames
 
 
 class RuleScore(msgspec.Struct, frozen=True, kw_only=True):
-    """One setting of one rule. error: of the first answer told. harmed: touches in which a mark undoes it."""
+    """One setting of one rule. error: of the first answer told. harmed: touches whose right answer a mark
+    replaces."""
 
     rule: str
     setting: str
@@ -122,7 +123,7 @@ def write(studies: Mapping[str, Streams], docs: Path) -> str:
 
 
 def best_choice(choices: Mapping[str, Sequence[Choice]]) -> str:
-    """Return `when_sure` with what is fastest and pays in every study, else `at_mark`.
+    """Return the fastest `when_sure` that pays in every study, else `at_mark`.
 
     It pays when what is told first is right at least as often as at the mark, at most MOST_HARMED of touches
     are harmed, and the right answer that stays comes a third earlier.
@@ -142,7 +143,7 @@ def best_choice(choices: Mapping[str, Sequence[Choice]]) -> str:
 
 
 def compare(streams: Streams) -> list[RuleScore]:
-    """Return every rule at every setting; what learns, learns from the other people."""
+    """Return every rule at every setting; rules that learn do so from the other people."""
     rules: dict[str, Mapping[str, Rule]] = {
         "fixed time": {f"{length}": _fixed(length) for length in (9, 27, 54, 72, 81, 108, 144)},
         "confidence": {f"{p:.2f}": _confidence(p, 1) for p in np.arange(0.4, 0.96, 0.05)},
@@ -161,7 +162,7 @@ def compare(streams: Streams) -> list[RuleScore]:
 
 
 def heard(streams: Streams, settings: DecisionSettings) -> list[Told]:
-    """Return what the robot would have heard of each touch, by the daemon's own decision."""
+    """Return what the robot would have been told of each touch, by the daemon's own decision."""
     told = []
     for said, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
         decision = Decision(settings, streams.labels)
@@ -207,7 +208,7 @@ def choices_of(streams: Streams) -> list[Choice]:
 
 
 def touches_table(studies: Mapping[str, Streams]) -> str:
-    """Return of whom the figures are."""
+    """Return the people and touches of each study."""
     rows = [(title, len(set(s.participants)), len(s.truth)) for title, s in studies.items()]
     return table(("study", "people", "touches"), rows)
 
@@ -288,14 +289,14 @@ def draw(studies: Mapping[str, tuple[Sequence[RuleScore], Sequence[Choice]]], pa
 
 
 def _named(streams: Streams) -> NDArray[np.float32]:
-    """Return the probabilities with "notouch", which is never told, at nothing."""
+    """Return the probabilities with "notouch", which is never told, set to zero."""
     named: NDArray[np.float32] = streams.probabilities.copy()
     named[:, :, streams.labels.index(NO_TOUCH)] = 0.0
     return named
 
 
 def _first(streams: Streams, stops: NDArray[np.bool_]) -> Frames:
-    """Return after how many frames each touch is told, (N,), from where a rule may stop, (N, FRAMES)."""
+    """Return the frame at which each touch is told, (N,), from where a rule may stop, (N, FRAMES)."""
     stops = stops.copy()
     earliest = np.maximum(EARLIEST_FRAMES, streams.noticed + 1)
     stops[np.arange(FRAMES) < earliest[:, None] - 1] = False
@@ -344,7 +345,7 @@ def _sequential(limit: float) -> Rule:
 
 
 def _learnt(price: float) -> Rule:
-    """Stop where waiting is not worth it, as learnt from other people (as CALIMERA, Bilski 2023)."""
+    """Stop where waiting does not pay, as learnt from other people (after CALIMERA, Bilski 2023)."""
 
     def rule(streams: Streams) -> Frames:
         from sklearn.linear_model import Ridge
@@ -366,7 +367,7 @@ def _learnt(price: float) -> Rule:
 
 
 def _two_tiers(patience: int) -> Rule:
-    """A one-class machine judges each answer; agreeing ones in a row are told (TEASER, Schäfer 2020)."""
+    """A one-class SVM judges each answer; accepted equal ones in a row are told (TEASER, Schäfer 2020)."""
 
     def rule(streams: Streams) -> Frames:
         from sklearn.svm import OneClassSVM
@@ -394,7 +395,7 @@ def _two_tiers(patience: int) -> Rule:
 
 
 def _oracle(streams: Streams) -> Frames:
-    """Stop at the first frame from which on the answer is right for good, at once where it never is."""
+    """Stop at the first frame after which the answer stays right, at once where it never does."""
     right = _named(streams).argmax(axis=2) == streams.truth[:, None]
     for_good = np.logical_and.accumulate(right[:, ::-1], axis=1)[:, ::-1]
     return _first(streams, for_good | ~right[:, -1:])
@@ -406,7 +407,7 @@ def _features(streams: Streams, frame: int) -> NDArray[np.float32]:
 
 
 def _folds(streams: Streams) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-    """Yield who is learnt from and who is told, each person once."""
+    """Yield who is trained on and who is tested, each person once."""
     people = sorted(set(streams.participants))
     for start in range(min(4, len(people))):
         held = np.isin(streams.participants, people[start::4])

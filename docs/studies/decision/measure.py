@@ -1,8 +1,8 @@
 """How early and how often the daemon is right: spliced HAART touches through its own pipeline.
 
 Each touching recording of a training participant stands between notouch of the same participant and condition
-(see `docs.studies.tracker.measure`), and is answered by a network that never saw the participant. What it
-said at each stage is kept, so that every setting of the decision can be tried on the same answers.
+(see `docs.studies.tracker.measure`), and is answered by a network that never saw the participant. Its answer
+at each stage is kept, so that every setting of the decision is tried on the same answers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from drivers.recording import ideal_clock_ms
 
 @dataclass(frozen=True, eq=False)
 class Said:
-    """What the network said of one touch: probabilities (labels,) at each stage, in order."""
+    """The network's answers to one touch: probabilities (labels,) at each stage, in order."""
 
     gesture: str
     participant: str
@@ -33,7 +33,7 @@ class Said:
 
 @dataclass(frozen=True)
 class Told:
-    """What the robot heard of one touch: at each telling, seconds since it began and whether it was right."""
+    """What the robot was told of one touch: seconds since it began, and whether it was right, each time."""
 
     stages: tuple[Stage, ...]
     elapsed_s: tuple[float, ...]
@@ -70,7 +70,7 @@ def listen(cases: Sequence[Case], model: ProbabilityModel) -> Iterator[Said]:
 
 
 def decide(said: Said, settings: DecisionSettings, labels: tuple[str, ...]) -> Told:
-    """Return what the robot would have heard under these settings."""
+    """Return what the robot would have been told under these settings."""
     decision = Decision(settings, labels)
     heard = []
     for stage, elapsed_s, probabilities in said.answers:

@@ -1,4 +1,4 @@
-"""What the daemon says over a touch, measured: docs/decision.md, for people, and docs/decision.json.
+"""Measures what the daemon tells during a touch: docs/decision.md, for people, and docs/decision.json.
 
 `python -m docs.studies decision FOLDER [DOCS]` plays HAART's training recordings in FOLDER, in some minutes.
 The defaults of `speak_above` and `revise_margin` are the point that `choose` picks from the curve.
@@ -26,7 +26,7 @@ from drivers.recording import NO_TOUCH, Recording
 from model.classifier import SHIPPED_MODEL
 
 SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
-# Less than a tenth would let noise change the robot's mind.
+# Below a tenth, noise would make the robot revise.
 REVISE_MARGIN = (0.1, 0.2, 0.3, 0.4, 0.5)
 LEAST_RIGHT_EARLY = 0.85
 MOST_CHANGED = 0.10
@@ -45,7 +45,7 @@ class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
-    """What the robot hears under one pair of settings; shares of the touches noticed, times in seconds."""
+    """What the robot is told under one pair of settings; shares of the touches noticed, times in seconds."""
 
     speak_above: float
     revise_margin: float
@@ -61,7 +61,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def good(self) -> bool:
-        """Whether it meets what a scene may ask: early answers trustworthy, changes rare, harm rarer."""
+        """Whether it suits a scene: early answers trustworthy, changes rare, harm rarer."""
         return (
             self.right_when_told_early >= LEAST_RIGHT_EARLY
             and self.changed <= MOST_CHANGED
@@ -107,7 +107,7 @@ def measure(recordings: Sequence[Recording], weights: Path) -> StreamReport:
 
 
 def choose(curve: Iterable[Point]) -> Point:
-    """Return the good point that tells early most often and, of those, changes its mind most readily.
+    """Return the good point that tells early most often; among equals, the one that revises most readily.
 
     Points that are right at the end less often than the best by more than AS_GOOD do not count.
     """
@@ -118,7 +118,7 @@ def choose(curve: Iterable[Point]) -> Point:
 
 
 def point(said: Sequence[Said], labels: tuple[str, ...], speak_above: float, revise_margin: float) -> Point:
-    """Return what the robot would have heard under one pair of settings."""
+    """Return what the robot would have been told under one pair of settings."""
     settings = DecisionSettings(speak_above=speak_above, revise_margin=revise_margin)
     told = [decide(touch, settings, labels) for touch in said]
     early = [t.right[0] for t in told if t.stages and t.stages[0] == "early"]
@@ -192,7 +192,7 @@ def stages_table(figures: StreamReport) -> str:
 
 
 def curve_table(figures: StreamReport) -> str:
-    """Return what the robot hears under each pair of settings, the default first."""
+    """Return what the robot is told under each pair of settings, the default first."""
     rows = [
         (
             f"{p.speak_above:.2f}" + (" (default)" if p is figures.default else ""),

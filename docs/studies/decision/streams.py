@@ -1,4 +1,4 @@
-"""What the network says of a touch at every frame, for people it never saw: what stopping rules are tried on.
+"""The network's answers at every frame of touches of people it never saw: the data of the stopping rules.
 
 Each touching recording stands between notouch of the same participant and condition, as in
 `docs.studies.tracker.measure`. The daemon's own tracker finds the touch in it.
@@ -28,10 +28,10 @@ REST_FRAMES = 60
 
 @dataclass(frozen=True, eq=False)
 class Streams:
-    """N touches of at least FRAMES frames: what was said of each, and what it was.
+    """N touches of at least FRAMES frames: the answers to each, and its true gesture.
 
     probabilities: (N, FRAMES, labels), after each frame of the touch. truth: (N,) places among the labels.
-    noticed: (N,) frame of the touch at which it was noticed, from which on something can be told.
+    noticed: (N,) frame of the touch at which it was noticed; nothing can be told before.
     """
 
     probabilities: NDArray[np.float32]
@@ -42,7 +42,7 @@ class Streams:
 
 
 def collect(recordings: Sequence[Recording], weights: Path) -> Streams:
-    """Ask the networks left out about the touches of the people that each of them never saw."""
+    """Ask each left-out network about the touches of the people it never saw."""
     rows: list[tuple[NDArray[np.float32], int, int, str]] = []
     labels: tuple[str, ...] = ()
     for model, held in left_out_split(weights, haart.realigned(recordings)):

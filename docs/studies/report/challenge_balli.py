@@ -1,11 +1,11 @@
-"""Balli Altuglu and Altun's system of the challenge: a random forest on few features, sought out one by one.
+"""Balli Altuglu and Altun's system of the challenge: a random forest on few features, selected one by one.
 
 T. Balli Altuglu, K. Altun, "Recognizing Touch Gestures for Social Human-Robot Interaction", ICMI 2015, doi
 10.1145/2818346.2830600. From its abstract: pressure data, image features, Hurst exponent, Hjorth parameters
 and coefficients of an autoregressive model; selection by sequential forward floating search; random forest.
 
-Written without the paper's text at hand; ours are the series that the last three describe, the model's order,
-the image's moments, and how far the search goes. It asks small forests that leave participants out.
+Written without the paper's full text. Our own choices: the series that the last three describe, the model's
+order, the image's moments, and the search's extent; it scores small forests on left-out participants.
 """
 
 from __future__ import annotations
@@ -51,14 +51,14 @@ def features(counts: NDArray[np.uint16]) -> Floats:
 
 
 def all_series(counts: NDArray[np.uint16]) -> list[Floats]:
-    """Return what is followed over time, each (N, L), as in SERIES."""
+    """Return the series over time, each (N, L), as in SERIES."""
     path = shared.centroid(counts)
     greatest = counts.max(axis=(2, 3)).astype(np.float64)
     return [shared.mean_pressure(counts), greatest, path[..., 0], path[..., 1], shared.contact_area(counts)]
 
 
 def image_features(image: Floats) -> Floats:
-    """Return what the mean frame (N, 8, 8) looks like (N, 6).
+    """Return features of the mean frame (N, 8, 8) as an image, (N, 6).
 
     Centre (row, column), the longer and shorter axis of its ellipse of inertia in taxels, how long that is
     (eccentricity, 0 to 1), and how much of the pressure the hardest taxel takes.
@@ -97,7 +97,7 @@ def hurst(series: Floats) -> Floats:
     logs = np.log(np.maximum(np.stack(scaled, axis=1), TINY))
     places = np.log(sizes) - np.log(sizes).mean()
     slopes = logs @ places / (places @ places)
-    # One piece that does not move among those that do would say more of TINY than of the series.
+    # A constant piece among others would measure TINY, not the series.
     whole = (np.stack(scaled, axis=1) > 0.0).all(axis=1)
     return np.where(whole, slopes, 0.5)
 
@@ -116,7 +116,7 @@ def autoregressive(series: Floats, order: int = ORDER) -> Floats:
     """Return an autoregressive model's coefficients (N, order) by Yule and Walker's equations."""
     correlation = np.hstack([np.ones((len(series), 1)), shared.autocorrelations(series, order)])
     lags = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
-    # A series that repeats itself without change has no unique answer; the smallest ridge picks one.
+    # A constant series has no unique solution; the smallest ridge picks one.
     matrix = correlation[:, lags] + 1e-6 * np.eye(order)
     return np.asarray(np.linalg.solve(matrix, correlation[:, 1:, np.newaxis])[..., 0])
 

@@ -1,4 +1,4 @@
-"""What the challenge's hand-made features have in common: series over time, and numbers that describe one.
+"""Building blocks of the challenge's hand-made features: series over time, and numbers that describe one.
 
 A window's counts are (N, L, 8, 8), a series over its frames (N, L). Everything is float64 and finite, for an
 untouched pad too.
@@ -57,7 +57,7 @@ def describe(series: Floats) -> Floats:
     mean = series.mean(axis=1)
     moves = spread > TINY
     standard = (series - mean[:, np.newaxis]) / np.maximum(spread, TINY)[:, np.newaxis]
-    # The moments of a series that does not move are 0 / 0; it is called symmetric, and flat as a normal.
+    # The moments of a constant series are 0 / 0; they are set to a normal distribution's.
     skewness = np.where(moves, (standard**3).mean(axis=1), 0.0)
     kurtosis = np.where(moves, (standard**4).mean(axis=1) - 3.0, 0.0)
     least, greatest, median = series.min(axis=1), series.max(axis=1), np.median(series, axis=1)

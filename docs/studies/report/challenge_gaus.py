@@ -6,11 +6,11 @@ Gesture Recognition using Random Forest and Boosting on Distinct Feature Sets", 
 given to a random forest and to boosting; the boosting is that of the MultiBoost library (Benbouzid et al.
 2012), AdaBoost.MH over weak learners.
 
-Written without the paper's text at hand. The five sets, as remembered: statistics of pressure, of binary
+Written without the paper's full text. The five sets are taken to be: statistics of pressure, of binary
 motion and of motion, a motion history histogram at several scales (Meng et al. 2009) and local binary
-patterns on three orthogonal planes (Zhao and Pietikainen 2007). Ours are their statistics, thresholds, scales
-and lengths. scikit-learn has no AdaBoost.MH; the nearest it has is SAMME (Zhu et al. 2009) over small trees,
-which weighs windows where AdaBoost.MH weighs windows and classes.
+patterns on three orthogonal planes (Zhao and Pietikainen 2007). Their statistics, thresholds, scales and
+lengths are our choice. scikit-learn has no AdaBoost.MH; the nearest it has is SAMME (Zhu et al. 2009) over
+small trees, which weighs windows where AdaBoost.MH weighs windows and classes.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def features(counts: NDArray[np.uint16]) -> Floats:
 
 
 def distribution(values: NDArray[np.int32]) -> Floats:
-    """Return how the frames' mean, spread, greatest and median go over time (N, 28)."""
+    """Return statistics over time of the frames' mean, spread, maximum and median (N, 28)."""
     over_frame = [
         values.mean(axis=(2, 3)),
         values.std(axis=(2, 3)),
@@ -64,7 +64,7 @@ def distribution(values: NDArray[np.int32]) -> Floats:
 
 
 def binary_motion(moving: NDArray[np.bool_]) -> Floats:
-    """Return how many taxels move at once, over time (N, 7), and how much of the time each does (N, 64)."""
+    """Return statistics of how many taxels move at once (N, 7), and each taxel's share of time (N, 64)."""
     at_once = moving.mean(axis=(2, 3))
     return np.hstack([shared.describe(at_once), moving.mean(axis=1).reshape(len(moving), -1)])
 

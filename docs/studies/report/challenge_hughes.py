@@ -1,12 +1,12 @@
-"""Hughes and others' networks: a CNN, a CNN with a recurrent end (CRNN), and an autoencoder with one.
+"""Hughes and others' networks: a CNN, a CNN with a recurrent end (CRNN), and a recurrent autoencoder.
 
 D. Hughes, A. Krauthammer, N. Correll, "Recognizing Social Touch Gestures using Recurrent and Convolutional
 Neural Networks", ICRA 2017, pages 2315 to 2321. From its abstract: the three kinds of network, on raw frames,
 which answer 6 to 9 times a second. From Albawi et al. 2018 (doi 10.1155/2018/6973103), table 4: the CNN looks
 at 45 frames of 8 x 8.
 
-Written without the paper's text at hand; ours are all widths, the scale of the counts, normalisation, dropout
-and the whole training. All three answer every 9 frames, 6 times a second; the recurrent ones are asked for
+Written without the paper's full text; all widths, the scale of the counts, normalisation, dropout and the
+training are our choice. All three answer every 9 frames, 6 times a second; the recurrent ones are asked for
 their last answer in a window, the CNN for the mean over its 45-frame views: one network serves every length.
 """
 
@@ -81,7 +81,7 @@ class Autoencoder(nn.Module):
         self.decoder = nn.Sequential(nn.Linear(CODE, 32), nn.ReLU(), nn.Linear(32, taxels))
 
     def forward(self, frames: Tensor) -> Tensor:
-        """Return frames (N, 64) as they come back from their codes."""
+        """Return frames (N, 64) reconstructed from their codes."""
         return torch.as_tensor(self.decoder(self.encoder(frames)))
 
 
@@ -155,8 +155,9 @@ def step_loss(logits: Tensor, labels: Tensor) -> Tensor:
 def epochs(kind: str, windows: Windows, seed: int, count: int) -> Iterator[HughesNetwork]:
     """Train on windows of counts (N, L, 8, 8) for `count` epochs and yield the network after each.
 
-    The CNN's rate falls to nothing. At a constant one its weights outrun the running statistics of its batch
-    normalisation: with one seed those gave 49 % at the last epoch where the batch's own statistics gave 69 %.
+    The CNN's learning rate falls to zero. At a constant one its weights outrun the running statistics of its
+    batch normalisation: with one seed those gave 49 % at the last epoch where the batch's own statistics gave
+    69 %.
     """
     torch.manual_seed(seed)
     rng = torch.Generator().manual_seed(seed)

@@ -5,9 +5,9 @@ at ICMI 2015", doi 10.1145/2818346.2830598. From the paper: one classifier of ea
 applied to HAART as it was. That the features are 273 is also in Albawi et al. 2018 (doi
 10.1155/2018/6973103), table 4.
 
-Written without the text of the feature section at hand; ours are which 273 they are: three numbers of each
+Written without the text of the feature section; which 273 they are is our choice: three numbers of each
 taxel (192), 40 of the window as a whole, after Jung et al. 2014 (doi 10.1145/2663204.2663242), and 41 of the
-mean pressure as a sequence. Ours are also the kernel and all settings, chosen on training participants.
+mean pressure as a sequence. The kernel and all settings are ours too, chosen on training participants.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def taxel_features(counts: NDArray[np.uint16]) -> Floats:
 
 
 def global_features(counts: NDArray[np.uint16]) -> Floats:
-    """Return what the window is as a whole (N, 40): pressure, its place, the area, the way it goes."""
+    """Return features of the whole window (N, 40): pressure, its place, the area, its path."""
     values = counts.astype(np.float64)
     pressure, area, path = shared.mean_pressure(values), shared.contact_area(values), shared.centroid(values)
     moved = shared.steps(path)
@@ -78,7 +78,7 @@ def global_features(counts: NDArray[np.uint16]) -> Floats:
 
 
 def sequence_features(counts: NDArray[np.uint16]) -> Floats:
-    """Return what the mean pressure does over time (N, 41): bands, rhythm, quantiles, change, repetition."""
+    """Return features of the mean pressure over time (N, 41): bands, rhythm, quantiles, changes, repeats."""
     pressure = shared.mean_pressure(counts)
     change = np.diff(pressure, axis=1)
     return np.hstack(
@@ -99,5 +99,5 @@ def forest(settings: dict[str, Any], seed: int) -> RandomForestClassifier:
 
 
 def machine(settings: dict[str, Any], seed: int) -> Any:
-    """Return an untrained support vector machine on standardised features; it has no use for a seed."""
+    """Return an untrained support vector machine on standardised features; it needs no seed."""
     return make_pipeline(StandardScaler(), SVC(**settings))

@@ -1,4 +1,4 @@
-"""What an answer costs as its window grows, and as more pads are answered by one process on one thread."""
+"""The time of an answer by window length, and by the number of pads in one process on one thread."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ COLOURS = ("#1f5fa8", "#c4611a", "#7a3f98")
 
 @dataclass(frozen=True)
 class Timed:
-    """Something to time. values: what is known of it besides its time."""
+    """Something to time. values: its cell's values besides the time."""
 
     key: str
     values: dict[str, Any]
@@ -63,7 +63,7 @@ class Law:
     largest_miss: float
 
     def parts(self, n: float) -> list[float]:
-        """Return what each term adds to the cost of n."""
+        """Return each term's part of the cost of n."""
         return [coefficient * n**power for power, coefficient in enumerate(self.coefficients)]
 
     def at(self, n: float) -> float:
@@ -76,7 +76,7 @@ class Law:
 
 
 def run(study: Study) -> None:
-    """Measure windows and pads, each in one run, unless that has been done."""
+    """Measure windows and pads, each in one run, unless the results have them."""
     if not all(study.results.has(key) for key in window_keys()):
         with tempfile.TemporaryDirectory() as folder:
             _store(study.results, windows(Path(folder)))

@@ -1,6 +1,6 @@
 """Speed against error: time, size and memory of one answer of every network, in one run on one thread.
 
-The networks answer in turn, so that other work on the machine meets all alike. Networks other than ours are
+The networks answer in turn, so that other load on the machine affects all alike. Networks other than ours are
 timed with random weights. The error of the paper's networks comes from tables 2 and 3 where they were trained
 for all epochs, otherwise from the paper, which chose its epoch on the test participants. The error of the
 challenge's networks comes from table 1.
@@ -86,7 +86,7 @@ class Row:
 
     @property
     def processor_ms(self) -> float:
-        """Median processor time, by which networks are compared: other work hardly stretches it."""
+        """Median processor time, by which networks are compared: other load hardly changes it."""
         return float(self.at[ONNX_RUNTIME]["processor_ms"])
 
     @property
@@ -196,7 +196,7 @@ def rows(results: Results) -> list[Row]:
 
 
 def front(candidates: Sequence[Row]) -> list[Row]:
-    """Return those that no other beats in both time and error, fastest first."""
+    """Return the Pareto front of time and error, fastest first."""
     kept: list[Row] = []
     best = np.inf
     for row in sorted(candidates, key=lambda row: row.processor_ms):
@@ -281,7 +281,7 @@ def _panel(axes: Axes, together: Sequence[Row]) -> None:
     shipped = [row for row in together if row.is_shipped]
     for row in together:
         if row.family == OURS and row.arithmetic == FLOAT32:
-            # The star of the shipped model would hide what stands to its left.
+            # The star of the shipped model would hide a label to its left.
             is_wider = row.cell["width"] > shipped[0].cell["width"]
             offset, side = ((8, -4), "left") if is_wider else ((-20, -4), "right")
             place = (row.processor_ms, _percent(row))

@@ -31,7 +31,7 @@ def multiply_adds(model: Path, frames: int, windows: int = 1) -> int:
 
 
 def _shapes(graph: onnx.ModelProto, nodes: list[onnx.NodeProto], counts: np.ndarray) -> Shapes:
-    """Return the shape of everything that goes into the nodes and comes out of them."""
+    """Return the shapes of the nodes' inputs and outputs."""
     shapes = {weight.name: tuple(weight.dims) for weight in graph.graph.initializer}
     named = {name for node in nodes for name in (*node.input, *node.output) if name}
     inside = sorted(named - shapes.keys() - {"counts"})

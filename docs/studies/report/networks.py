@@ -1,6 +1,7 @@
 """The networks whose speed is weighed against their error, each as an ONNX file, in float32 and in int8.
 
-Others than ours have random weights here, which take as long as any; ours are the shipped file and its sizes.
+Other people's networks have random weights here, which takes the same time; ours are the shipped file and its
+sizes.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class TimedNetwork:
 
 
 class HughesAnswer(nn.Module):
-    """A network of the challenge's as it is asked: counts (B, L, 8, 8) to log probabilities (B, classes)."""
+    """A network of the challenge's as deployed: counts (B, L, 8, 8) to log probabilities (B, classes)."""
 
     def __init__(self, kind: str) -> None:
         super().__init__()
@@ -138,7 +139,7 @@ def _others(
 ) -> list[TimedNetwork]:
     path = folder / f"{name}.onnx"
     export(network, frames, path)
-    # Scales found anew for each answer: with random weights, none found beforehand would mean anything.
+    # Dynamic scales: with random weights, static ones would mean nothing.
     small = quantize.convert(path, "int8 dynamic", (), folder)
     return [
         TimedNetwork(name, family, FLOAT32, (frames,), path, width, blocks, network),

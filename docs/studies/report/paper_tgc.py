@@ -1,11 +1,11 @@
-"""The paper's touch-gesture classifier (TGC), to compare with: Ren, Hou and Belpaeme, HRI 2023 Companion.
+"""The paper's touch-gesture classifier (TGC), for comparison: Ren, Hou and Belpaeme, HRI 2023 Companion.
 
 "printed" is the network of the paper's text and figure 1: Transformer encoder blocks at the defaults of
 Vaswani et al. 2017 (512 wide, 8 heads, 2048 inner, post-norm, dropout 0.1), then linear layers without an
 activation between them. "public" is the one of its code (github.com/Yuanbo2020/TGC, context_model.py): blocks
-without a feed-forward part and without dropout, batch normalisation that takes the frame index for the
-channel, and ReLU after each of the linear layers. Neither encodes a frame's position; it shows only in the
-flattened output, which is why a network answers at one length alone.
+without a feed-forward part and without dropout, batch normalisation with the frame index as the channel, and
+ReLU after each of the linear layers. Neither encodes a frame's position; it shows only in the flattened
+output, which is why a network answers at one length alone.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Source: github.com/Yuanbo2020/TGC, processing.py and 1_run_frames.py. That code keeps the epoch that does best
 on the test participants. Here every epoch's test accuracy is kept, so that one training yields both that
-figure and the honest one, of the last epoch of a number fixed beforehand.
+figure and the unbiased one, of the last epoch of a number fixed beforehand.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ TEST_BATCH = 256
 
 
 class PaperTraining:
-    """One network of the paper's on its way: weights, optimizer, random states, and what each epoch gave."""
+    """One of the paper's networks in training: weights, optimizer, random states, and each epoch's scores."""
 
     def __init__(self, cell: PaperCell, grid: Grid, training: Windows, test: Windows, device: str) -> None:
         self.batch = grid.batch
@@ -95,7 +95,7 @@ class PaperTraining:
             torch.save(state, partial)
 
     def resume(self, path: Path) -> None:
-        """Go on where a saved training stopped; raises CheckpointError."""
+        """Resume a saved training; raises CheckpointError."""
         state = _load(path)
         self.network.load_state_dict(state["network"])
         self.optimizer.load_state_dict(state["optimizer"])
@@ -105,10 +105,10 @@ class PaperTraining:
 
 
 def train(study: Study, grid: Grid, cell: PaperCell) -> None:
-    """Train the cell to its last epoch, from its checkpoint where there is one, and keep what came of it.
+    """Train the cell to its last epoch, from its checkpoint where there is one, and store its results.
 
-    A training that another process is busy with is left to that process. One that has gone on for longer than
-    the cell asks says more than the cell would, and is left as it is.
+    A training that another process is at is left to it. One that has gone on for longer than the cell asks is
+    left as it is.
     """
     folder = study.checkpoints / cell.training
     folder.mkdir(parents=True, exist_ok=True)

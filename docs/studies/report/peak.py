@@ -1,4 +1,4 @@
-"""The most memory that a process takes which opens one network and answers with it, and does nothing else.
+"""Peak memory of a process that only opens one network and answers with it.
 
 Run as a program, it is that process.
 """
@@ -20,7 +20,7 @@ LIMIT_S = 300.0
 
 
 def peak_bytes(model: Path, frames: int, windows: int = 1) -> int:
-    """Return the most that was resident, in bytes, while the file answered over that many windows at once.
+    """Return the peak resident memory, in bytes, while the file answers that many windows at once.
 
     Of this, a process without any network takes `idle_bytes`.
     """
@@ -28,7 +28,7 @@ def peak_bytes(model: Path, frames: int, windows: int = 1) -> int:
 
 
 def idle_bytes() -> int:
-    """Return what Python with NumPy and ONNX Runtime takes before a network is opened, in bytes."""
+    """Return the memory of Python with NumPy and ONNX Runtime before a network is opened, in bytes."""
     return _child()
 
 

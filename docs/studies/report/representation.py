@@ -1,7 +1,7 @@
-"""The paper's figures 2 and 3, for its network and ours: what is confused, and how the representation lies.
+"""The paper's figures 2 and 3, for its network and ours: confusions, and the representation's layout.
 
-Over the test participants' windows of 144 frames as published. The representation is what the last layer
-gets; t-SNE (van der Maaten and Hinton 2008) lays it out in the plane.
+Over the test participants' windows of 144 frames as published. The representation is the last layer's input;
+t-SNE (van der Maaten and Hinton 2008) lays it out in the plane.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def draw(results: Results, figures: Path) -> None:
 def shown_cell(results: Results) -> PaperCell | None:
     """Return the trained cell that stands for the paper's network: the longest trained, then the deepest.
 
-    Seven and eight blocks stand aside, as the paper's own choice is six.
+    Seven and eight blocks are excluded, as the paper's own choice is six.
     """
     cells = [
         trained_cells(results, variant, blocks, frames)[0]

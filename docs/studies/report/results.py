@@ -1,4 +1,4 @@
-"""What every part of the report works with: one JSON file of results that say how each was made."""
+"""The report's results in one JSON file, each with how it was made."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Results:
     def __init__(self, path: Path) -> None:
         """Take the file's path; the file need not be there yet."""
         self.path = path
-        # Of when the process began: that code runs, whatever is committed meanwhile.
+        # As of the process's start: that code runs, whatever is committed meanwhile.
         self.commit = commit()
 
     def has(self, key: str) -> bool:
@@ -58,7 +58,7 @@ class Results:
         return self.cell(key).values
 
     def cell(self, key: str) -> Cell:
-        """Return a cell with all that is known of its making; raises KeyError when it is not there."""
+        """Return a cell with how it was made; raises KeyError when it is not there."""
         return self._read()[key]
 
     def keys(self, prefix: str = "") -> list[str]:
@@ -92,7 +92,7 @@ class Results:
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
-        # The folder itself is locked: the file is replaced, and a lock on it would be lost with it.
+        # The folder is locked, as a lock on the file would be lost when it is replaced.
         folder = os.open(self.path.parent, os.O_RDONLY)
         try:
             fcntl.flock(folder, fcntl.LOCK_EX)
@@ -113,7 +113,7 @@ class Study:
 
     @property
     def checkpoints(self) -> Path:
-        """Where the parts keep what they have half done."""
+        """Where the parts keep unfinished work."""
         return self.runs / "report"
 
 
@@ -161,7 +161,7 @@ def commit() -> str:
 
 
 def machine() -> str:
-    """Return the processor, its cores and the versions of what computed."""
+    """Return the processor, its cores and the libraries' versions."""
     versions = []
     for name in LIBRARIES:
         try:

@@ -20,7 +20,7 @@ from model.settings import LENGTHS, MAX_LENGTH, NetworkSettings
 from model.training.checkpoint import Checkpoint
 from model.training.export import export
 
-# The small ones, kept with the code; a large one is trained anew where it is wanted.
+# The small ones, kept with the code; large ones are trained on demand.
 SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "haart" / "sizes"
 # The shipped network is 96 wide, with a stem of 16.
 SHAPES: Mapping[str, Mapping[str, int]] = {

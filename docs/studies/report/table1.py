@@ -1,4 +1,4 @@
-"""The paper's table 1: the challenge's systems as published, and made again from their descriptions.
+"""The paper's table 1: the challenge's systems as published, and reimplemented from their descriptions.
 
 Recordings as published, not realigned; training participants train, the test file tests. Settings that a
 paper leaves open are chosen on whole training recordings of 432 frames, by leaving participants out, never on
@@ -99,7 +99,7 @@ class System(ABC):
 
     @abstractmethod
     def choose(self, data: Data) -> Settings:
-        """Return the settings that the training recordings speak for, and what speaks for them."""
+        """Return the settings that do best on the training recordings, and their scores."""
 
     @abstractmethod
     def answers(
@@ -108,13 +108,13 @@ class System(ABC):
         """Train, and yield each length with the class named for each test window (N,)."""
 
     def in_words(self, settings: Settings) -> str:
-        """Return chosen settings as a reader would like them."""
+        """Return chosen settings in words."""
         return ", ".join(f"{name} {value}" for name, value in settings.items())
 
 
 @dataclass(frozen=True)
 class HandMade(System):
-    """Features and a classifier of scikit-learn, trained anew a length. options: what is chosen from."""
+    """Features and a scikit-learn classifier, trained once a length. options: the candidates."""
 
     features: Features = field(kw_only=True)
     build: Build = field(kw_only=True)
@@ -171,7 +171,7 @@ class Searched(HandMade):
 
 @dataclass(frozen=True)
 class DeepSystem(System):
-    """One network for all lengths, trained on crops of whole recordings. most_epochs: what is chosen from."""
+    """One network for all lengths, trained on crops of whole recordings. most_epochs: most to try."""
 
     most_epochs: int = 24
 
@@ -267,7 +267,7 @@ SYSTEMS: tuple[System, ...] = (
 def run(study: Study) -> None:
     """Choose, train and score what the results lack."""
     data = Data(study.haart)
-    # What needs no training is there at once, however soon a run is broken off.
+    # Systems without training come first, so that a run cut short has them.
     for system in sorted(SYSTEMS, key=lambda system: not isinstance(system, Shipped)):
         for seed in system.seeds:
             missing = [each for each in LENGTHS if not study.results.has(cell_key(system, each, seed))]

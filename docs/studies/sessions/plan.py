@@ -1,4 +1,4 @@
-"""A session: one person's touches under one condition, one after another, as a pad in use would send them.
+"""A session: one person's touches under one condition in sequence, as a pad in use would send them.
 
 Each touch is followed by three seconds of that condition's notouch. A fabric's rest shifts when it is
 touched: after a pat, stroke or tickle, whose hand leaves the pad, the notouch is levelled per taxel to the
@@ -56,7 +56,7 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class PlannedSession:
-    """What the pad sends, counts (T, 8, 8), and what is true when."""
+    """The pad's counts (T, 8, 8), and the true gesture of each stretch."""
 
     participant: str
     substrate: str

@@ -24,7 +24,7 @@ FRAME_MS = 1000.0 / FRAME_RATE_HZ
 class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
     """Percent of the touches made, where nothing else is said.
 
-    missed: in no touch. merged: in a touch that swallowed another. split: felt as several.
+    missed: in no touch. merged: in a touch joined with another. split: felt as several.
     early, revised, final: right at that stage. last, first: right in what the robot was told last, first.
     harmful: told right, then wrong. late: told again after final. false: touches in ten minutes of quiet.
     t_first: mean seconds until the robot was first told. n: touches made.
@@ -56,7 +56,7 @@ class Felt:
 
 @dataclass(frozen=True)
 class Fate:
-    """What became of one touch that was made; answers are those of the touch that it began."""
+    """The outcome of one touch made; answers are those of the touch that it began."""
 
     gesture: str
     missed: bool
@@ -102,7 +102,7 @@ def play(session: PlannedSession, model: ProbabilityModel, settings: PipelineSet
 
 
 def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
-    """Compare what was said with what was done."""
+    """Compare the daemon's answers with the touches made."""
     felt = _felt(events)
     made = [stretch for stretch in session.stretches if stretch.gesture is not None]
     inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in felt]

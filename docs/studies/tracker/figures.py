@@ -134,7 +134,7 @@ def measure(
 def choose_level(points: Sequence[OnsetPoint]) -> float:
     """Return the middle of the levels that meet the targets with a factor of two to spare.
 
-    The middle by ratio: as far from missing light touches as from feeling what is not there. Where no level
+    The middle by ratio: as far from missing light touches as from false ones. Where no level
     has that to spare, those that just meet the targets count; raises ValueError when none does.
     """
     for strictness in (2.0, 1.0):

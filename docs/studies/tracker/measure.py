@@ -1,11 +1,11 @@
 """How well touches are noticed: HAART's gestures spliced between notouch, run through the real tracker.
 
 HAART's recordings are cut from the middle of a gesture, so its onsets are made: five seconds of notouch
-by the same participant on the same substrate and cover, the gesture, and the rest of that notouch. Two
-things are not as on a pad. The recordings were made apart, and the pad's rest differs between them by a
-few counts, which alone can be noticed; so everything is measured twice, as recorded and with the notouch
-brought to the gesture's own rest. And some gestures begin within a lift-off; so delays count from the
-first scan with visible pressure.
+by the same participant on the same substrate and cover, the gesture, and the rest of that notouch. Two things
+differ from a pad. The recordings were made apart, and the pad's rest differs between them by a few counts,
+which alone can be noticed; so everything is measured twice, as recorded and with the notouch brought to the
+gesture's own rest. And some gestures begin within a lift-off; so delays count from the first scan with
+visible pressure.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from drivers.recording import NO_TOUCH, Recording, set_up
 Scans = NDArray[np.float32]
 
 LEAD_FRAMES = 270
-# The most that any single scan of a notouch recording has above its rest is 19 counts.
+# No single scan of a notouch recording is more than 19 counts above its rest.
 VISIBLE_COUNTS = 20.0
 # A taxel mostly at rest is at its 20th percentile or, with 0.8 counts of noise, 0.6 above.
 REST_PERCENTILE = 20
@@ -49,7 +49,7 @@ class Case:
 
 @dataclass(frozen=True)
 class TrackedTouch:
-    """A touch as the tracker had it, in frame indices; ended is None while it goes on."""
+    """A touch as the tracker saw it, in frame indices; ended is None while it goes on."""
 
     noticed: int
     first: int
@@ -59,7 +59,7 @@ class TrackedTouch:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one gesture; delays in frames, None when it was missed (or never visible)."""
+    """The outcome of one gesture; delays in frames, None when it was missed (or never visible)."""
 
     participant: str
     gesture: str

@@ -1,4 +1,4 @@
-"""The tracker's figures: the tables of docs/touch.md, and docs/touch.json, for the test that holds them.
+"""The tracker's figures: the tables of docs/touch.md, and docs/touch.json, for the test that checks them.
 
 `python -m docs.studies tracker FOLDER [DOCS]` measures HAART's recordings, in three minutes of one core.
 """

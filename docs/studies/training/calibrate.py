@@ -1,4 +1,4 @@
-"""Temperatures, so that a confidence of 0.8 is right 8 times in 10 for people the network never saw.
+"""Fits temperatures, so that a confidence of 0.8 is right 8 times in 10 for people the network never saw.
 
 Temperature scaling (Guo et al. 2017), one temperature a length, fitted on left-out participants: each
 training recording is answered by the network that was trained without its participant.
@@ -26,7 +26,7 @@ BATCH = 64
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """What one network says of participants it never saw: length to logits (N, classes) and labels (N,)."""
+    """One network's answers about unseen participants: length to logits (N, classes) and labels (N,)."""
 
     participants: tuple[str, ...]
     logits: Mapping[int, NDArray[np.float64]]
@@ -34,7 +34,7 @@ class LeftOut:
 
 
 def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> LeftOut:
-    """Ask a network about a study's people whom its training left out, at every length that is answered.
+    """Ask a network about a study's people whom its training left out, at every answered length.
 
     recordings: as they are scored, whole scans.
     """
@@ -61,7 +61,7 @@ def fit_temperatures(answers: Sequence[LeftOut]) -> dict[int, float]:
 
 
 def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
-    """Return the highest temperature of any study at each length: better unsure than wrong."""
+    """Return the highest temperature of any study at each length, the cautious choice."""
     fitted = list(studies)
     return {length: max(temperatures[length] for temperatures in fitted) for length in LENGTHS}
 

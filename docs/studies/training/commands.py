@@ -18,7 +18,7 @@ from model.classifier import SHIPPED_MODEL, ModelError
 
 
 def data(arguments: Sequence[str]) -> int:
-    """Download what HAART's folder lacks, check everything, say what is there; returns 0."""
+    """Download what HAART's folder lacks, check everything, print its contents; returns 0."""
     parser = argparse.ArgumentParser(
         prog="python -m docs.studies data",
         description="Downloads the HAART recordings from their official place, resumably, and checks them.",

@@ -1,7 +1,7 @@
 """The HAART folder: checked where it is there, else downloaded from the UBC SPIN lab, unpacked and checked.
 
-The archive is the one that https://www.cs.ubc.ca/labs/spin/data/ links. Nothing else in it is unpacked than
-the two files of the 2015 challenge, and nothing is put in the folder that does not hold what they must hold.
+The archive is the one that https://www.cs.ubc.ca/labs/spin/data/ links. Only the two files of the 2015
+challenge are unpacked, and only put in the folder when their contents are right.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from model.adapt.folder import HAART_TRAINING_FILE, find
 
 ARCHIVE_URL = "https://www.cs.ubc.ca/labs/spin/data/HAART%20DataSet.zip"
 ARCHIVE_NAME = "HAART DataSet.zip"
-# The two files are 40 and 18 MB; ten times that is no longer this archive.
+# The two files are 40 and 18 MB; ten times that is another archive.
 MAX_ARCHIVE_BYTES = 400_000_000
 MAX_FILE_BYTES = 400_000_000
 
@@ -48,7 +48,7 @@ def obtain(
 ) -> Mapping[str, Contents]:
     """Check the files in the folder, downloading first those that are not there; return what each holds.
 
-    Raises DownloadError when they cannot be had, RecordingError when one there is not what it must be.
+    Raises DownloadError when they cannot be had, RecordingError when a file has other contents.
     """
     found = {name: check(find(folder, name), expected[name]) for name in expected if _is_there(folder, name)}
     missing = {name: contents for name, contents in expected.items() if name not in found}
@@ -136,7 +136,7 @@ def _member(archive: Path, opened: zipfile.ZipFile, name: str, max_bytes: int) -
         raise DownloadError(
             f"{archive}: holds {len(members)} files {name}, not one; is it the HAART archive?"
         )
-    # zipfile never unpacks more than a member claims to be, so the claim is all there is to bound.
+    # zipfile never unpacks more than a member's stated size, so bounding that is enough.
     if members[0].file_size > max_bytes:
         raise DownloadError(f"{archive}: {name} would unpack to {members[0].file_size:,} bytes; refused")
     return members[0]

@@ -1,4 +1,4 @@
-"""One file over HTTP, resumably: while it is not whole it is called .part, and the next call goes on."""
+"""Downloads one file over HTTP, resumably: an incomplete one is called .part, and the next call goes on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How good answers are: accuracy by class and participant, calibration, and how far to trust a difference."""
+"""Metrics of answers: accuracy by class and participant, calibration, and confidence intervals."""
 
 from __future__ import annotations
 

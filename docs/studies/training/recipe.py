@@ -1,6 +1,6 @@
 """The recipe: which networks are trained, on whom, and in which order.
 
-For the shipped file: one network a seed, on all training participants. For honest figures on them: one
+For the shipped file: one network a seed, on all training participants. For unbiased figures on them: one
 network a fold, which never sees the fold's participants.
 """
 

@@ -42,8 +42,8 @@ def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, one file a further seed and one file a fold; return the paths.
 
-    The shipped network's checkpoint is laid beside it, for comparing with PyTorch and for adapting it.
-    Each fold's temperatures are fitted on the other folds, so that its calibration error is an honest one.
+    The shipped network's checkpoint is put beside it, for comparing with PyTorch and for adapting it.
+    Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
     """
     scored = folders.to_score_on(recipe.settings.studies)
     folds = [_load(job, runs) for job in fold_jobs(recipe)]
@@ -104,12 +104,12 @@ def left_out_split(weights: Path, recordings: Sequence[Recording]) -> evaluate.S
 
 
 def fold_path(weights: Path, participants: Sequence[str]) -> Path:
-    """Return where the network lies that never saw these participants."""
+    """Return the path of the network that never saw these participants."""
     return weights / LEFT_OUT_FOLDER / f"{'-'.join(participants)}.onnx"
 
 
 def seed_path(weights: Path, seed: int) -> Path:
-    """Return where the network of a further seed lies."""
+    """Return the path of a further seed's network."""
     return weights / SEEDS_FOLDER / f"seed{seed}.onnx"
 
 

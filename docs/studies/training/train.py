@@ -28,7 +28,7 @@ CHECKPOINT_NAME = "checkpoint.pt"
 
 
 class Training:
-    """One network on its way: weights, their moving average, optimizer and random states."""
+    """One network in training: weights, their moving average, optimizer and random states."""
 
     def __init__(self, recordings: Sequence[Recording], settings: TrainSettings, device: str) -> None:
         self.settings = settings
@@ -129,7 +129,7 @@ class Training:
 
     @torch.no_grad()
     def _follow(self, step: int) -> None:
-        # A young average would remember the random start, so it follows fast at first.
+        # The average would remember the random start, so it follows fast at first.
         decay = min(self.settings.average_decay, (step + 1) / (step + 10))
         for slow, fast in zip(self.average.parameters(), self.network.parameters(), strict=True):
             slow.lerp_(fast, 1.0 - decay)
@@ -156,7 +156,7 @@ class Training:
         )
 
     def resume(self, saved: Checkpoint) -> None:
-        """Go on where `saved` stopped; raises CheckpointError when it is of another training."""
+        """Resume from `saved`; raises CheckpointError when it is of another training."""
         if saved.settings != self.settings or saved.data_sha256 != self.data_sha256:
             raise CheckpointError(
                 "the checkpoint there was made with other settings or data; choose another folder"
