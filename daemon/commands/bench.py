@@ -1,4 +1,4 @@
-"""`touchd bench`: how quick, small and light the real daemon is, on a fake pad at 54 Hz."""
+"""`touchd bench`: latency, memory and processor time of the real daemon, on a fake pad at 54 Hz."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TOUCHES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
 TOUCH_S = 3.0
 BETWEEN_S = 1.5
 START_S = 30.0
-# Events carry whole milliseconds, which tells the frame they stem from: frames are 18 ms apart.
+# Events carry whole milliseconds, enough to find their frame: frames are 18 ms apart.
 STAMP_S = 0.002
 SEED = 1
 TARGETS = {
@@ -54,8 +54,8 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     """What was measured; a name ends in its unit.
 
     latency: from writing the last byte of the frame that completes an answer's window to the port, until the
-    answer's line was read from the daemon's output. inner: the part of it that the daemon itself counts.
-    cpu: of one core. memory: the most that was resident. same_predictions: `run` and `classify` agree.
+    answer's line was read from the daemon's output. inner: the part of it that the daemon itself measures.
+    cpu: of one core. memory: peak resident. same_predictions: `run` and `classify` agree.
     """
 
     answers: int
@@ -123,7 +123,7 @@ def table(figures: Figures) -> str:
 def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> Figures:
     """Run the daemon on pads that rest for 20 s and are then touched for `touch_s`; live: with a page."""
     stream = touched(touch_s)
-    # The pads' threads must not hold up the one that reads the answers: as in the daemon.
+    # As in the daemon: the pads' threads must not delay the one that reads the answers.
     favour_latency()
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
@@ -175,7 +175,7 @@ def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> 
 
 
 def touched(touch_s: float) -> Stream:
-    """Return a simulated stream that rests for 20 s and is then touched over and over for `touch_s`."""
+    """Return a simulated stream that rests for 20 s and is then touched repeatedly for `touch_s`."""
     turns = max(1, round(touch_s / (TOUCH_S + BETWEEN_S)))
     script = [("notouch", QUIET_S)]
     for turn in range(turns):
@@ -191,7 +191,7 @@ def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
 
 
 def _stages(events: Sequence[Event], pad: str) -> list[dict[str, object]]:
-    """Return what was said of a pad's touches; their numbers are the daemon's, over all pads."""
+    """Return the answers to a pad's touches; their numbers are the daemon's, over all pads."""
     answers = [event for event in events if isinstance(event, Prediction) and event.pad == pad]
     return [{**line, "touch": None} for line in outline(answers)]
 
@@ -199,8 +199,8 @@ def _stages(events: Sequence[Event], pad: str) -> list[dict[str, object]]:
 def _latencies_ms(sent_s: Mapping[str, NDArray[np.float64]], received: Sequence[Received]) -> list[float]:
     """Return, for each answer, the time from writing the frame that made it due to reading its line.
 
-    sent_s: (T,) when each frame was written, of each pad. Which frame it was follows from the event: it says
-    when it was handed over and how long after its frame.
+    sent_s: (T,) when each frame was written, of each pad. The event gives its frame: it says when it was
+    handed over and how long after its frame.
     """
     latencies_ms = []
     for arrived in received:

@@ -1,4 +1,4 @@
-"""`touchd classify`: what the daemon would have said to recordings, without a port, as fast as it goes."""
+"""`touchd classify`: the daemon's answers to recordings, without a port, as fast as possible."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:
-    """Send a whole stream through a pipeline, as fast as it goes. at: told each frame's number first."""
+    """Send a whole stream through a pipeline, as fast as possible. at: takes each frame's number first."""
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         at(number)
         pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))

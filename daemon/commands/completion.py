@@ -1,4 +1,4 @@
-"""`touchd completion`: the script with which a shell completes touchd's commands and options."""
+"""`touchd completion`: the script for a shell to complete touchd's commands and options."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ class ConvertError(TouchdError):
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line may say."""
+    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd convert",
         description="Writes a journal or a recording as CSV (for pandas) or as MCAP (for Foxglove).",
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
                 with out.open("xb") as target:
                     mcap.write_recordings(recordings, target)
         else:
-            # Whatever is wrong with the journal is said before there is a file.
+            # The journal's faults are reported before there is a file.
             for _ in read(file):
                 pass
             if out.suffix == ".csv":
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def read(path: Path) -> Iterator[Event]:
-    """Yield a journal's events; a last line that a power cut has halved is left out. Raises JournalError."""
+    """Yield a journal's events, without a last line cut short by a power failure. Raises JournalError."""
     try:
         with path.open("rb") as file:
             for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):

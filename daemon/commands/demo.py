@@ -41,7 +41,7 @@ from drivers.robot.settings import RobotSettings
 if typing.TYPE_CHECKING:
     from daemon.terminal.view import View
 
-# The recording lasts 37 s; whatever goes wrong, the demo is over before a minute is.
+# The recording lasts 37 s; whatever goes wrong, the demo ends within a minute.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
 PACE = 1.0
@@ -55,7 +55,7 @@ SAYINGS: Mapping[Language, tuple[str, str, str]] = {
 
 
 def actions_in(language: Language) -> tuple[ActionRule, ...]:
-    """Return what the robot does: it says what it feels, and corrects itself."""
+    """Return the robot's actions: it says what it feels, and corrects itself."""
     feels, corrects, wonders = SAYINGS[language]
     return (
         ActionRule(do=(Action(leds=Leds(color="green")), Action(say=feels))),
@@ -75,20 +75,20 @@ docs/install.md tells how to wire a real pad and a real Nao.
 
 
 class PlainLines:
-    """A show for where there is no terminal: one line for each thing that happens."""
+    """The show without a terminal: one line for each thing that happens."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
 
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
-        """Lines cannot show a pad that moves."""
+        """Do nothing: lines cannot show a moving pad."""
 
     def doing(self, text: str) -> None:
-        """Write what the hand begins to do."""
+        """Write what the hand does next."""
         self.note(text)
 
     def note(self, text: str) -> None:
-        """Write a line; from any thread, so that a reader who is gone is left to `put` to notice."""
+        """Write a line, from any thread; `put` is what notices a closed output."""
         with suppress(BrokenPipeError):
             self._write(text)
 
@@ -148,7 +148,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _available(live: LiveSettings) -> LiveSettings:
-    """Return the settings with the port that 0 stands for; raises LiveError when no page can be served so."""
+    """Return the settings with a free port in place of 0; raises LiveError when there is none."""
     require_library()
     with listen(live) as listening:
         return msgspec.structs.replace(live, port=listening.getsockname()[1])
@@ -178,9 +178,9 @@ def _show(closing: ExitStack, settings: Settings) -> Show:
 def _play(
     stream: Stream, show: Show, closing: ExitStack, settings: Settings
 ) -> tuple[Sequence[Prediction], Sequence[str]]:
-    """Play the stream to the daemon and show what comes of it; returns all answers, and each touch's last.
+    """Play the stream to the daemon and show its events; returns all answers, and each touch's last.
 
-    With a live page the stream begins anew whenever it ends.
+    With a live page the stream repeats.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
@@ -243,7 +243,7 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
 def _showing(
     stream: Stream, encode: Callable[[Counts, int], bytes], show: Show, settings: Settings
 ) -> Callable[[Counts, int], bytes]:
-    """Return `encode` such that what is sent is also shown, and what the hand does is said as it begins."""
+    """Wrap `encode`: also show the frames sent, and tell each thing the hand does as it begins."""
     first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
     # A stream that is played again goes on by the clock.
     length_ms = last_ms - first_ms + round(1000 / FRAME_RATE_HZ)
@@ -261,7 +261,7 @@ def _showing(
 
 
 def _heard(call: Call) -> str:
-    """Return what the stand-in robot hears as one line, empty for what its link tells of already."""
+    """Return a call to the stand-in robot as one line, empty for those that its link reports already."""
     if call.refused:
         return f"robot refuses {call.method}: {call.refused}"
     if call.method != "raiseEvent":

@@ -1,4 +1,4 @@
-"""`touchd doctor`: looks at pad, model, robot and service, and says what to do."""
+"""`touchd doctor`: checks pad, model, robot and service, and says what to do."""
 
 from __future__ import annotations
 

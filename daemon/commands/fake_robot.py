@@ -1,4 +1,4 @@
-"""`touchd fake-robot`: a stand-in robot on this computer, so that a lab can see what its Nao would do."""
+"""`touchd fake-robot`: a stand-in robot on this computer, to see what a Nao would do."""
 
 from __future__ import annotations
 

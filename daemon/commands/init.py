@@ -1,4 +1,4 @@
-"""`touchd init`: finds the pad, asks for the robot, tries both, and writes a configuration that runs."""
+"""`touchd init`: finds the pad, asks for the robot, tries both, and writes a working configuration."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _ports() -> list[str]:
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int, PadFormat] | None:
-    """Return the port, a baud rate and what a pad sends there, None when nothing there is a pad's."""
+    """Return the port, its baud rate and what was heard of a pad there, None without a pad."""
     first_byte_s = FIRST_BYTE_S
     try:
         # The last is the slowest, which every adapter can do.
@@ -100,7 +100,7 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
                     continue
                 opened.reset_input_buffer()
                 data = _heard(opened, first_byte_s)
-                # A pad that says nothing at one baud rate says nothing at any, but may answer.
+                # A pad that is silent at one baud rate is silent at all, but may answer a query.
                 described = propose(data) if data else _answering(opened)
                 if described is not None:
                     return port, baud, described
@@ -122,7 +122,7 @@ def _heard(opened: Line, first_byte_s: float) -> bytes:
 
 
 def _answering(opened: Line) -> PadFormat | None:
-    """Return the preset by which a pad answers when it is asked, if it does."""
+    """Return the preset whose query the pad answers, if any."""
     for described in (preset for preset in PRESETS.values() if preset.poll):
         parser = parser_of(described)
         until_s = time.monotonic() + ANSWER_S
@@ -134,7 +134,7 @@ def _answering(opened: Line) -> PadFormat | None:
 
 
 def _ask_robot(console: Console) -> str:
-    """Return what is typed; without a terminal, or at its end, nothing."""
+    """Return what is typed, "" without a terminal or at its end."""
     if not sys.stdin.isatty():
         return ""
     console.print("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ", end="")

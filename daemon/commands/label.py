@@ -26,7 +26,7 @@ NOT_KEPT = (
 
 @dataclass(frozen=True)
 class Label:
-    """What a kept touch, given by its number or its time's beginning, truly was."""
+    """The true gesture of a kept touch, which is given by its number or the beginning of its time."""
 
     touch: str
     gesture: str
@@ -75,14 +75,14 @@ def label(console: Console, options: argparse.Namespace) -> None:
             options.substrate or ask_name(console, UNDER, "none"),
             options.cover or ask_name(console, OVER, "none"),
         )
-        # The latest first: that is what a person still remembers.
+        # The latest first, as people remember it best.
         LabelDialogue(console, folder, options.gestures, setting).run(offered[::-1])
 
 
 def _label_named(
     console: Console, folder: LabelFolder, kept: Sequence[KeptTouch], options: argparse.Namespace
 ) -> None:
-    """Label what --label names; where a name or a gesture is wrong, nothing."""
+    """Label what --label names; nothing when a name or a gesture is wrong."""
     if options.participant is None:
         raise RecordingError("--label: say with --participant who touched")
     for label in options.label:
@@ -101,7 +101,7 @@ def _label_named(
 
 
 def _tell(console: Console, offered: Sequence[Offered], kept: int, frameless: int) -> None:
-    """Say which touches there are. frameless: how many more the journal tells of, without frames."""
+    """List the touches. frameless: how many more the journal has, without frames."""
     console.print(f"{kept} touches are kept; {kept - len(offered)} of them have been looked at before")
     if frameless:
         console.print(f"of {frameless} more in the journal no frames are kept, so they cannot be labelled")

@@ -1,4 +1,4 @@
-"""Numbers on a command line, refused in words when they are none or out of range."""
+"""Numbers on a command line; others, or those out of range, are refused in words."""
 
 from __future__ import annotations
 

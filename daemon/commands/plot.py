@@ -43,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     """Draw the files and name the picture; returns 0."""
     options = parser().parse_args(arguments)
     path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
-    # Whether there is a matplotlib is known before the work.
+    # Before the work, as it may not be installed.
     new_figure(1.0)
     names = ", ".join(file.name for file in options.files)
     if all(file.name.endswith(RECORDING_SUFFIXES) for file in options.files):

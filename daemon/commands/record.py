@@ -1,4 +1,4 @@
-"""`touchd record`: guides a person through making a lab's own recordings, a file each."""
+"""`touchd record`: guides a person through making recordings, a file each."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Ask for one recording after the other until all are there, or until told to stop; returns 0."""
+    """Make one recording after the other, until all are there or the person stops; returns 0."""
     options = parser().parse_args(arguments)
     console = Console(width=WIDTH, highlight=False)
     try:
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str]) -> int:
 def _record(console: Console, options: argparse.Namespace) -> None:
     """Make recordings of the pad; raises Stopped."""
     settings = settings_of(options)
-    # The dialogue tells what the sensor logs; on standard error it would tear the bar.
+    # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
     logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)
     prepare(options.folder)

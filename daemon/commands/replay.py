@@ -54,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _speed(text: str) -> float | None:
-    """Return the pace as FakePort takes it, None for flat out."""
+    """Return the pace as FakePort takes it, None for as fast as possible."""
     if text == "max":
         return None
     try:

@@ -69,7 +69,7 @@ def main(arguments: Sequence[str]) -> int:
             settings = msgspec.structs.replace(settings, live=live)
         return settings
 
-    # A terminal that goes away sends SIGHUP too, and then nobody is left to have meant it.
+    # A closed terminal sends SIGHUP too, which does not mean "reread".
     can_reread = options.config is not None and not sys.stdout.isatty()
     run(
         read, with_view=options.view, in_words=sys.stdout.isatty() and not options.json, can_reread=can_reread
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_reread: bool) -> None:
-    """Run the daemon in this process until a signal, or a reader of its output that is gone, stops it.
+    """Run the daemon in this process until a signal, or until the reader of its output is gone.
 
     in_words: events are written for a person. read: returns the settings, now and, where SIGHUP means that
     (`can_reread`), again.
@@ -134,7 +134,7 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
 
 @contextmanager
 def _on_signals(wanted: Mapping[signal.Signals, threading.Event]) -> Iterator[None]:
-    """Have each of these signals set its event, and do nothing else."""
+    """Make each of these signals only set its event."""
     before = {number: signal.getsignal(number) for number in wanted}
     for number, event in wanted.items():
         signal.signal(number, lambda *_, event=event: event.set())
@@ -158,8 +158,8 @@ def _logging(handler: logging.Handler, level: str) -> Iterator[None]:
 
 
 def favour_latency() -> None:
-    """Keep Python's own housekeeping from delaying an answer."""
+    """Keep Python's garbage collector from delaying an answer."""
     sys.setswitchinterval(SWITCH_S)
-    # What start-up loaded stays; looking through it for garbage would only take time.
+    # Objects loaded at start-up stay; scanning them for garbage would only take time.
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""The settings of a command for one pad: a file's, of one of its pads, perhaps at another port."""
+"""The settings of a command for one pad: those of a pad in a file, perhaps at another port."""
 
 from __future__ import annotations
 

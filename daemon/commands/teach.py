@@ -88,7 +88,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
     session = Session(options.folder, participant, "none", "none", GESTURES, options.rounds, 0)
     if all(take.path.exists() for take in session.takes()):
         return
-    # The dialogue tells what the sensor logs; on standard error it would tear the bar.
+    # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
     logging.getLogger("drivers").addHandler(logging.NullHandler())
     check_port(settings.sensor.port, settings.sensor.baud)
     with PadReader(settings) as pad:

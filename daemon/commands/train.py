@@ -39,7 +39,7 @@ def main(arguments: Sequence[str]) -> int:
             "name your recordings: --extra FOLDER; a recipe's networks are trained by "
             "`python -m docs.studies train`, in the repository"
         )
-    # Before anything is read: all that follows takes torch.
+    # Before anything is read, as all that follows needs torch.
     import torch  # noqa: F401
 
     from model.adapt.head import AdaptSettings
