@@ -1,4 +1,4 @@
-"""What tests of every folder share."""
+"""Fixtures for tests of every folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from model.classifier import SHIPPED_MODEL, Classifier
 
-# The files that take longest, longest first: begun last, they would keep one worker busy after the others.
+# The slowest files, slowest first: begun last, they would keep one worker busy after the others.
 LONGEST = (
     "test_adapt.py",
     "test_end_to_end.py",
@@ -37,7 +37,7 @@ LONGEST = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes longest."""
+    """Begin with the slowest files."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
@@ -49,7 +49,7 @@ def classifier() -> Classifier:
 
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
-    """One thread for torch: sums are then the same on every run."""
+    """Run torch on one thread, so that sums are the same on every run."""
     from model.training.threads import one_torch_thread
 
     with one_torch_thread():

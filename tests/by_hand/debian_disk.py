@@ -1,6 +1,6 @@
-"""The disk of a Debian machine on which the service is installed, and what is handed to it.
+"""The disk of a Debian machine to install the service on, and the folder handed to it.
 
-Both are made once and kept in the folder that TOUCHD_DEBIAN names, /var/tmp/touchd-debian without it.
+Both are made once and kept in the folder TOUCHD_DEBIAN, by default /var/tmp/touchd-debian.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def make_disk() -> Path:
 
 
 def hand_over(folder: Path) -> None:
-    """Fill a folder with what the machine is given: the sources, their wheels, recordings and helpers."""
+    """Fill a folder for the machine: the sources, their wheels, recordings and helpers."""
     wheels = CACHE / "wheels"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     chosen = ["--only-binary=:all:", f"--python-version={PYTHON}", "--platform=manylinux2014_x86_64"]
@@ -73,7 +73,7 @@ def hand_over(folder: Path) -> None:
 
 
 def call(*command: str) -> None:
-    """Run a program; raises AssertionError with what it said when it fails."""
+    """Run a program; raises AssertionError with its output when it fails."""
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}{done.stderr}"
 

@@ -1,7 +1,8 @@
-"""A Debian machine with a systemd of its own, which a test may fill, crash and reboot; gone at the end.
+"""A Debian machine with its own systemd, which a test may fill, crash and reboot; removed at the end.
 
 Two kinds: a container (systemd-nspawn), as fast as this machine, with this kernel; and an emulated machine
-(QEMU) with a kernel, USB and power of its own, some fifty times slower. The folder handed over is /mnt there.
+(QEMU) with a kernel, USB and power of its own, some fifty times slower. The folder handed over is mounted at
+/mnt.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 
 from by_hand.debian_disk import CACHE, call, hand_over, make_disk
 
-# A machine that hangs is not waited for for ever.
+# For a machine that hangs.
 BOOT_S = 400.0
 BOOTED = "test ! -e /run/before && systemctl is-system-running --wait"
 KERNEL = "root=/dev/vda rw console=ttyS0 quiet panic=-1"
@@ -39,7 +40,7 @@ class Machine(ABC):
     """A running machine; every command is a shell's, as root."""
 
     tools: Sequence[str]
-    # How much slower than this machine it may be, and than a real pad its pad must be.
+    # How much slower it may be than this machine, and how much slower its pad than a real one.
     slower: float
 
     def __init__(self, folder: Path) -> None:
@@ -47,7 +48,7 @@ class Machine(ABC):
 
     @abstractmethod
     def start(self, closing: ExitStack) -> None:
-        """Switch it on; `closing` is told how to switch it off."""
+        """Switch it on; `closing` switches it off."""
 
     @abstractmethod
     def shell(self, command: str) -> Sequence[str]:
@@ -76,7 +77,7 @@ class Machine(ABC):
         self._done(f"cat > {path}", 60.0, text).check_returncode()
 
     def reboot(self) -> None:
-        """Have it boot anew; returns when it has."""
+        """Reboot it; returns when it has booted."""
         self.run("touch /run/before")
         self._done("systemctl reboot", 60.0)
         self.await_boot()
@@ -98,13 +99,13 @@ class Machine(ABC):
 
 
 class Container(Machine):
-    """A systemd with processes, users, network and control groups of its own, on this kernel."""
+    """A systemd with its own processes, users, network and control groups, on this kernel."""
 
     tools = ("systemd-nspawn", "nsenter", "mmdebstrap", "mkfs.ext4", "ssh-keygen")
     slower = 1.0
 
     def start(self, closing: ExitStack) -> None:
-        """Boot it; `closing` is told how to end it."""
+        """Boot it; `closing` ends it."""
         root, disk = self.folder / "root", self.folder / "disk.img"
         root.mkdir()
         call("cp", "--sparse=always", str(make_disk()), str(disk))
@@ -132,19 +133,19 @@ class Container(Machine):
 
 
 class Emulated(Machine):
-    """A machine down to its processor. TOUCHD_ACCEL=kvm, where that works, is much faster."""
+    """An emulated machine, processor included. TOUCHD_ACCEL=kvm, where that works, is much faster."""
 
     tools = ("qemu-system-x86_64", "ssh", "mmdebstrap", "mkfs.ext4", "ssh-keygen")
     slower = 60.0
 
     def start(self, closing: ExitStack) -> None:
-        """Switch it on; `closing` is told how to switch it off."""
+        """Switch it on; `closing` switches it off."""
         disk, given = make_disk(), self.folder / "given.img"
         call("mkfs.ext4", "-q", "-d", str(self.folder / "given"), str(given), "1G")
         with socket.create_server(("127.0.0.1", 0)) as free:
             self._port = free.getsockname()[1]
         accelerated = os.environ.get("TOUCHD_ACCEL", "tcg,thread=multi")
-        # Of an emulated processor's wide registers each is slower than the last.
+        # An emulated processor's wide registers are slow.
         cpu = "Nehalem" if accelerated.startswith("tcg") else "host"
         command = [
             *("qemu-system-x86_64", "-accel", accelerated, "-cpu", cpu, "-smp", "2", "-m", "2048"),
@@ -161,7 +162,7 @@ class Emulated(Machine):
         self.run("echo '/dev/vdb /mnt ext4 ro' >> /etc/fstab && mount /mnt")
 
     def cut_power(self) -> None:
-        """Take the power away in the middle of everything and give it back; returns when it has booted."""
+        """Cut the power without warning and restore it; returns when it has booted."""
         self.run("touch /run/before")
         with socket.socket(socket.AF_UNIX) as monitor:
             monitor.connect(str(self.folder / "monitor"))
@@ -179,7 +180,7 @@ KINDS: dict[str, type[Machine]] = {"container": Container, "emulated": Emulated}
 
 
 def what_is_missing(kind: type[Machine]) -> str:
-    """Return why there can be no such machine here, empty if there can."""
+    """Return why such a machine cannot run here, "" if it can."""
     if missing := [tool for tool in kind.tools if shutil.which(tool) is None]:
         return f"not installed: {', '.join(missing)}"
     return "" if os.geteuid() == 0 else "only root can make a machine"
@@ -187,7 +188,7 @@ def what_is_missing(kind: type[Machine]) -> str:
 
 @contextmanager
 def booted(kind: type[Machine]) -> Iterator[Machine]:
-    """A machine that has booted; gone at the end."""
+    """A booted machine; removed at the end."""
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-debian-")))
         hand_over(folder / "given")

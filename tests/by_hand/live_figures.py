@@ -1,6 +1,6 @@
-"""What the live page costs the daemon, with nobody, one and many looking.
+"""What the live page costs the daemon, with none, one and many viewers.
 
-PYTHONPATH=. nice -n -5 python tests/live_figures.py
+PYTHONPATH=.:tests nice -n -5 python tests/by_hand/live_figures.py
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ VIEWERS = (None, 0, 1, 16)
 
 
 def watch(port: int) -> None:
-    """Look at the page until it is gone, and begin again."""
+    """View the page until it is gone, and reconnect."""
     while True:
         with suppress(OSError, WebSocketException), connect(f"ws://127.0.0.1:{port}/stream") as viewer:
             for _ in viewer:
@@ -42,7 +42,7 @@ def watch(port: int) -> None:
 
 @contextmanager
 def watched(port: int, viewers: int) -> Iterator[None]:
-    """So many viewers, in a process of their own."""
+    """So many viewers, in another process."""
     with subprocess.Popen([sys.executable, __file__, str(port), str(viewers)]) as process:
         try:
             yield
@@ -51,7 +51,7 @@ def watched(port: int, viewers: int) -> Iterator[None]:
 
 
 def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
-    """Return the microseconds that handing over each frame takes the daemon's loop: p50, p99."""
+    """Return how many microseconds handing over a frame takes the daemon's loop: p50, p99."""
     settings = Settings(live=live)
     sink = open_live_page(settings, {"pad": load_model(settings)})
     if sink is None:

@@ -24,7 +24,7 @@ SETTLES_S = 5.0
 
 
 def main() -> None:
-    """Play the demo up to the moment and save what the page then shows."""
+    """Play the demo up to the moment and save the page's picture."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--scheme", choices=("dark", "light"), default="dark")

@@ -1,4 +1,4 @@
-"""The demo's recording through the real pipeline, up to a moment: what the pictures of view and page show."""
+"""The demo's recording through the real pipeline, up to the moment that the pictures show."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def play(
     put_live: Callable[[LivePrediction], None],
     put_frame: Callable[[Frame], None],
 ) -> Frame:
-    """Hand over all that happens up to the moment, as fast as it goes; returns its frame."""
+    """Hand over all events and frames up to the moment, as fast as possible; returns its frame."""
     stream = splice(read_recordings(DEMO_RECORDING))
     reactions = Reactions(actions_in(settings.language))
     began_ms: list[int] = []
@@ -45,7 +45,7 @@ def play(
                 words = spoken(template, event.gesture, event.confidence, settings.vocabulary)
                 put(RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time())))
 
-    # A frame comes when the sensor says; what then passes is real, so that an answer says what it took.
+    # A frame's time is the sensor's; what passes after it is real, so that an answer has its true latency.
     now_s = came_s = 0.0
     clock = Clock(monotonic_s=lambda: now_s + time.monotonic() - came_s)
     pipeline = Pipeline(settings.pipeline, load_model(settings), emit, clock, viewers=lambda: [put_live])

@@ -1,10 +1,10 @@
-"""How long `publish()` takes in each state of the robot, and what took the longest ones so long; prints JSON.
+"""How long `publish()` takes in each state of the robot, and why the longest took so long; prints JSON.
 
-    PYTHONPATH=.:tests python tests/publish_figures.py [--busy] [--count N]
+    PYTHONPATH=.:tests python tests/by_hand/publish_figures.py [--busy] [--count N]
 
-In a process set up as the daemon's is, on real qi. A publish is told apart by what the kernel says of its
-thread: it "waited" when the thread gave the processor up by itself, for a lock of ours or for Python's own;
-it was "put aside" when the kernel gave the processor to somebody else, which no program can help.
+In a process set up as the daemon's is, on real qi. The kernel's counts for its thread tell why a publish was
+slow: it "waited" when the thread gave up the processor, for a lock of ours or Python's own; it was "put
+aside" when the kernel preempted it, which no program can help.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink
 
-# Answers come a few times a second; this often, every moment of the worker's is met.
+# Answers come a few times a second; this rate meets the worker at every moment.
 EVERY_S = 0.005
 ACTIONS = (ActionRule(do=(Action(say="{gesture}"),), stages=("early",)),)
 STATES = ("up", "slow", "hung", "killed", "away")
@@ -36,7 +36,7 @@ STATES = ("up", "slow", "hung", "killed", "away")
 
 @dataclass(frozen=True)
 class Publish:
-    """What one publish took. wall_s, cpu_s: of its thread. waited, put_aside: how often."""
+    """One publish. wall_s, cpu_s: of its thread. waited, put_aside: how often."""
 
     wall_s: float
     cpu_s: float
@@ -45,7 +45,7 @@ class Publish:
 
 
 def publishes(link: RobotLink, count: int) -> Iterator[Publish]:
-    """Publish so many messages, and yield what each took."""
+    """Publish so many messages, and yield each one's figures."""
     for number in range(count):
         time.sleep(EVERY_S)
         told = message("rub" if number % 2 else "pat", touch=number)

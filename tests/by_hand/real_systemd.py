@@ -4,8 +4,8 @@
     make test-systemd TOUCHD_LAB=emulated      with a kernel, USB and power of its own; needs qemu-system-x86
 
 The emulated machine is too slow for a pad's pace: there a pad sends in slow motion, systemd waits longer, and
-only what needs a kernel, devices and power is tried.
-Its name keeps it out of the suite, where it would take too long.
+only what needs a kernel, devices and power is tested. Its name keeps it out of the suite, where it would take
+too long.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def lab() -> Iterator[Machine]:
     """A machine with touchd installed."""
     with booted(KIND) as machine:
         machine.run("cp -r /mnt/touchd /root/touchd")
-        # A careful root's umask must not keep the service from its own program.
+        # A strict umask of root's must not keep the service from its own program.
         machine.run(f"umask 077; {INSTALL}", 1800)
         machine.run(f"mkdir -p {DROP_INS}")
         machine.write(f"{DROP_INS}/lab.conf", FOR_THE_SLOW if KIND is Emulated else FOR_THE_PTY)
@@ -75,7 +75,7 @@ def lab() -> Iterator[Machine]:
 
 @pytest.fixture
 def touchd(lab: Machine) -> Iterator[Machine]:
-    """The machine with pad and robot there and the service running."""
+    """The machine with pad, robot and the service running."""
     lab.run("date +@%s.%6N > /run/since")
     plug_in(lab)
     lab.run("systemctl start robot")
@@ -98,7 +98,7 @@ def unplug(lab: Machine) -> None:
 
 
 def shown(lab: Machine, *names: str) -> list[str]:
-    """Return properties of the service as systemd has them."""
+    """Return the service's properties from systemd."""
     lines = lab.run(f"systemctl show touchd -p {','.join(names)}").splitlines()
     told = dict(line.split("=", 1) for line in lines)
     return [told[name] for name in names]
@@ -236,7 +236,7 @@ def test_the_sandbox_lets_it_do_its_work_and_nothing_else(touchd: Machine) -> No
     await_status(touchd, "frames/s")
     touchd.run("mkdir -p /home/somebody; mknod -m 666 /dev/touchd-probe c 1 11 2>/dev/null || true")
     touchd.run("cp /mnt/helpers/probe.py /opt/touchd/probe.py; systemctl stop touchd", 300)
-    # In the program's place, under all the unit's rules.
+    # In place of the program, under all the unit's rules.
     touchd.write(f"{DROP_INS}/probe.conf", PROBE)
     touchd.run("systemctl daemon-reload; systemctl start touchd", 900)
     touchd.run(f"rm {DROP_INS}/probe.conf; systemctl daemon-reload")

@@ -1,6 +1,6 @@
-"""Measures what the link promises, on real qi; prints JSON. Use: python tests/robot_figures.py [rounds]
+"""Measures what the link promises, on real qi; prints JSON.
 
-How long publish() takes is measured by publish_figures.py.
+PYTHONPATH=.:tests python tests/by_hand/robot_figures.py [rounds]; publish() alone: publish_figures.py.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Round = Callable[[LoopbackRobot, RobotLink, States], dict[str, float]]
 
 
 def idle_kill(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str, float]:
-    """The robot dies while nothing is told, and is back after 3 s."""
+    """The robot dies while the link is idle, and is back after 3 s."""
     began_s = time.monotonic()
     robot.kill()
     states.wait_for("up", "down")
@@ -33,12 +33,12 @@ def idle_kill(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str
 
 
 def idle_hang(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str, float]:
-    """The robot hangs while nothing is told."""
+    """The robot hangs while the link is idle."""
     return {"idle hang noticed": hang(robot, states), "flow again after it resumes": resume(robot, link)}
 
 
 def busy_hang(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str, float]:
-    """The robot hangs while a message is told every 20 ms."""
+    """The robot hangs while a message is published every 20 ms."""
     done = threading.Event()
 
     def publish() -> None:
@@ -70,7 +70,7 @@ def resume(robot: LoopbackRobot, link: RobotLink) -> float:
 
 
 def flow(robot: LoopbackRobot, link: RobotLink) -> float:
-    """Return how long it takes until the robot is told something published from now on."""
+    """Return how long it takes until a message published from now on reaches the robot."""
     began_s = time.monotonic()
     link.publish(message("fresh"))
     robot.calls.wait_for_raise(GESTURE, "fresh")

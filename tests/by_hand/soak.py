@@ -1,15 +1,14 @@
 """A day of sensor time, flat out: nothing grows, nothing is lost. By hand: make soak, or
 
-    MALLOC_MMAP_THRESHOLD_=131072 python tests/soak.py --hours 24 --out docs/soak.json
+    MALLOC_MMAP_THRESHOLD_=131072 PYTHONPATH=.:tests python -m by_hand.soak --hours 24 --out docs/soak.json
 
 with the memory settings of the service.
 
 Bytes go through parser, ring, touch tracker, classifier, decision, pad watch, journal, kept touches, the link
-to a stand-in robot that is switched off and on, and the live page, at which somebody looks now and then; the
-pad is unplugged at times, and its line has bursts of garbage. The pad is a program of its own, its line a
-pipe, which waits for the daemon's parts; a serial port does not wait, and frames would be given up, as they
-should. Ends with exit code 1 when anything grew or was lost; a run that --minutes cut short says how many
-hours it was.
+to a stand-in robot that is switched off and on, and the live page, with a viewer now and then; the pad is
+unplugged at times, and its line has bursts of garbage. The pad is another program, its line a pipe, which
+waits for the daemon's parts; a serial port does not wait, and frames would be dropped. Ends with exit code 1
+when anything grew or was lost; a run that --minutes cut short says how many hours it was.
 """
 
 from __future__ import annotations
@@ -55,18 +54,18 @@ JOURNAL_BYTES = 1_000_000
 JOURNAL_KEEP = 2
 TOUCHES_KEPT = 50
 WRITTEN_S = 10.0
-# Of the eight spans between two switches of the robot that make an hour, the one in which somebody looks.
+# Of the hour's eight spans between two switches of the robot, the one with a viewer.
 LOOKED_AT = 3
 
 
 def memory_mb() -> float:
-    """What of this process is resident now (see proc(5))."""
+    """This process's resident memory (see proc(5))."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
 class PromptStore(TouchStore):
-    """Tells when a touch is written: in life there is time before the next one ends, here it is given."""
+    """Tells when a touch is written: in use there is time before the next one ends, here the soak waits."""
 
     def __init__(self, folder: Path, most: int, sensor: str) -> None:
         self._written = threading.Semaphore(0)
@@ -83,7 +82,7 @@ class PromptStore(TouchStore):
 
 
 class Soak:
-    """The daemon's parts joined as in the daemon, and what was measured of them every hour."""
+    """The daemon's parts joined as in the daemon, and their hourly figures."""
 
     def __init__(self, folder: Path) -> None:
         self.audit = Audit()
@@ -155,7 +154,7 @@ class Soak:
 
     def _switch_the_robot(self) -> None:
         self.robot_switched += 1
-        # What the stand-in remembers is no memory of the daemon's.
+        # What the stand-in remembers would count as the daemon's memory.
         self.robot.calls.clear()
         if self.robot_switched % 2:
             self.robot.start()
@@ -232,7 +231,7 @@ class Soak:
 
 
 def main() -> int:
-    """Soak, and write the figures; returns 1 when something does not hold."""
+    """Soak, and write the figures; returns 1 when anything grew or was lost."""
     parser = argparse.ArgumentParser(description="A day of sensor time, flat out: nothing grows or is lost.")
     parser.add_argument("--hours", type=float, default=24.0, help="of sensor time (default 24)")
     parser.add_argument("--minutes", type=float, default=1e6, help="end after so many minutes of real time")

@@ -1,6 +1,6 @@
 """The real daemon while both cores are taken by others, at the pad's rate and far beyond it.
 
-To see the figures: pytest -m slow tests/test_load.py -s
+To see the figures: pytest -m slow tests/end_to_end/test_load.py -s
 """
 
 from __future__ import annotations

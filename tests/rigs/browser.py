@@ -1,4 +1,4 @@
-"""A real browser without a window: what the live page's tests and its picture are made with."""
+"""A real headless browser, for the live page's tests and its picture."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOADS_WITHIN_S = 20
 
 @contextmanager
 def browser() -> Iterator[Chrome]:
-    """A browser of its own, with nothing kept from before and nothing left behind."""
+    """A fresh browser that leaves nothing behind."""
     options = ChromeOptions()
     options.binary_location = CHROMIUM or ""
     with tempfile.TemporaryDirectory(prefix="touchd-browser-") as folder:
@@ -46,13 +46,13 @@ def browser() -> Iterator[Chrome]:
 
 
 def show_in(chrome: Chrome, width: int, height: int, scale: float = 1.0) -> None:
-    """Make the window this large, in the page's own pixels; as a phone where it is narrow."""
+    """Set the window's size in CSS pixels; a narrow one is a phone."""
     metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
 def prefer(chrome: Chrome, **features: str) -> None:
-    """Have the browser prefer this; prefer(chrome, color_scheme="dark")."""
+    """Set a media preference; prefer(chrome, color_scheme="dark")."""
     wanted = [
         {"name": f"prefers-{name.replace('_', '-')}", "value": value} for name, value in features.items()
     ]
@@ -60,6 +60,6 @@ def prefer(chrome: Chrome, **features: str) -> None:
 
 
 def picture(chrome: Chrome, path: Path) -> None:
-    """Save what the window shows, as PNG."""
+    """Save the window's contents as PNG."""
     shown = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})
     path.write_bytes(base64.b64decode(shown["data"]))

@@ -1,4 +1,4 @@
-"""A pad for the doctor to listen to, over a pty, and a systemd that says what a test wants."""
+"""A pad for the doctor to listen to, over a pty, and a systemctl that answers as a test wants."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SETTINGS = Settings()
 
 
 def resting(seconds: float = 8.0) -> Counts:
-    """What a sound pad sends while nothing touches it."""
+    """Counts of a sound pad that nothing touches."""
     (recording,) = simulate((("notouch", seconds),), seed=3)
     return np.array(recording.counts)
 
@@ -34,7 +34,7 @@ def resting(seconds: float = 8.0) -> Counts:
 def heard(
     counts: Counts, encode: Encode = encode_fabric_grid, rate_hz: float = 54.0, faults: Faults = NO_FAULTS
 ) -> Heard:
-    """What is heard of these counts over a pty, flat out."""
+    """What the doctor hears of these counts over a pty, as fast as possible."""
     clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
     almost_all_s = (len(counts) - 3) / rate_hz
     with (
@@ -50,7 +50,7 @@ def the(name: str, checks: Iterator[Check]) -> Check:
 
 
 def systemd_says(answer: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put a systemctl in the way that gives this answer, and fails where it is none."""
+    """Put a systemctl first on the path that gives this answer, and fails when it is empty."""
     program = folder / "systemctl"
     program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
     program.chmod(0o755)

@@ -1,7 +1,7 @@
-"""The shipped recordings and what is expected of them.
+"""The shipped recordings and their expected events.
 
-    python tests/expectations.py             rebuilds the expected events (make expectations)
-    python tests/expectations.py --record    first records the simulated hands anew
+    PYTHONPATH=tests python -m rigs.expectations             rebuilds the expected events (make expectations)
+    PYTHONPATH=tests python -m rigs.expectations --record    first records the simulated hands anew
 
 Read the difference before committing it: every changed line is a changed answer.
 """
@@ -38,7 +38,7 @@ def _with_gaps(touches: Script) -> Script:
 
 
 GESTURES, LENGTHS = FOLDER / "gestures.csv.gz", FOLDER / "lengths.csv.gz"
-# Touches that end in each stage, and one in which a lying hand begins to pat.
+# Touches that end in each stage, and one in which a resting hand begins to pat.
 TOUCH_LENGTHS = [("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]
 TOUCH_GESTURES = [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
 RECORDINGS: dict[Path, tuple[Script, int]] = {
@@ -64,7 +64,7 @@ def expected(recording: Path) -> list[dict[str, object]]:
 
 
 def answers(stream: Stream, classifier: Classifier) -> list[Event]:
-    """Return what the pipeline says to a stream, without a port."""
+    """Return the pipeline's events for a stream, without a port."""
     events: list[Event] = []
     play(stream, Pipeline(Settings().pipeline, classifier, events.append))
     return events

@@ -1,4 +1,4 @@
-"""The folders of recordings, where there are any; tests that need one are skipped without its variable."""
+"""The folders of recordings; tests that need one are skipped when its variable is unset."""
 
 from __future__ import annotations
 

@@ -56,13 +56,13 @@ class LiveDaemon:
         return self._log_path.read_text()
 
     def in_all(self) -> tuple[int, int, int]:
-        """Frames, touches and dropped frames that it told of when it ended."""
+        """Frames, touches and dropped frames that it reported at its end."""
         said = IN_ALL.search(self.log)
         assert said is not None, self.log
         return int(said[1]), int(said[2]), int(said[3])
 
     def kill(self) -> None:
-        """End it as a power cut would."""
+        """Kill it, as a power cut would."""
         self.process.kill()
         self.process.wait()
 
@@ -97,7 +97,7 @@ def live_daemon(pad: str, folder: Path, port: int = 0) -> Iterator[LiveDaemon]:
 
 
 class Served:
-    """A page that is served in this process, and frames to show on it."""
+    """A page served in this process, and frames to show on it."""
 
     def __init__(self, classifier: Classifier, **settings: Any) -> None:
         self.port = free_port()
@@ -120,7 +120,7 @@ class Served:
             yield viewer
 
     def put_frame(self, counts: Counts | None = None, pad: str = DEFAULT_PAD) -> bytes:
-        """Put a frame, unlike any before without counts; return what of it a viewer gets."""
+        """Put a frame, a new one unless counts are given; return the message that a viewer gets."""
         self._frames += 1
         if counts is None:
             counts = np.full((8, 8), self._frames % 1024, np.uint16)
@@ -136,7 +136,7 @@ class Served:
 
 @contextmanager
 def serving(**settings: Any) -> Iterator[Served]:
-    """A page that is served; afterwards nothing of it is left."""
+    """A served page; stopped and checked to leave nothing at the end."""
     served = Served(load_model(Settings()), **settings)
     yield served
     served.sink.stop(1.0)
@@ -144,7 +144,7 @@ def serving(**settings: Any) -> Iterator[Served]:
 
 
 def frames_among(viewer: ClientConnection, wanted: bytes) -> list[str | bytes]:
-    """Return everything that comes up to and with the wanted frame."""
+    """Return all messages up to and including the wanted frame."""
     got: list[str | bytes] = []
     while wanted not in got:
         got.append(viewer.recv(timeout=WITHIN_S))

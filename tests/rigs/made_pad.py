@@ -1,4 +1,4 @@
-"""A made pad at rest, and what a hand puts on it, with the noise that HAART's pad has."""
+"""A simulated pad at rest and a hand's pressure on it, with the noise of HAART's pad."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ NOISE_COUNTS = 0.76
 
 
 class MadePad:
-    """A pad with a rest of a few counts a taxel; `counts` is what it would send."""
+    """A pad with a rest of a few counts a taxel."""
 
     def __init__(self, seed: int = 0) -> None:
         self.rest = np.random.default_rng(seed).integers(0, 6, (8, 8)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""The sketch, compiled for an Arduino Mega and run on a simulated one that is wired to a made-up pad."""
+"""The sketch, compiled for an Arduino Mega and run on a simulated one that is wired to a simulated pad."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ def build_board(folder: Path) -> Path:
 class Board:
     """A simulated Mega with the sketch on it.
 
-    rows, columns: as compiled. What is put on its pins are pictures of raw values (pictures, rows, columns),
-    one a scan and round again.
+    rows, columns: as compiled. Its pins read raw values (pictures, rows, columns), one picture a scan,
+    repeating.
     """
 
     program: Path
@@ -64,7 +64,7 @@ class Board:
     def start(
         self, pictures: NDArray[np.uint16], seconds: float, output: int, *, paced: bool = False
     ) -> subprocess.Popen[str]:
-        """Switch it on for so many seconds of its own time; it sends to the file descriptor `output`."""
+        """Run it for so many seconds of its own time; it sends to the file descriptor `output`."""
         path = self.folder / "pictures"
         path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
         grid = [str(self.rows), str(self.columns)]
@@ -79,7 +79,7 @@ class Board:
         return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
 
     def run(self, pictures: NDArray[np.uint16], seconds: float) -> Run:
-        """Let it run for so many seconds of its own time; return what it sent and when."""
+        """Run it for so many seconds of its own time; return what it sent and when."""
         with (self.folder / "sent").open("w+b") as sent:
             board = self.start(pictures, seconds, sent.fileno())
             _, said = board.communicate()
@@ -114,5 +114,5 @@ class Run:
 
 
 def _millivolts(raw: NDArray[np.uint16]) -> NDArray[np.int64]:
-    """The least voltage that the Mega's converter reads as that value."""
+    """The lowest voltage that the Mega's converter reads as that value."""
     return -(-raw.astype(np.int64) * SUPPLY_MV // MAX_COUNT)

@@ -1,4 +1,4 @@
-"""A pad as the network of resistors that it is, on a board's pins: what its columns read, row by row."""
+"""A pad as a network of resistors on a board's pins: what its columns read, row by row."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def pad(*pressed: tuple[int, int], ohm: float = 3_000.0) -> NDArray[np.float64]:
 def column_volts(
     taxels_ohm: NDArray[np.float64], *, others_high: bool = True, pull_up_ohm: float = PULL_UP_OHM
 ) -> NDArray[np.float64]:
-    """Return what each column's pin is at while each row is low, (rows, columns) volts, all settled.
+    """Return each column pin's settled voltage while each row is low, (rows, columns).
 
     taxels_ohm: (rows, columns), the fabric at each crossing. others_high: the rows that are not read are
     driven high; otherwise they are left open. Solved by Kirchhoff's current law at every strip.
@@ -57,7 +57,7 @@ def row_milliamperes(taxels_ohm: NDArray[np.float64]) -> float:
 
 
 def pressure(volts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Turn column volts into pressure in counts, as touchd sees it."""
+    """Convert column voltages to counts of pressure, as touchd receives them."""
     return MAX_COUNT - volts / SUPPLY_V * MAX_COUNT
 
 

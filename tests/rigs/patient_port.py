@@ -1,4 +1,4 @@
-"""A fake pad that no busy machine makes lose a frame: it goes by what the daemon that reads it gets done."""
+"""A fake pad that loses no frame on a busy machine: it waits for the daemon that reads it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream
 
-# A tenth of what may wait in the daemon.
+# A tenth of the daemon's queue.
 FRAMES_AT_ONCE = 54
 LOOK_S = 0.002
 # A pad that is silent for two seconds counts as away.
@@ -22,15 +22,15 @@ LONGEST_S = 0.5
 
 
 class PatientPort(FakePort):
-    """A fake port that lets the daemon behind it deal with a second's frames before it sends more.
+    """A fake port that lets the daemon process a second's frames before it sends more.
 
-    reader: the daemon's process; until it is set, the port keeps its pace alone.
+    reader: the daemon's process; until it is set, the port only keeps its pace.
     """
 
     reader: int | None = None
 
     def settle(self, within_s: float = math.inf) -> None:
-        """Wait until the daemon waits for more."""
+        """Wait until the daemon is idle."""
         until_s = time.monotonic() + within_s
         while self.reader is not None and not all_wait(self.reader):
             if self._stop.wait(LOOK_S) or time.monotonic() > until_s:
@@ -49,7 +49,7 @@ def playing(what: Path | Stream, speed: float, *, loop: bool = False) -> Patient
 
 
 def all_wait(pid: int) -> bool:
-    """Whether no thread of a process has anything to do; see proc(5). True of one that has ended."""
+    """Whether all threads of a process sleep; see proc(5). True of one that has ended."""
     with suppress(FileNotFoundError, ProcessLookupError):
         for thread in Path(f"/proc/{pid}/task").iterdir():
             if thread.joinpath("stat").read_text().rpartition(")")[2].split()[0] in "RD":

@@ -11,7 +11,7 @@ from rigs.wait import WITHIN_S
 
 
 def ran(command: Sequence[str | Path], **options: Any) -> subprocess.CompletedProcess[str]:
-    """What became of a program: exit status, output and errors as text."""
+    """Run a program to its end: exit status, output and errors as text."""
     return subprocess.run(
         command, capture_output=True, text=True, **({"check": False, "timeout": WITHIN_S} | options)
     )

@@ -23,7 +23,7 @@ SAY = ActionRule(do=(Action(say="{gesture}"),))
 def main(state: str) -> int:
     encrypted = state in ("tls", "wrong-token")
     login = Login("nao" if state == "tls" else "nobody", "s3cret-token") if encrypted else None
-    # A clean end says nothing, so that the link's warnings may not either.
+    # A clean end logs nothing, so the link must not warn either.
     logging.disable()
     mute = socket.create_server(("127.0.0.1", 0))
     with LoopbackRobot(login=login, say_s=60) as robot:

@@ -1,4 +1,4 @@
-"""The stand-ins on which the same tests run, and a link that remembers what it was told."""
+"""The stand-ins on which the same tests run, and a link that records its states."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ both_kinds = [pytest.param(StubRobot, id="stub"), pytest.param(on_loopback, id="
 every_robot = pytest.mark.parametrize("make_robot", both_kinds)
 
 LOGIN = Login("nao", "s3cret-token")
-# For tests of what follows once a hang is noticed, which takes 1.3 s by default.
+# For tests of what follows a noticed hang; noticing takes 1.3 s by default.
 IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
 GESTURE, DETAIL, STATUS = "TouchGesture/Gesture", "TouchGesture/Detail", "TouchGesture/Status"
 
@@ -47,7 +47,7 @@ def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessa
 
 
 class States:
-    """What a link says about the robot, and when."""
+    """The states that a link reports, and when."""
 
     def __init__(self) -> None:
         self.told: list[tuple[str, str]] = []
@@ -59,7 +59,7 @@ class States:
             self._changed.notify_all()
 
     def wait_for(self, *states: str, timeout_s: float = WITHIN_S) -> str:
-        """Wait until exactly these states were told; returns the reason of the last."""
+        """Wait until exactly these states were reported; returns the reason of the last."""
         with self._changed:
             assert self._changed.wait_for(lambda: self._names() == states, timeout_s), self.told
             return self.told[-1][1]
@@ -70,7 +70,7 @@ class States:
 
 @contextmanager
 def linked(robot: Robot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
-    """A started link to a robot, and the states it tells; stopped at the end."""
+    """A started link to a robot, and the states it reports; stopped at the end."""
     states = States()
     limits, actions = settings.pop("limits", None), settings.pop("actions", ())
     link = RobotLink(

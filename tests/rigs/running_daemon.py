@@ -1,4 +1,4 @@
-"""The spawned daemon on a fake pad, with a configuration that a test changes while it runs."""
+"""The spawned daemon on a fake pad, with a configuration that a test can change while it runs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SPEED = 16.0
 
 
 class Daemon:
-    """The spawned daemon on a fake pad, the lines of its log, and its configuration to write anew."""
+    """The spawned daemon on a fake pad, its log, and its configuration."""
 
     def __init__(self, folder: Path) -> None:
         self.port = playing(LENGTHS, SPEED)
@@ -35,7 +35,7 @@ class Daemon:
         self.events: list[Event] = []
 
     def configure(self, **changes: Any) -> None:
-        """Write other settings and have them read."""
+        """Write other settings and make the daemon reread them."""
         self.write(yaml.safe_dump(msgspec.to_builtins(msgspec.structs.replace(self.settings, **changes))))
 
     def write(self, text: str) -> None:
@@ -50,7 +50,7 @@ class Daemon:
         raise AssertionError(f"the daemon ended without {kind}: {self.log()}")
 
     def log(self) -> list[str]:
-        """What it said of its configuration so far."""
+        """Its log lines about its configuration so far."""
         lines = (self._folder / "log").read_text().splitlines()
         return [line for line in lines if "daemon.setup.reread" in line]
 

@@ -1,4 +1,4 @@
-"""A model whose answers a test decides."""
+"""A model whose answers a test sets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
 
 class Scripted:
-    """A model that gives one gesture a probability of 0.94, which one by how many whole windows were asked.
+    """A model that gives one gesture a probability of 0.94, chosen by the number of whole windows asked.
 
     asked: the whole windows it was asked about, apart from glances at a pad without contact, which it takes
     for a touch. stepped: the touches' frames up to then, at each step.

@@ -1,4 +1,4 @@
-"""A sensor on a fake port, and what it hands over: for the tests of the sensor."""
+"""A sensor on a fake port, for the tests of the sensor."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def stream_of(frames: int = 4000) -> Stream:
 def sensing(
     port: str, protocol: FrameParser | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
 ) -> Iterator[FrameQueue]:
-    """A running sensor's queue; afterwards nothing of the sensor is left."""
+    """A running sensor's queue; stopped and checked to leave nothing at the end."""
     before = set(os.listdir("/proc/self/fd"))
     queue = FrameQueue(100_000)
     sensor = Sensor(
@@ -94,7 +94,7 @@ def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
 
 
 class PolledPad:
-    """Says nothing of its own accord; answers a question with one frame, however many wait."""
+    """Sends nothing unasked; answers queries with one frame, however many queries wait."""
 
     def __init__(
         self, described: PadFormat, receive: Callable[[], bytes], give: Callable[[bytes], object]

@@ -1,4 +1,4 @@
-"""What systemd is to a service."""
+"""A stand-in for systemd's notification socket."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rigs.wait import WITHIN_S
 
 
 class Manager:
-    """A socket that takes a service's notifications."""
+    """A socket that receives a service's notifications."""
 
     def __init__(self, folder: Path) -> None:
         path = folder / "notify"
@@ -22,7 +22,7 @@ class Manager:
         return self._socket.recv(4096).decode()
 
     def heard(self) -> list[str]:
-        """Everything that has come so far."""
+        """Everything received so far."""
         self._socket.setblocking(False)
         messages = []
         while True:

@@ -1,4 +1,4 @@
-"""A disk of some kilobytes, for programs that are to fill it."""
+"""A disk of some kilobytes, for programs to fill."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the soak watches: every event of a day, and a viewer of the live page that comes and goes."""
+"""Checks every event of the soak, and is a viewer of the live page that comes and goes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LEAVE_S = 10.0
 
 
 class Audit:
-    """Looks at every event: touches are numbered without a gap, each has its answers, and none twice."""
+    """Checks every event: touches are numbered without a gap, each has its answers, and none twice."""
 
     def __init__(self) -> None:
         self.touches = self.predictions = self.events = 0
@@ -51,7 +51,7 @@ class Audit:
 
 
 class Viewer:
-    """Somebody who looks at the live page for a while. seen: messages that came in all."""
+    """A viewer of the live page. seen: how many messages it received."""
 
     def __init__(self, port: int) -> None:
         self._port = port
@@ -60,13 +60,13 @@ class Viewer:
         self.seen = 0
 
     def come(self) -> None:
-        """Begin to look."""
+        """Connect."""
         self._leaving.clear()
         self._thread = threading.Thread(target=self._look, name="viewer")
         self._thread.start()
 
     def leave(self) -> None:
-        """Look no longer; may be repeated."""
+        """Disconnect; may be repeated."""
         self._leaving.set()
         if self._thread is not None:
             self._thread.join(LEAVE_S)

@@ -1,6 +1,6 @@
-"""The pad of the soak, a program of its own: what it needs in memory is none of the daemon's.
+"""The pad of the soak, another program: its memory does not count as the daemon's.
 
-Its bytes go to standard output for ever: a stream over and over, its clock going on, and some garbage.
+Its bytes go to standard output for ever: a repeating stream with a continuous clock, and some garbage.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
 
 
 def recorded() -> Stream:
-    """HAART's test participants where there are any, else ten minutes of a simulated hand."""
+    """HAART's test participants if the folder is set, else ten minutes of a simulated hand."""
     if folder := os.environ.get("TOUCHD_HAART"):
         path = Path(folder) / "testWITHLABELS.csv.gz"
         found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]

@@ -10,13 +10,13 @@ from pathlib import Path
 
 LISTENS = "0A"
 LOOPBACK = "0100007F"
-# Below the ports that the kernel gives to whoever asks for any, so that nobody is given one in the meantime;
-# each process of tests begins elsewhere.
+# Below the kernel's ephemeral ports, so that nobody is given one in the meantime; each test process begins
+# elsewhere.
 _ports = itertools.count(10_000 + os.getpid() * 977 % 20_000)
 
 
 def free_port() -> int:
-    """A port of loopback that nobody listens on."""
+    """A free port of loopback."""
     for port in _ports:
         with suppress(OSError), socket.create_server(("127.0.0.1", port)):
             return port

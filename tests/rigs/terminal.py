@@ -1,4 +1,4 @@
-"""A program on a terminal of its own: what it shows is waited for, and answered as a person would."""
+"""A program on its own terminal: a test waits for what it shows, and answers as a person would."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Terminal:
         self.shown = ""
 
     def until(self, text: str) -> str:
-        """Wait until a text is shown, and return what was shown up to it, without colours and movements."""
+        """Wait until a text is shown; return all that was shown up to it, without escape sequences."""
         until_s = time.monotonic() + SHOWS_WITHIN_S
         while text not in self._unread:
             ready, _, _ = select.select([self._master], [], [], max(0.0, until_s - time.monotonic()))
@@ -53,7 +53,7 @@ class Terminal:
         try:
             return os.read(self._master, 65536)
         except OSError:
-            # A terminal that its program has left cannot be read.
+            # A terminal whose program has ended cannot be read.
             return b""
 
     def __enter__(self) -> Terminal:

@@ -1,4 +1,4 @@
-"""Waiting for what is to come of itself."""
+"""Waits for a condition."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
-# No promise to anybody, but what a very busy machine may take.
+# Not a specification: the time that a very busy machine may take.
 WITHIN_S = 50.0
 
 
 def wait_for(what: Callable[[], T], within_s: float = WITHIN_S) -> T:
-    """Wait until something is there, or true; return it."""
+    """Wait until `what` returns something true; return that."""
     until_s = time.monotonic() + within_s
     while not (found := what()):
         assert time.monotonic() < until_s, "it did not come"

@@ -1,4 +1,4 @@
-"""Frames on a wire, whole and damaged, and what must come of them: for the tests of the protocols."""
+"""Frames on a wire, whole and damaged, and what must be read of them, for the tests of the protocols."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.frame import Counts, Frame
 from drivers.pad.parser import FrameParser
 
 PERIOD_MS = 19
-# A busy machine is no failure: examples have no deadline of their own, the test's timeout stands.
+# A busy machine is no failure: examples have no deadline, only the test has a timeout.
 UNHURRIED = settings(deadline=None)
 SIZE = 4 + 4 + 2 * 100 + 1
 TIME_BITS = range(32, 64)

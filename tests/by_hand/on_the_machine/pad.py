@@ -1,9 +1,9 @@
-"""The lab's pad, as an Arduino Mega that this machine's own kernel finds on its USB (dummy_hcd, cdc_acm).
+"""The lab's pad, as an Arduino Mega that this machine's kernel finds on its USB (dummy_hcd, cdc_acm).
 
     /opt/touchd/bin/python pad.py RECORDING [SLOWER]
 
-Where the kernel has no such board to lend it is a pty, linked as /dev/touchd-pad. The recording is sent over
-and over, SLOWER times slower than its clock says. Plugged in at the start, unplugged at SIGTERM.
+Without these kernel modules it is a pty, linked as /dev/touchd-pad. The recording repeats, SLOWER times
+slower than its clock says. Plugged in at the start, unplugged at SIGTERM.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import read_recordings, splice
 
 GADGET = Path("/sys/kernel/config/usb_gadget/pad")
-# What the udev rule knows an Arduino Mega 2560 by.
+# How the udev rule identifies an Arduino Mega 2560.
 VENDOR, PRODUCT = "0x2341", "0x0042"
 
 
 def plug_in_board() -> int:
-    """Have the kernel see a new board on its USB; returns where to write what the board sends."""
+    """Plug a new board into the kernel's USB; returns where to write its output."""
     function = GADGET / "functions/acm.usb0"
     if not GADGET.exists():
         function.mkdir(parents=True)
@@ -42,7 +42,7 @@ def plug_in_board() -> int:
 
 
 def plug_in_pty() -> int:
-    """Link a pty as the pad; returns where to write what it sends."""
+    """Link a pty as the pad; returns where to write its output."""
     master, slave = pty.openpty()
     path = os.ttyname(slave)
     os.chmod(path, 0o666)

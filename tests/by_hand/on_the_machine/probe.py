@@ -1,4 +1,4 @@
-"""Run in the unit's place, under all its rules: says as JSON what could be done, and how the rest failed."""
+"""Runs in place of the unit, under all its rules: prints as JSON what worked, and how the rest failed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def read(path: str) -> Callable[[], object]:
 
 
 def call(name: str, *arguments: object) -> Callable[[], object]:
-    """Return what calls a function of the C library and raises OSError as it says."""
+    """Return a wrapper of a C library function that raises OSError with its errno."""
 
     def called() -> None:
         if getattr(LIBC, name)(*arguments) < 0:
