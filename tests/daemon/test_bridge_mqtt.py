@@ -245,7 +245,6 @@ def test_a_reload_ends_the_bridge_that_it_replaces(port: int, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_one_broker_carries_fifty_pads(port: int) -> None:
     from daemon.bridges.mqtt import MqttBridge
 

@@ -24,7 +24,7 @@ KINDS = {
 ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 CONNECTING = [ALL[0], ALL[3]]
 # What a busy machine may take for what does not wait; daemon and robot are to end within two seconds.
-AT_ONCE_S = 1.0
+AT_ONCE_S = 2.0
 
 
 @pytest.fixture

@@ -112,7 +112,6 @@ def test_the_end_of_input_means_no_robot(tmp_path: Path) -> None:
 
 
 @needs_qi
-@pytest.mark.timeout(60)
 def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

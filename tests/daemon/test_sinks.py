@@ -183,7 +183,6 @@ while True:
 """
 
 
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("times", [1, pytest.param(50, marks=pytest.mark.slow)])
 def test_a_journal_killed_at_any_point_holds_whole_lines(tmp_path: Path, times: int) -> None:
     path, chance = tmp_path / "events.jsonl", random.Random(1)

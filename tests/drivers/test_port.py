@@ -62,7 +62,7 @@ def test_missing_permission_says_how_to_get_it(caplog: pytest.LogCaptureFixture)
                     os.chmod(port.path, 0o600)
                 begun_s = time.monotonic()
                 assert next_state(queue).state == "up"
-                assert time.monotonic() - begun_s < 5.0
+                assert time.monotonic() - begun_s < 10.0
             assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
         finally:
             if is_root:

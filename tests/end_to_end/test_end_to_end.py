@@ -94,7 +94,6 @@ def test_touches_of_a_session_stay_apart_through_a_port(
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 @pytest.mark.skipif("TOUCHD_SECOND_STUDY" not in os.environ, reason="TOUCHD_SECOND_STUDY is not set")
 def test_recorded_touches_stay_apart_through_a_port(run: Callable[..., list[Event]]) -> None:
     path = Path(os.environ["TOUCHD_SECOND_STUDY"]) / "robot-pad.csv.gz"

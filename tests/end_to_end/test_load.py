@@ -65,7 +65,6 @@ def test_its_final_counts_add_up(play: Play) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 @pytest.mark.usefixtures("busy")
 def test_on_busy_cores_no_frame_is_lost(play: Play) -> None:
     events, processed, dropped = play(1.0)
@@ -76,7 +75,6 @@ def test_on_busy_cores_no_frame_is_lost(play: Play) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 @pytest.mark.usefixtures("busy")
 @pytest.mark.parametrize("speed", [10.0, 50.0])
 def test_far_beyond_the_pads_rate_it_says_what_it_dropped(play: Play, speed: float) -> None:
@@ -89,7 +87,6 @@ HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
     # Held up for eight turns of the recording, it then gets all of them as fast as the line can carry.
     stream = splice(read_recordings(LENGTHS) * TURNS)

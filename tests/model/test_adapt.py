@@ -17,7 +17,7 @@ import pytest
 from rich.console import Console
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytestmark = [pytest.mark.timeout(120), pytest.mark.usefixtures("one_thread")]
+pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
 
@@ -342,19 +342,26 @@ def test_three_right_of_three_may_still_be_a_coin() -> None:
 @pytest.mark.parametrize(
     ("participants", "each", "said"),
     [
-        (("Ann",), 1, "whether this is better than the shipped model cannot be told"),
-        (("Ann",), 2, "One participant: how well others are known cannot be told"),
-        (("Ann",), 2, "Fewer than 4 recordings of hug, pat"),
-        (("Ann",), 3, "Too little to tell whether this is better or worse"),
-        (("Ann", "Bo"), 1, "Fewer than 3 participants: too few to tell whether others"),
+        (("Ann",), 1, ["whether this is better than the shipped model cannot be told"]),
+        (
+            ("Ann",),
+            3,
+            [
+                "One participant: how well others are known cannot be told",
+                "Fewer than 4 recordings of hug, pat",
+                "Too little to tell whether this is better or worse",
+            ],
+        ),
+        (("Ann", "Bo"), 1, ["Fewer than 3 participants: too few to tell whether others"]),
     ],
 )
 def test_too_little_is_said_to_be_too_little(
-    pretrained: Pretrained, participants: Sequence[str], each: int, said: str
+    pretrained: Pretrained, participants: Sequence[str], each: int, said: list[str]
 ) -> None:
     recordings = simulated(participants, each, ("pat", "hug"))
     adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
-    assert said in " ".join(" ".join(report_lines(adapted)).split())
+    report = " ".join(" ".join(report_lines(adapted)).split())
+    assert [line for line in said if line not in report] == []
 
 
 # --- what cannot be learnt from ---

@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 # The first export of a process takes long to import its machinery.
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402

@@ -9,6 +9,7 @@ import time
 from typing import Any
 
 from rigs.robots import States, reach
+from rigs.wait import AT_ONCE_S
 
 from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import DEFAULT_PAD
@@ -39,7 +40,7 @@ def main(state: str) -> int:
         if state == "forgotten":
             raise SystemExit(0)
         link.stop()
-        return 0 if time.monotonic() - started_s < 2.0 else 3
+        return 0 if time.monotonic() - started_s < AT_ONCE_S else 3
 
 
 if __name__ == "__main__":

@@ -5,12 +5,11 @@ from __future__ import annotations
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytestmark = pytest.mark.timeout(120)
 
-import torch  # noqa: E402
-from torch import nn  # noqa: E402
+import torch
+from torch import nn
 
-from docs.studies.report.paper_tgc import Attention, FeedForward, PaperSettings, PaperTGC  # noqa: E402
+from docs.studies.report.paper_tgc import Attention, FeedForward, PaperSettings, PaperTGC
 
 
 def parameters(network: nn.Module) -> int:

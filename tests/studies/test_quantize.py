@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 pytest.importorskip("onnx", reason="needs the extra `train`")
-pytestmark = pytest.mark.timeout(120)
 
-from docs.studies import quantize  # noqa: E402
-from docs.studies.checks.hard_cases import hand  # noqa: E402
-from docs.studies.checks.timing import Timing  # noqa: E402
-from docs.studies.quantize import FLOAT32, Variant, decide  # noqa: E402
-from docs.studies.training import haart  # noqa: E402
-from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
-from model.classifier import SHIPPED_MODEL, Classifier, ModelError  # noqa: E402
+from docs.studies import quantize
+from docs.studies.checks.hard_cases import hand
+from docs.studies.checks.timing import Timing
+from docs.studies.quantize import FLOAT32, Variant, decide
+from docs.studies.training import haart
+from drivers.recording import Recording, ideal_clock_ms
+from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 
 
 def made_up(participant: str, gesture: str, strength: float) -> Recording:

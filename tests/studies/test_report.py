@@ -78,7 +78,6 @@ def test_the_stored_answers_are_over_the_test_participants_windows(
 
 @pytest.mark.slow
 @needs_haart
-@pytest.mark.timeout(120)
 def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list[Recording]) -> None:
     (cell,) = trained_cells(RESULTS, "public", 1, 144)
     windows = haart.cut(test_recordings, cell.frames)
@@ -89,7 +88,6 @@ def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list
 
 
 @needs_haart
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize(("file", "frames"), [(0, 54), (1, 144)])
 def test_our_networks_score_in_the_papers_windows_as_reported(
     file: int, frames: int, test_recordings: list[Recording]

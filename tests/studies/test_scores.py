@@ -94,7 +94,7 @@ def recordings_in(file: Path, person: str | None) -> list[Recording]:
 
 
 @needs_haart
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @on("T9")
 def test_the_test_participants_score_as_published(scores: evaluate.Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), haart.TEST_FILE), person))
@@ -108,7 +108,7 @@ def test_the_test_participants_score_as_published(scores: evaluate.Scores, perso
 
 
 @needs_haart
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @on("P4")
 def test_the_left_out_participants_score_as_published(scores: evaluate.Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), HAART_TRAINING_FILE), person))
@@ -118,7 +118,7 @@ def test_the_left_out_participants_score_as_published(scores: evaluate.Scores, p
 
 
 @needs_second_study
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @on("R14")
 def test_the_second_study_scores_as_published(scores: evaluate.Scores, person: str | None) -> None:
     recordings = second_study.scored(recordings_in(find(Path(str(SECOND_STUDY)), second_study.FILE), person))

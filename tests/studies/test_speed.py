@@ -6,16 +6,15 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
-pytestmark = pytest.mark.timeout(120)
 
-from rich.console import Console  # noqa: E402
+from rich.console import Console
 
-from docs.studies import speed  # noqa: E402
-from docs.studies.checks.timing import Timing  # noqa: E402
-from docs.studies.report.paper_tgc import PaperSettings  # noqa: E402
-from docs.studies.speed import ONNX_RUNTIME, PYTORCH, Speed  # noqa: E402
-from model.classifier import SHIPPED_MODEL  # noqa: E402
-from model.settings import LENGTHS  # noqa: E402
+from docs.studies import speed
+from docs.studies.checks.timing import Timing
+from docs.studies.report.paper_tgc import PaperSettings
+from docs.studies.speed import ONNX_RUNTIME, PYTORCH, Speed
+from model.classifier import SHIPPED_MODEL
+from model.settings import LENGTHS
 
 
 def timed(network: str, runtime: str, processor_ms: float) -> Speed:

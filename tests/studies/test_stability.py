@@ -18,7 +18,7 @@ from drivers.frame import MAX_COUNT
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError, State
 
 # Every case is asked in both runtimes; a busy machine takes its time.
-pytestmark = pytest.mark.timeout(120)
+pytestmark = pytest.mark.timeout(300)
 CASES = {case.name: case for case in hard_cases(longest=432)}
 
 

@@ -65,7 +65,6 @@ def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
 
 @pytest.mark.slow
 @needs_haart
-@pytest.mark.timeout(120)
 def test_a_participant_is_answered_by_an_unseen_network() -> None:
     pytest.importorskip("torch", reason="needs the extra train")
     from docs.studies.training.ship import left_out_split

@@ -250,7 +250,7 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(challenge_hughes, "CROP_FRAMES", 54)
 
 
-@pytest.mark.timeout(180)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "system",
     [

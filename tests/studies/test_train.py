@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytestmark = pytest.mark.timeout(120)
 
-import torch  # noqa: E402
+import torch
 
-from docs.studies.training.train import CHECKPOINT_NAME, Training, train  # noqa: E402
-from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
-from model.settings import NetworkSettings, TrainSettings  # noqa: E402
-from model.training import checkpoint  # noqa: E402
-from model.training.checkpoint import Checkpoint, CheckpointError  # noqa: E402
-from model.training.schedule import learning_rate_at  # noqa: E402
-from model.training.threads import one_torch_thread  # noqa: E402
+from docs.studies.training.train import CHECKPOINT_NAME, Training, train
+from drivers.recording import Recording, ideal_clock_ms
+from model.settings import NetworkSettings, TrainSettings
+from model.training import checkpoint
+from model.training.checkpoint import Checkpoint, CheckpointError
+from model.training.schedule import learning_rate_at
+from model.training.threads import one_torch_thread
 
 NETWORK = NetworkSettings(
     stem_width=2, width=8, dilations=(1,), blocks=1, heads=2, feed_forward=8, dense=8, dropout=0.1
