@@ -18,7 +18,7 @@ from rigs.peers import broker, frame, needs_mosquitto, subscribed, touch
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.bridges import Key, make_bridges
@@ -84,7 +84,7 @@ def test_the_state_is_retained_and_follows_the_pad(port: int, opened: Open) -> N
     bridge.put(SensorEvent(state="down", time=UP.time, reason="unplugged"))
     bridge.put(UP)
     wait_for(lambda: retained(port) == "up")
-    bridge.stop(2.0)
+    bridge.stop(WITHIN_S)
     assert retained(port) == "stopped"
 
 

@@ -121,5 +121,5 @@ def test_stopping_passes_on_what_is_queued(peer: Peer) -> None:
     heard = len(peer.heard)
     for number in range(100, 120):
         bridge.put(touch(number))
-    bridge.stop(4.0)
+    bridge.stop(WITHIN_S)
     peer.await_heard(heard + 20)

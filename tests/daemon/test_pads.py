@@ -20,7 +20,7 @@ from rigs.patient_port import playing
 from rigs.peers import broker, needs_mosquitto, subscribed
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon import cli
 from daemon.bridges.settings import MqttSettings
@@ -163,7 +163,7 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
             robot.calls.wait_for_raise(f"TouchGesture/{pad}/Status", state)
             robot.calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "stroke")
         robot.calls.wait_for(lambda call: call.method == "say")
-        sink.stop(2.0)
+        sink.stop(WITHIN_S)
         robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
         assert [call.method for call in robot.calls.all()].count("say") == 1
 

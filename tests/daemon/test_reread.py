@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -29,11 +30,10 @@ from drivers.robot.settings import RobotSettings
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    daemon = Daemon(tmp_path)
-    # Before it hears the pad it may not be listening to signals yet.
-    daemon.await_event(SensorEvent)
-    yield daemon
-    daemon.close()
+    with closing(Daemon(tmp_path)) as daemon:
+        # Before it hears the pad it may not be listening to signals yet.
+        daemon.await_event(SensorEvent)
+        yield daemon
 
 
 def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:

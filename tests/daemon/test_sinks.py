@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from rigs.programs import ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
+from rigs.wait import WITHIN_S
 
 from daemon.events import SensorEvent, TouchBegan, decode
 from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
@@ -46,7 +47,7 @@ def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
     sink.start()
     for number in range(50):
         sink.put(touch(number))
-    sink.stop(2.0)
+    sink.stop(WITHIN_S)
     os.close(writer)
     with open(reader, "rb", closefd=False) as file:
         assert [decode(line) for line in file] == [touch(number) for number in range(50)]
@@ -83,8 +84,8 @@ def test_stopping_writes_what_is_queued_and_may_be_repeated(tmp_path: Path) -> N
     sink.start()
     for number in range(200):
         sink.put(touch(number))
-    sink.stop(5.0)
-    sink.stop(5.0)
+    sink.stop(WITHIN_S)
+    sink.stop(WITHIN_S)
     lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
     assert [decode(line) for line in lines] == [touch(number) for number in range(200)]
     assert "touchd-journal" not in names()

@@ -103,7 +103,7 @@ def test_lines_of_the_log_that_nobody_read_are_counted() -> None:
     for number in range(10):
         sink.put(f"line {number}")
     sink.start()
-    sink.stop(2.0)
+    sink.stop(WITHIN_S)
     os.close(writer)
     with open(reader) as log:
         lines = log.read().splitlines()
@@ -121,7 +121,7 @@ def test_a_full_disk_at_standard_output_costs_lines_alone(caplog: pytest.LogCapt
     sink.start()
     for number in range(20):
         sink.put(touch(number))
-    sink.stop(5.0)
+    sink.stop(WITHIN_S)
     os.close(full)
     assert (sink.lost, gone) == (20, [])
     assert [record.levelname for record in caplog.records] == ["WARNING"]
@@ -167,11 +167,11 @@ def test_a_reload_goes_on_with_the_same_file(tmp_path: Path) -> None:
     assert journal is not None
     after = JournalSink(journal)
     after.put(touch(2))
-    before.stop(5.0)
+    before.stop(WITHIN_S)
     with pytest.raises(JournalError, match="another touchd"):
         open_journal(settings)
     after.start()
-    after.stop(5.0)
+    after.stop(WITHIN_S)
     assert [kept.began.touch for kept in read_journal(settings.file)] == [1, 2]
 
 

@@ -59,7 +59,7 @@ class StoreBench:
     def end(self) -> list[KeptTouch]:
         """End; return what was kept."""
         self.pipeline.flush()
-        self.sink.stop(10.0)
+        self.sink.stop(WITHIN_S)
         return kept_touches(self._folder)
 
     def _feel(self, counts: Counts) -> None:
@@ -193,7 +193,7 @@ def test_no_store_is_made_unless_asked_for(tmp_path: Path) -> None:
 def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store)
     bench.feel(palm(0.5))
-    bench.sink.stop(5.0)
+    bench.sink.stop(WITHIN_S)
     bench.keep(store)
     bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.0))
     bench.end()

@@ -7,7 +7,8 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -150,15 +151,27 @@ def pad() -> Iterator[FakePort]:
         yield port
 
 
-def spawn(settings: Settings, folder: Path, manager: Manager) -> SpawnedDaemon:
-    return SpawnedDaemon(settings, folder, None, manager.environ)
+Spawn = Callable[[Settings], SpawnedDaemon]
+
+
+@pytest.fixture
+def spawn(tmp_path: Path, manager: Manager) -> Iterator[Spawn]:
+    """Spawns a daemon; afterwards none is left."""
+    with ExitStack() as closing:
+
+        def spawn(settings: Settings) -> SpawnedDaemon:
+            daemon = SpawnedDaemon(settings, tmp_path, None, manager.environ)
+            closing.callback(daemon.stop)
+            return daemon
+
+        yield spawn
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_daemon_before_systemd_would(
-    tmp_path: Path, manager: Manager, pad: FakePort, number: signal.Signals
+    spawn: Spawn, manager: Manager, pad: FakePort, number: signal.Signals
 ) -> None:
-    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)), tmp_path, manager)
+    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)))
     manager.await_ready()
     asked_s = time.monotonic()
     daemon.process.send_signal(number)
@@ -168,8 +181,8 @@ def test_a_signal_ends_the_daemon_before_systemd_would(
     assert "STOPPING=1" in manager.heard()
 
 
-def test_a_missing_pad_is_awaited_and_reported(tmp_path: Path, manager: Manager) -> None:
-    daemon = spawn(Settings(sensor=SensorSettings(port=str(tmp_path / "pad"))), tmp_path, manager)
+def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, manager: Manager) -> None:
+    daemon = spawn(Settings(sensor=SensorSettings(port=str(tmp_path / "pad"))))
     manager.await_ready()
     event = next(daemon.events())
     assert isinstance(event, SensorEvent)
@@ -179,14 +192,14 @@ def test_a_missing_pad_is_awaited_and_reported(tmp_path: Path, manager: Manager)
 
 
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
-def test_stalled_reader_and_dead_robot_cost_no_journal_line(tmp_path: Path, manager: Manager) -> None:
+def test_stalled_reader_and_dead_robot_cost_no_journal_line(spawn: Spawn, tmp_path: Path) -> None:
     with playing(LENGTHS, 50.0) as pad:
         settings = Settings(
             sensor=SensorSettings(port=pad.path),
             robot=RobotSettings(url="tcp://127.0.0.1:9"),
             journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
         )
-        daemon = spawn(settings, tmp_path, manager)
+        daemon = spawn(settings)
         assert daemon.process.stdout is not None
         fcntl.fcntl(daemon.process.stdout, fcntl.F_SETPIPE_SZ, 4096)
         pad.reader = daemon.process.pid
@@ -201,10 +214,8 @@ def test_stalled_reader_and_dead_robot_cost_no_journal_line(tmp_path: Path, mana
     assert outline(map(decode, lines)) == expected(LENGTHS)
 
 
-def test_a_reader_that_goes_away_ends_the_daemon_cleanly(
-    tmp_path: Path, manager: Manager, pad: FakePort
-) -> None:
-    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)), tmp_path, manager)
+def test_a_reader_that_goes_away_ends_the_daemon_cleanly(spawn: Spawn, pad: FakePort) -> None:
+    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)))
     assert daemon.process.stdout is not None
     daemon.process.stdout.readline()
     daemon.process.stdout.close()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from rigs.sockets import free_port
-from rigs.wait import WITHIN_S, wait_for
+from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, SensorSettings, Settings
@@ -138,8 +138,10 @@ class Served:
 def serving(**settings: Any) -> Iterator[Served]:
     """A served page; stopped and checked to leave nothing at the end."""
     served = Served(load_model(Settings()), **settings)
-    yield served
-    served.sink.stop(1.0)
+    try:
+        yield served
+    finally:
+        served.sink.stop(AT_ONCE_S)
     assert "touchd-live" not in [thread.name for thread in threading.enumerate()]
 
 
