@@ -1,7 +1,5 @@
 """The entry to every study: `python -m docs.studies NAME`, from the repository's root."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The accuracy page: the machine-written scores as tables and pictures for people."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 

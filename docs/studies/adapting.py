@@ -1,7 +1,5 @@
 """What adapting to a person gains that person and costs others (docs/adapt.md)."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The folders of the two studies' recordings, as several studies take them."""
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path

@@ -3,8 +3,6 @@
 A place is everything from `<!-- table: NAME -->` to `<!-- end -->`.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

@@ -3,8 +3,6 @@
 The simulated hand makes the same touches on every pad, rendered on the pad's cells and sent as its bytes.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
@@ -66,7 +64,7 @@ class PadScore:
     felt: int
     right: int
 
-    def is_ruined(self, lab: PadScore) -> bool:
+    def is_ruined(self, lab: "PadScore") -> bool:
         """Whether touches are missed, or answered worse, than on the lab's pad."""
         return self.felt < FELT_SHARE * lab.felt or lab.right - self.right > RIGHT_SHARE * self.touches
 

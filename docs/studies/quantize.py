@@ -6,8 +6,6 @@ on participants left out: each fold's file is quantized by itself, on windows of
 the extra `train`.
 """
 
-from __future__ import annotations
-
 import argparse
 import tempfile
 from collections.abc import Callable, Iterator, Sequence

@@ -4,8 +4,6 @@ Shares are of processor time, each network on one thread. The paper's networks h
 takes the same time. Needs the extra `train`.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

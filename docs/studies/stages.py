@@ -5,8 +5,6 @@ touched repeatedly, and notes when each answer told at a mark passed each stage.
 behind real qi on loopback. The figures are kept in docs/speed.json. Needs the extra `nao`.
 """
 
-from __future__ import annotations
-
 import argparse
 import functools
 import math

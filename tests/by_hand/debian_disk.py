@@ -3,8 +3,6 @@
 Both are made once and kept in the folder TOUCHD_DEBIAN, by default /var/tmp/touchd-debian.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -5,8 +5,6 @@ Two kinds: a container (systemd-nspawn), as fast as this machine, with this kern
 /mnt.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import socket

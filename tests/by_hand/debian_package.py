@@ -5,8 +5,6 @@
 In the container of real_systemd.py. Its name keeps it out of the suite, where it would take too long.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -3,8 +3,6 @@
 PYTHONPATH=.:tests nice -n -5 python tests/by_hand/live_figures.py
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import threading

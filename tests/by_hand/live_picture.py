@@ -3,8 +3,6 @@
 PYTHONPATH=.:tests python tests/by_hand/live_picture.py docs/figures/live.png [--scheme light] [--visitors]
 """
 
-from __future__ import annotations
-
 import argparse
 import threading
 import time

@@ -1,7 +1,5 @@
 """The demo's recording through the real pipeline, up to the moment that the pictures show."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

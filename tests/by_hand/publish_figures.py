@@ -7,8 +7,6 @@ slow: it "waited" when the thread gave up the processor, for a lock of ours or P
 aside" when the kernel preempted it, which no program can help.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import logging

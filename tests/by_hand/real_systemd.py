@@ -8,8 +8,6 @@ only what needs a kernel, devices and power is tested. Its name keeps it out of 
 too long.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -3,8 +3,6 @@
 PYTHONPATH=.:tests python tests/by_hand/robot_figures.py [rounds]; publish() alone: publish_figures.py.
 """
 
-from __future__ import annotations
-
 import json
 import logging
 import sys

@@ -11,8 +11,6 @@ waits for the daemon's parts; a serial port does not wait, and frames would be d
 when anything grew or was lost; a run that --minutes cut short says how many hours it was.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import json

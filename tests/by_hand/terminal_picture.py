@@ -3,8 +3,6 @@
 PYTHONPATH=.:tests python tests/by_hand/terminal_picture.py docs/figures/demo.png [--size 100x30]
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 from pathlib import Path

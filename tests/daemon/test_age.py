@@ -1,7 +1,5 @@
 """How old frames are, by the pad's clock and the host's."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

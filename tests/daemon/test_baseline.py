@@ -1,7 +1,5 @@
 """What is taken for an untouched pad: how fast it follows, and how far."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What arrives at LSL's inlets, at ROS 2's readers and at rosbridge: times, bytes and names."""
 
-from __future__ import annotations
-
 import base64
 import threading
 import time

@@ -1,7 +1,5 @@
 """MQTT on a real mosquitto: topics, state and last will, pressure, login, TLS, Home Assistant."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What holds for every bridge: it slows nobody, finds its peer again, and ends when told."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

@@ -1,7 +1,5 @@
 """The command: what it offers, and one clear line with the right exit code for whatever goes wrong."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The configuration: everything that is wrong with it is one line that names it and says what to do."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

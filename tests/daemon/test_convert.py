@@ -1,7 +1,5 @@
 """`touchd convert`: what pandas and Foxglove read is what was felt and said."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import json

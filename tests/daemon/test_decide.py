@@ -1,7 +1,5 @@
 """What the robot is told and when it changes its mind, sequence by sequence."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 

@@ -1,7 +1,5 @@
 """`touchd doctor`: one line for each thing looked at, and an exit code: is there anything to do?"""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

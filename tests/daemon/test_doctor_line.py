@@ -1,7 +1,5 @@
 """The doctor at the pad's line: what is on it, how clean, how fast."""
 
-from __future__ import annotations
-
 import os
 import termios
 

@@ -1,7 +1,5 @@
 """The doctor beside the pad: the model, the robot, the service."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The doctor at the pad itself: rest, noise, broken taxels, which way round it lies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Events as lines of JSON: what a reader of stdout or the journal can rely on."""
 
-from __future__ import annotations
-
 import json
 import re
 import typing

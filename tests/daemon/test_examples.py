@@ -1,7 +1,5 @@
 """The examples that the pages show do what they say."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`touchd fake-robot`: a lab sees what its robot would do, as lines."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket

@@ -1,7 +1,5 @@
 """What a touch was like: measured on made touches, whose truth is known."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

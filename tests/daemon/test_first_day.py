@@ -1,7 +1,5 @@
 """What somebody sees who tries touchd for the first time: help, mistakes, paths, commands to paste."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import shlex

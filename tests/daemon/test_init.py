@@ -1,7 +1,5 @@
 """The first configuration: found by listening, and good to run as it is."""
 
-from __future__ import annotations
-
 import os
 import pty
 import subprocess

@@ -1,7 +1,5 @@
 """The live page's server: everyone who looks gets what there is room for, and nobody slows the daemon."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket

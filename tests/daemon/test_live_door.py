@@ -1,7 +1,5 @@
 """Who gets to see the live page, from where, and what they may say: nothing."""
 
-from __future__ import annotations
-
 import http.client
 import socket
 from collections.abc import Iterator

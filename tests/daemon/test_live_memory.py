@@ -1,7 +1,5 @@
 """What the live page is told of what was before it came."""
 
-from __future__ import annotations
-
 import msgspec
 from rigs.expectations import LENGTHS, answers, stream_of
 

@@ -1,7 +1,5 @@
 """The live page in a real browser: what a person sees of a played recording, and of what may go wrong."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """Several pads in one daemon: each with its own touches, and none that suffers from another's faults."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """The pipeline from frames to events: what is asked of the model, and what is said when."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """`touchd plot`: a picture says when the pad was touched, what was said of it, and where it was pressed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`touchd record`: a person is guided from one recording to the next, and nothing kept is ever lost."""
 
-from __future__ import annotations
-
 import gzip
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`touchd record --from-journal`: what was misclassified is saved with the right label, and nothing twice."""
 
-from __future__ import annotations
-
 import io
 from contextlib import closing
 from pathlib import Path

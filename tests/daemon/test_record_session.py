@@ -1,7 +1,5 @@
 """A session of recordings on a terminal: asked, counted down, checked, redone, kept, gone on with."""
 
-from __future__ import annotations
-
 import gzip
 from collections.abc import Iterator
 from pathlib import Path

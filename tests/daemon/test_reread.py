@@ -1,7 +1,5 @@
 """SIGHUP: the configuration is read again, nothing of the stream is lost, a wrong one changes nothing."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing

@@ -1,7 +1,5 @@
 """Sinks: none slows the loop, each ends when told; the journal holds whole lines, and not too many."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """What the world can do to the daemon from outside: it goes on, says so, and destroys nothing."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """`touchd teach`: recordings, an adapted model, and a configuration that names it, from one command."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

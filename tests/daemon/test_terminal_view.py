@@ -1,7 +1,5 @@
 """The terminal view: what it shows fits and stays, at any size and with any number of colours."""
 
-from __future__ import annotations
-
 import io
 import os
 import pty

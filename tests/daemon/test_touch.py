@@ -1,7 +1,5 @@
 """When a touch begins and ends, on a made pad with HAART's noise: a newcomer sees each rule at work."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The frames of touches, kept where a lab asks for it: the true ones, whole, bounded, at nobody's cost."""
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

@@ -1,7 +1,5 @@
 """Every text of terminal, page and robot is there in every language that ships."""
 
-from __future__ import annotations
-
 import json
 import re
 import string

@@ -1,7 +1,5 @@
 """Pad, clock, line, robot, page, journal, disk, log and signals in any order; the events stay in order."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import random

@@ -1,7 +1,5 @@
 """Attempts back off while nobody is there, and begin anew once somebody was."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Frames whose clock jumps: after a wrap, a gap or a restart none is lost, and a damaged clock is refused."""
 
-from __future__ import annotations
-
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import PERIOD_MS, assert_are, counts_of, flip, packet, packets

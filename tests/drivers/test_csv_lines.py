@@ -1,7 +1,5 @@
 """Lines of numbers become frames: whole lines once and in order, bad ones counted, none too long kept."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

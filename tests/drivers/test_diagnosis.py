@@ -1,7 +1,5 @@
 """Bytes that hold no frame are named for what they look like."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Bytes become frames: every intact one once and in order, nothing damaged, whatever the line does."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """The fake port behaves on its pty as a pad does on its cable: its pace, its bytes, its faults, its end."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

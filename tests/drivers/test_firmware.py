@@ -1,7 +1,5 @@
 """The sketch on its board: what it reads on the pins is what touchd feels, 54 times a second, none lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty

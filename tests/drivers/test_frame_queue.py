@@ -1,7 +1,5 @@
 """The queue between reader and loop holds frames and states, and never more than it may."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The 54 Hz grid: what the model sees, whatever the pad's rate, jitter and losses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path

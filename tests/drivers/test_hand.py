@@ -1,7 +1,5 @@
 """The simulated hand: the same for a seed, within what a pad can send, and felt as what it means to do."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

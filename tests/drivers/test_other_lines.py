@@ -1,7 +1,5 @@
 """Pads on a network, and pads that only answer when they are asked."""
 
-from __future__ import annotations
-
 import os
 import pty
 import socket

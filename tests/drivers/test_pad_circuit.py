@@ -1,7 +1,5 @@
 """What the firmware's page says of wiring and resistors is what the circuit gives and the sketch uses."""
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Every promise of the parser, for every format: frames once and in order, damage counted, memory bounded."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Sequence
 from functools import cache

@@ -1,7 +1,5 @@
 """A pad that breaks is noticed by its values, told once when it begins and once when it ends."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A pad that breaks is told in the daemon's log: once when it begins, once when it is over."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

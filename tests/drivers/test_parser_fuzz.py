@@ -1,7 +1,5 @@
 """Long runs of random damage into one parser: it never raises, never grows, and loses no intact frame."""
 
-from __future__ import annotations
-
 import os
 import random
 import tracemalloc

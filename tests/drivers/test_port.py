@@ -1,7 +1,5 @@
 """A port is looked at before anything starts, and what is wrong with it is said in one line."""
 
-from __future__ import annotations
-
 import logging
 import os
 import time

@@ -1,7 +1,5 @@
 """Telling the robot something takes the daemon next to no time, whatever the robot does; on real qi."""
 
-from __future__ import annotations
-
 import pytest
 from by_hand.publish_figures import STATES, in_state, publishes
 from rigs.robots import needs_qi

@@ -1,7 +1,5 @@
 """Recordings are read in each layout they come in, written back whole, realigned, and joined into streams."""
 
-from __future__ import annotations
-
 import gzip
 import hashlib
 import os

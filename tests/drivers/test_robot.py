@@ -1,7 +1,5 @@
 """What a robot is told and does; each test runs on the stub and, where qi is installed, on real qi."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Which answers have the robot do what, and how the configuration says it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import msgspec

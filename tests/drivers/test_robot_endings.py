@@ -1,7 +1,5 @@
 """Leaving takes little time and is clean whatever the robot does; on the stub and on real qi."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys

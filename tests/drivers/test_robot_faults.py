@@ -1,7 +1,5 @@
 """Whatever becomes of the robot, the daemon goes on and the link comes back; on the stub and on real qi."""
 
-from __future__ import annotations
-
 import logging
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The sensor delivers every intact frame of whatever speaks the pad's language, at once, and ends at once."""
 
-from __future__ import annotations
-
 import socket
 import time
 from pathlib import Path

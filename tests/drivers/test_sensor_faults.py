@@ -1,7 +1,5 @@
 """Whatever a lab does to the pad's cable: it is said once, and right frames come again when it is over."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """What README and the pages name is there: tests, files, commands and their options."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """From bytes on a serial port to lines on standard output: the spawned daemon, a pty, recordings."""
 
-from __future__ import annotations
-
 import os
 import random
 import time

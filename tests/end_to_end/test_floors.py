@@ -1,7 +1,5 @@
 """The floors: drivers are the ground, the model stands on them, the daemon on both; none imports upward."""
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

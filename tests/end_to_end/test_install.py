@@ -1,7 +1,5 @@
 """`make install` puts the service in place, an upgrade keeps its configuration, `make uninstall` ends it."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -3,8 +3,6 @@
 To see the figures: pytest -m slow tests/end_to_end/test_load.py -s
 """
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """What comes from outside is data: nothing listens, nothing is run, nothing is without bound."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

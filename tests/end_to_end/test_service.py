@@ -1,7 +1,5 @@
 """The service: systemd hears the truth, the unit is sound, and the daemon ends when told."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The soak itself: minutes of it hold, and what it looks for would be found."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Adapting to a lab's own recordings: another label set, a file that runs, honest figures, clear refusals."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -1,7 +1,5 @@
 """What training varies and what robustness is measured with: what a pad can send, and what the name says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The shipped model and what runs it: answers at any length, and one clear line for what it cannot take."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import msgspec

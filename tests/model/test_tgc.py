@@ -1,7 +1,5 @@
 """The network: causal, one for every length, and the same in ONNX Runtime as in PyTorch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A real headless browser, for the live page's tests and its picture."""
 
-from __future__ import annotations
-
 import base64
 import shutil
 import tempfile

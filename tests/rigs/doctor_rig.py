@@ -1,7 +1,5 @@
 """A pad for the doctor to listen to, over a pty, and a systemctl that answers as a test wants."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -6,8 +6,6 @@
 Read the difference before committing it: every changed line is a changed answer.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Sequence

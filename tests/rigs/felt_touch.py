@@ -1,7 +1,5 @@
 """A made touch as the daemon's touch sink gathers it, for the tests of kept touches."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from daemon.events import TouchBegan, TouchEnded, timestamp

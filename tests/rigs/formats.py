@@ -1,7 +1,5 @@
 """The lab's pads by the names under which the tests know them."""
 
-from __future__ import annotations
-
 import msgspec
 
 from drivers.frame import Counts

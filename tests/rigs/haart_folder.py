@@ -1,7 +1,5 @@
 """The folders of recordings; tests that need one are skipped when its variable is unset."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """A live page: of the spawned daemon on a fake pad, or served in this process; for the tests of it."""
 
-from __future__ import annotations
-
 import http.client
 import re
 import threading

@@ -1,7 +1,5 @@
 """Events made up for tests."""
 
-from __future__ import annotations
-
 from daemon.events import Prediction
 
 TIME = "2026-11-20T10:00:01.000Z"

@@ -1,7 +1,5 @@
 """A simulated pad at rest and a hand's pressure on it, with the noise of HAART's pad."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The sketch, compiled for an Arduino Mega and run on a simulated one that is wired to a simulated pad."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
@@ -78,7 +76,7 @@ class Board:
         ]
         return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
 
-    def run(self, pictures: NDArray[np.uint16], seconds: float) -> Run:
+    def run(self, pictures: NDArray[np.uint16], seconds: float) -> "Run":
         """Run it for so many seconds of its own time; return what it sent and when."""
         with (self.folder / "sent").open("w+b") as sent:
             board = self.start(pictures, seconds, sent.fileno())

@@ -1,7 +1,5 @@
 """A pad as a network of resistors on a board's pins: what its columns read, row by row."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

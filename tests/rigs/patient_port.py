@@ -1,7 +1,5 @@
 """A fake pad that loses no frame on a busy machine: it waits for the daemon that reads it."""
 
-from __future__ import annotations
-
 import math
 import time
 from contextlib import suppress

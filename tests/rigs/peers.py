@@ -1,7 +1,5 @@
 """What the bridges talk to, each a real one that a test can kill and bring back."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

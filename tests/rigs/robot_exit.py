@@ -1,7 +1,5 @@
 """A program that ends while its link to a robot is in the state named on the command line."""
 
-from __future__ import annotations
-
 import logging
 import socket
 import sys

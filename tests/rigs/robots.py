@@ -1,7 +1,5 @@
 """The stand-ins on which the same tests run, and a link that records its states."""
 
-from __future__ import annotations
-
 import shutil
 import threading
 import time

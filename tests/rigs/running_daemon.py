@@ -1,7 +1,5 @@
 """The spawned daemon on a fake pad, with a configuration that a test can change while it runs."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 from typing import Any

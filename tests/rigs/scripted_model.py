@@ -1,7 +1,5 @@
 """A model whose answers a test sets."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A sensor on a fake port, for the tests of the sensor."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

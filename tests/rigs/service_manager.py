@@ -1,7 +1,5 @@
 """A stand-in for systemd's notification socket."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A disk of some kilobytes, for programs to fill."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Checks every event of the soak, and is a viewer of the live page that comes and goes."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 

@@ -3,8 +3,6 @@
 Its bytes go to standard output for ever: a repeating stream with a continuous clock, and some garbage.
 """
 
-from __future__ import annotations
-
 import os
 import random
 import subprocess

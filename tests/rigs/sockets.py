@@ -1,7 +1,5 @@
 """A free port, and the network sockets of a process as Linux lists them."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import socket

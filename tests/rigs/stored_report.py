@@ -1,7 +1,5 @@
 """The published report: the folder of its page, and its results."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from docs.studies.report.results import Results

@@ -1,7 +1,5 @@
 """A program on its own terminal: a test waits for what it shows, and answers as a person would."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re
@@ -56,7 +54,7 @@ class Terminal:
             # A terminal whose program has ended cannot be read.
             return b""
 
-    def __enter__(self) -> Terminal:
+    def __enter__(self) -> "Terminal":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """Frames on a wire, whole and damaged, and what must be read of them, for the tests of the protocols."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The figures of docs/adapt.md: of the settings that ship, of everybody, and what the page claims of them."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`data`: the published recordings in a folder, whole and checked, or one line that says why not."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

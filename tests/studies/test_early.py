@@ -1,7 +1,5 @@
 """Stopping rules are told apart on made-up streams of probabilities, and fill their pages by themselves."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

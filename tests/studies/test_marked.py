@@ -1,7 +1,5 @@
 """Tables go into their places in a page that is written by hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The ladder of simulated pads: a pad that ruins the answers is seen in its table."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from docs.studies.pads import LAB, LADDER, PadScore, Rung, frames_of, score, table_of

@@ -1,7 +1,5 @@
 """The paper's network, to compare with: the one it prints, and the one of its public code."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")

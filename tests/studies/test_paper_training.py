@@ -1,7 +1,5 @@
 """Training the paper's networks: as its code does, resumable to the same weights, every epoch kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """int8 copies of the shipped model: they answer alike, and are shipped only where figures say so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

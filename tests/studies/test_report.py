@@ -1,7 +1,5 @@
 """The report: its page says what its results say, and they hold when measured again from stored files."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

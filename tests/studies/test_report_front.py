@@ -1,7 +1,5 @@
 """Speed against error, and cost: what is counted, fitted and shown is right; what is stored still holds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

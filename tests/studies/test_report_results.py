@@ -1,7 +1,5 @@
 """The file of results: every cell says how it was made, and several processes may add to it at once."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

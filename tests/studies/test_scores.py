@@ -1,7 +1,5 @@
 """The scores that stand beside the shipped model are that file's own, and hold when measured again."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which parts of the second study's recordings are learnt from, and which are scored."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

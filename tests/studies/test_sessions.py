@@ -1,7 +1,5 @@
 """Sessions of a pad in use: how they are made and scored, and that the daemon keeps the touches apart."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

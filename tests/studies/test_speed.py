@@ -1,7 +1,5 @@
 """One answer of ours against the paper's network, fairly."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")

@@ -1,7 +1,5 @@
 """The shipped model on windows that strain its arithmetic."""
 
-from __future__ import annotations
-
 import io
 import math
 from pathlib import Path

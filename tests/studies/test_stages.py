@@ -1,7 +1,5 @@
 """Where the time of an answer goes is measured at every stage, and shown as a bar each."""
 
-from __future__ import annotations
-
 import pytest
 from rigs.robots import needs_qi
 

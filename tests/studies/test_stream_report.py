@@ -1,7 +1,5 @@
 """What the robot hears over a touch was measured, and the defaults are what the measurement says."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

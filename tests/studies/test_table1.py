@@ -1,7 +1,5 @@
 """Table 1 of the report: features with known answers, systems that learn, and figures that still hold."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Timing answers: all in turn, on the clock and in processor time."""
 
-from __future__ import annotations
-
 import time
 
 from docs.studies.checks.timing import IN_A_ROW, time_in_turn

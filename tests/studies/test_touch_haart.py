@@ -1,7 +1,5 @@
 """The tracker's committed figures, checked again on a part of the recordings that they came from."""
 
-from __future__ import annotations
-
 import os
 import statistics
 from pathlib import Path

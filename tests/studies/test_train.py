@@ -1,7 +1,5 @@
 """Training: the same for a seed, resumable to the same weights; checkpoints say where they are from."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Disturbances of a window of counts by a pad, a lab or a hand, to measure how robust accuracy is."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

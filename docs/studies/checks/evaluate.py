@@ -6,8 +6,6 @@ each answered by a network of the same recipe that never saw them; "second study
 the same way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

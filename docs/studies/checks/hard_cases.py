@@ -1,7 +1,5 @@
 """Windows of counts that strain a classifier's arithmetic: flat, saturated, flickering, drifting, tiny."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

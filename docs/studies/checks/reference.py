@@ -1,7 +1,5 @@
 """The reference of a model file: the network it was exported from, in PyTorch and float64."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +20,7 @@ class Reference:
     calibrated: CalibratedTGC
 
     @classmethod
-    def load(cls, path: Path, metadata: ModelMetadata) -> Reference:
+    def load(cls, path: Path, metadata: ModelMetadata) -> "Reference":
         """Read the network from a checkpoint, its temperatures from the exported file's metadata.
 
         Raises CheckpointError.

@@ -1,7 +1,5 @@
 """A copy of a model file whose logits are far larger than any that a network was trained to give."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

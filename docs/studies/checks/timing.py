@@ -1,7 +1,5 @@
 """Answer times, measured in turn in one run, so that other load on the machine affects all alike."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 and fills the tables and the figure of docs/early.md, and what `scene.sure` costs in docs/decision.md.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -5,8 +5,6 @@ Each touching recording of a training participant stands between notouch of the 
 at each stage is kept, so that every setting of the decision is tried on the same answers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@
 The defaults of `speak_above` and `revise_margin` are the point that `choose` picks from the curve.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Each touching recording stands between notouch of the same participant and condi
 `docs.studies.tracker.measure`. The daemon's own tracker finds the touch in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice

@@ -8,8 +8,6 @@ Written without the paper's full text. Our own choices: the series that the last
 order, the image's moments, and the search's extent; it scores small forests on left-out participants.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

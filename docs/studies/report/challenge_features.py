@@ -4,8 +4,6 @@ A window's counts are (N, L, 8, 8), a series over its frames (N, L). Everything 
 untouched pad too.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

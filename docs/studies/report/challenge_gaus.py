@@ -13,8 +13,6 @@ lengths are our choice. scikit-learn has no AdaBoost.MH; the nearest it has is S
 small trees, which weighs windows where AdaBoost.MH weighs windows and classes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -10,8 +10,6 @@ training are our choice. All three answer every 9 frames, 6 times a second; the 
 their last answer in a window, the CNN for the mean over its 45-frame views: one network serves every length.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -10,8 +10,6 @@ taxel (192), 40 of the window as a whole, after Jung et al. 2014 (doi 10.1145/26
 mean pressure as a sequence. The kernel and all settings are ours too, chosen on training participants.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The time of an answer by window length, and by the number of pads in one process on one thread."""
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -6,8 +6,6 @@ for all epochs, otherwise from the paper, which chose its epoch on the test part
 challenge's networks comes from table 1.
 """
 
-from __future__ import annotations
-
 import tempfile
 import time
 from collections.abc import Callable, Sequence

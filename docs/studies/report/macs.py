@@ -4,8 +4,6 @@ Counted are the products of convolutions, linear layers and attention, as is usu
 sums over time are not.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path

@@ -4,8 +4,6 @@ Other people's networks have random weights here, which takes the same time; our
 sizes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The report: measures what is missing, then fills the tables of docs/report.md and draws its pictures."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The cells of the paper's tables 2 and 3: which of its networks are trained, how long, from which seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path

@@ -8,8 +8,6 @@ ReLU after each of the linear layers. Neither encodes a frame's position; it sho
 output, which is why a network answers at one length alone.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

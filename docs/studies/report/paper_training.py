@@ -5,8 +5,6 @@ on the test participants. Here every epoch's test accuracy is kept, so that one 
 figure and the unbiased one, of the last epoch of a number fixed beforehand.
 """
 
-from __future__ import annotations
-
 import fcntl
 import logging
 import time

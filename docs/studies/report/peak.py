@@ -3,8 +3,6 @@
 Run as a program, it is that process.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Sequence

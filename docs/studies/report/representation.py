@@ -4,8 +4,6 @@ Over the test participants' windows of 144 frames as published. The representati
 t-SNE (van der Maaten and Hinton 2008) lays it out in the plane.
 """
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Mapping

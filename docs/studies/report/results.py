@@ -1,7 +1,5 @@
 """The report's results in one JSON file, each with how it was made."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import platform

@@ -4,8 +4,6 @@ The sizes were fixed before any of them was trained, and nothing is chosen from 
 may be shown on the test participants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

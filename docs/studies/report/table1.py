@@ -5,8 +5,6 @@ paper leaves open are chosen on whole training recordings of 432 frames, by leav
 the test file. The challenge reported plain accuracy over whole recordings.
 """
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence

@@ -3,8 +3,6 @@
 The paper does not print the length of its windows in table 2; 144 frames are taken, as in its public code.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from pathlib import Path

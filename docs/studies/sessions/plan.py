@@ -5,8 +5,6 @@ touched: after a pat, stroke or tickle, whose hand leaves the pad, the notouch i
 lightest sixth of a second of that recording, and stays there until the next such touch.
 """
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 [--seconds 3] [--as-recorded] [--noise 1.5] [--hum 2] [--motor 2] [--breathing 2]` prints a line a file.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What the robot was told over a session, scored touch by touch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The tracker's figures: misses, false touches, delays, splits, and what other settings would cost."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import msgspec

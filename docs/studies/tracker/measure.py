@@ -8,8 +8,6 @@ gesture's own rest. And some gestures begin within a lift-off; so delays count f
 visible pressure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

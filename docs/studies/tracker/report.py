@@ -3,8 +3,6 @@
 `python -m docs.studies tracker FOLDER [DOCS]` measures HAART's recordings, in three minutes of one core.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Temperature scaling (Guo et al. 2017), one temperature a length, fitted on left-
 training recording is answered by the network that was trained without its participant.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What makes and measures the shipped model: `data`, `train`, `export`, `evaluate` and `stability`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

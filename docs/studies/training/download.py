@@ -4,8 +4,6 @@ The archive is the one that https://www.cs.ubc.ca/labs/spin/data/ links. Only th
 challenge are unpacked, and only put in the folder when their contents are right.
 """
 
-from __future__ import annotations
-
 import lzma
 import shutil
 import zipfile

@@ -3,8 +3,6 @@
 Source: Human-Animal Affective Robot Touch set, RTGC 2015, UBC SPIN lab.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Downloads one file over HTTP, resumably: an incomplete one is called .part, and the next call goes on."""
 
-from __future__ import annotations
-
 import errno
 import ssl
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Metrics of answers: accuracy by class and participant, calibration, and confidence intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ For the shipped file: one network a seed, on all training participants. For unbi
 network a fold, which never sees the fold's participants.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@ Source: Cang et al., "Different Strokes and Different Folks" (ICMI 2015), study 
 Each recording holds a gesture several times over, ten seconds each, end to end.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path

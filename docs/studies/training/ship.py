@@ -1,7 +1,5 @@
 """From a recipe to the shipped files: train what is missing, calibrate, export, score."""
 
-from __future__ import annotations
-
 import hashlib
 import platform
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """The two studies that a network can learn from, and where their recordings lie."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

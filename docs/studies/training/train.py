@@ -1,7 +1,5 @@
 """Training: one command, resumable, deterministic for a seed."""
 
-from __future__ import annotations
-
 import copy
 from collections import Counter
 from collections.abc import Callable, Sequence

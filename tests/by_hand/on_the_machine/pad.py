@@ -6,8 +6,6 @@ Without these kernel modules it is a pty, linked as /dev/touchd-pad. The recordi
 slower than its clock says. Plugged in at the start, unplugged at SIGTERM.
 """
 
-from __future__ import annotations
-
 import os
 import pty
 import signal

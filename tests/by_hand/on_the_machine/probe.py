@@ -1,7 +1,5 @@
 """Runs in place of the unit, under all its rules: prints as JSON what worked, and how the rest failed."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import mmap
