@@ -19,6 +19,7 @@ STUDIES = {
     "quantize": ("docs.studies.quantize", "compares int8 copies of the model with float32"),
     "adapting": ("docs.studies.adapting", "what adapting to a person gains and costs"),
     "sessions": ("docs.studies.sessions.report", "what the robot hears of a pad in use, touch after touch"),
+    "joined": ("docs.studies.sessions.joined", "what the robot hears of two gestures without a pause"),
     "pads": ("docs.studies.pads", "how the answers fare on pads other than the lab's, simulated"),
     "tracker": ("docs.studies.tracker.report", "how well touches are noticed"),
     "early": ("docs.studies.decision.early", "how early one can tell, by which stopping rule"),

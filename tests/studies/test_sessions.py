@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
-from rigs.scripted_model import Scripted
+from rigs.scripted_model import LABELS, Scripted
 
 from daemon.pipeline import PipelineSettings
+from docs.studies.sessions import joined
 from docs.studies.sessions.plan import PlannedSession, SessionSettings, sessions
 from docs.studies.sessions.report import measure
 from docs.studies.sessions.score import judge, play, score
@@ -82,3 +84,21 @@ def test_quiet_alone_has_no_false_touch() -> None:
     played = judge(quiet, play(quiet, Scripted(), PipelineSettings()))
     assert played.false == 0
     assert np.isclose(played.quiet_min, 0.05)
+
+
+class HearsPats(Scripted):
+    """Takes what comes and goes for a pat, anything else for a constant touch."""
+
+    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
+        pressure = frames.sum(axis=(1, 2))
+        gesture = "pat" if pressure.std() > 0.5 * pressure.mean() else "constant"
+        return np.array([0.94 if label == gesture else 0.01 for label in LABELS])
+
+
+def test_a_second_gesture_counts_as_told_when_the_robot_hears_it() -> None:
+    recordings = [recording("notouch", nothing(8.0)), recording("pat", pat(8.0))]
+    recordings.append(recording("constant", palm(8.0, counts=60.0)))
+    deaf = joined.measure(recordings, Scripted(lambda asked: "pat"))
+    assert (deaf.joined, deaf.told, deaf.wrong, deaf.single, deaf.again) == (1, 0.0, 0.0, 2, 0.0)
+    hears = joined.measure(recordings, HearsPats(lambda asked: "pat"))
+    assert (hears.joined, hears.known, hears.told, hears.wrong) == (2, 2, 100.0, 0.0)

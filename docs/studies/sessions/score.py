@@ -101,7 +101,7 @@ def play(session: PlannedSession, model: ProbabilityModel, settings: PipelineSet
 
 def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
     """Compare the daemon's answers with the touches made."""
-    felt = _felt(events)
+    felt = felt_in(events)
     made = [stretch for stretch in session.stretches if stretch.gesture is not None]
     inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in felt]
     quiet = sum(stretch.stop - stretch.start for stretch in session.stretches if stretch.gesture is None)
@@ -143,7 +143,8 @@ def score(played: Sequence[Played]) -> SessionScore:
     )
 
 
-def _felt(events: Iterable[Event]) -> list[Felt]:
+def felt_in(events: Iterable[Event]) -> list[Felt]:
+    """Return the touches as the daemon had them."""
     began: dict[int, float] = {}
     ended: dict[int, float] = {}
     answers: dict[int, list[Prediction]] = {}
