@@ -19,9 +19,9 @@ import numpy as np
 from daemon.decide import ProbabilityModel
 from daemon.events import UNCERTAIN
 from daemon.pipeline import PipelineSettings
-from docs.studies.sessions.plan import SKIPPED_FRAMES, PlannedSession
+from docs.studies.sessions.plan import SKIPPED_FRAMES, PlannedSession, Scans
 from docs.studies.sessions.score import felt_in, play
-from drivers.frame import FRAME_RATE_HZ, Counts
+from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import NO_TOUCH, Recording, Selection, read_recordings, realign, set_up
 from model.classifier import SHIPPED_MODEL, Classifier
 
@@ -100,7 +100,7 @@ def measure(recordings: Sequence[Recording], model: ProbabilityModel) -> JoinedS
 
 def _made(recordings: Sequence[Recording], model: ProbabilityModel) -> Iterator[Made]:
     rng = random.Random(1)
-    together: dict[tuple[str, str, str], dict[str, Counts]] = {}
+    together: dict[tuple[str, str, str], dict[str, Scans]] = {}
     for recording in recordings:
         together.setdefault(set_up(recording), {}).setdefault(recording.gesture, recording.counts)
     for _, counts in sorted(together.items()):
@@ -116,12 +116,12 @@ def _made(recordings: Sequence[Recording], model: ProbabilityModel) -> Iterator[
             yield Made(gesture, None, False, _told(quiet, [_part(first, SINGLE_FRAMES)], model))
 
 
-def _part(counts: Counts, frames: int) -> Counts:
+def _part(counts: Scans, frames: int) -> Scans:
     return counts[SKIPPED_FRAMES : SKIPPED_FRAMES + frames]
 
 
 def _told(
-    quiet: Counts, parts: Sequence[Counts], model: ProbabilityModel
+    quiet: Scans, parts: Sequence[Scans], model: ProbabilityModel
 ) -> tuple[tuple[float, str, str], ...]:
     """Return when, at what stage and with which gesture the robot was told something."""
     before, after = np.split(_part(quiet, QUIET_BEFORE_FRAMES + QUIET_AFTER_FRAMES), [QUIET_BEFORE_FRAMES])
