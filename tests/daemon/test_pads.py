@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
 from rigs.made_events import PREDICTION
-from rigs.patient_port import playing
+from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
@@ -68,6 +68,7 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
                 "left_arm": PadSettings(port=arm.path, scene=SceneSettings(speak_above=1.0)),
             },
             journal=JournalSettings(path=str(journal), keep_touches=20),
+            scene=PATIENT,
         )
         events, _ = run_daemon(settings, tmp_path, head, arm)
     assert outline(on("head", events)) == expected(LENGTHS)
@@ -130,7 +131,8 @@ def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> N
                 "left_arm": PadSettings(port=arm.path),
                 "folder": PadSettings(port=str(tmp_path)),
                 "back": PadSettings(port=str(tmp_path / "unplugged")),
-            }
+            },
+            scene=PATIENT,
         )
         daemon = SpawnedDaemon(settings, tmp_path)
         events: list[Event] = []

@@ -10,7 +10,7 @@ import pytest
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
-from rigs.patient_port import playing
+from rigs.patient_port import PATIENT, playing
 from rigs.running_daemon import Daemon, run_daemon
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
@@ -315,7 +315,7 @@ def played(stream: Stream, folder: Path) -> list[Event]:
     """What the spawned daemon says of a stream while it keeps touches in a folder."""
     with playing(stream, SPEED) as port:
         journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=20)
-        settings = Settings(sensor=SensorSettings(port=port.path), journal=journal)
+        settings = Settings(sensor=SensorSettings(port=port.path), journal=journal, scene=PATIENT)
         return run_daemon(settings, folder, port)[0]
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
-from rigs.patient_port import PatientPort
+from rigs.patient_port import PATIENT, PatientPort
 from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
@@ -61,7 +61,7 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
         sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
         with PatientPort(stream, encoder_for(sensor), speed=SPEED, faults=faults or Faults()) as port:
             sensor = msgspec.structs.replace(sensor, port=port.path)
-            return run_daemon(Settings(sensor=sensor, robot=robot), tmp_path, port)[0]
+            return run_daemon(Settings(sensor=sensor, robot=robot, scene=PATIENT), tmp_path, port)[0]
 
     return run
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from rigs.expectations import LENGTHS, expected
-from rigs.patient_port import playing
+from rigs.patient_port import PATIENT, playing
 from rigs.programs import ran
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
@@ -196,6 +196,7 @@ def test_stalled_reader_and_dead_robot_cost_no_journal_line(spawn: Spawn, tmp_pa
             sensor=SensorSettings(port=pad.path),
             robot=RobotSettings(url="tcp://127.0.0.1:9"),
             journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
+            scene=PATIENT,
         )
         daemon = spawn(settings)
         assert daemon.process.stdout is not None

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rigs.patient_port import PATIENT
 from rigs.sockets import free_port
 from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
 from websockets.sync.client import ClientConnection, connect
@@ -35,7 +36,7 @@ class LiveDaemon:
     """A daemon that serves its page on loopback, at `port` (0: any that is free), and reads `pad`."""
 
     def __init__(self, pad: str, folder: Path, port: int = 0) -> None:
-        settings = Settings(sensor=SensorSettings(port=pad), live=LiveSettings(port=port))
+        settings = Settings(sensor=SensorSettings(port=pad), live=LiveSettings(port=port), scene=PATIENT)
         self._log_path = folder / "log"
         self._log = self._log_path.open("wb")
         self._daemon = SpawnedDaemon(settings, folder, self._log)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rigs.expectations import stream_of
 
-from daemon.config import SensorSettings
+from daemon.config import SceneSettings, SensorSettings
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream
@@ -17,6 +17,10 @@ FRAMES_AT_ONCE = 54
 LOOK_S = 0.002
 # A pad that is silent for two seconds counts as away.
 LONGEST_S = 0.5
+
+
+# However late the machine makes an answer, it is told.
+PATIENT = SceneSettings(stale_s=60.0)
 
 
 class PatientPort(FakePort):

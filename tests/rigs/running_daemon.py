@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import yaml
 from rigs.expectations import LENGTHS
-from rigs.patient_port import PatientPort, playing
+from rigs.patient_port import PATIENT, PatientPort, playing
 from rigs.wait import WITHIN_S, wait_for
 
 from daemon.config import SensorSettings, Settings
@@ -23,7 +23,7 @@ class Daemon:
 
     def __init__(self, folder: Path) -> None:
         self.port = playing(LENGTHS, SPEED)
-        self.settings = Settings(sensor=SensorSettings(port=self.port.path))
+        self.settings = Settings(sensor=SensorSettings(port=self.port.path), scene=PATIENT)
         self._folder = folder
         self._log = (folder / "log").open("w+b")
         self._daemon = SpawnedDaemon(self.settings, folder, self._log)
