@@ -1,7 +1,5 @@
 """The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
 
-from __future__ import annotations
-
 import difflib
 import errno
 import importlib

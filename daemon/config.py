@@ -1,7 +1,5 @@
 """Reads a YAML file into typed settings; a mistake in it is reported in one line."""
 
-from __future__ import annotations
-
 import difflib
 import logging
 import os
@@ -180,7 +178,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             raise ValueError(f"sensors: {shared[0]} is the port of more than one pad; give each its own")
 
     @property
-    def pads(self) -> dict[str, Settings]:
+    def pads(self) -> dict[str, "Settings"]:
         """Each pad's name with settings in which it is the only one, as `sensor`."""
         if not self.sensors:
             return {DEFAULT_PAD: self}

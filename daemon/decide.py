@@ -1,7 +1,5 @@
 """Decides what to report of a touch, and when to revise it."""
 
-from __future__ import annotations
-
 import math
 import typing
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """What the daemon says: one JSON object a line, on stdout and in the journal."""
 
-from __future__ import annotations
-
 from datetime import datetime, timezone
 from typing import Literal, TypeAlias
 

@@ -1,7 +1,5 @@
 """Reports to systemd (sd_notify): ready once, the watchdog only after work done, and a status line."""
 
-from __future__ import annotations
-
 import logging
 import math
 import os

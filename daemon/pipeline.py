@@ -1,7 +1,5 @@
 """From frames to events: ring, touch tracker, classifier and decision, joined without threads or I/O."""
 
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -141,7 +139,7 @@ class Pipeline:
         viewers: Viewers = tuple,
         behind_frames: int = BEHIND_FRAMES,
         first_index: int = 0,
-        before: Pipeline | None = None,
+        before: "Pipeline | None" = None,
     ) -> None:
         self._emit = emit
         self._viewers = viewers

@@ -1,7 +1,5 @@
 """Where events go. Each sink has its own bounded queue and its own thread, so that none can slow the loop."""
 
-from __future__ import annotations
-
 import errno
 import logging
 import os

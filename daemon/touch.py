@@ -14,8 +14,6 @@ touch's level for `settled_s` is no hand, for a resting hand trembles. The figur
 docs/touch.md.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -166,7 +164,7 @@ class TouchTracker:
         self,
         settings: TouchSettings,
         no_touch: NoTouch | None = None,
-        before: TouchTracker | None = None,
+        before: "TouchTracker | None" = None,
     ) -> None:
         self._baseline = Baseline()
         self._recent = LastSecond()

@@ -1,7 +1,5 @@
 """Pauses before another attempt."""
 
-from __future__ import annotations
-
 import random
 
 

@@ -1,7 +1,5 @@
 """What every error at an edge has in common: a person can put it right."""
 
-from __future__ import annotations
-
 
 class TouchdError(Exception):
     """Something outside touchd is wrong: a file, a device, a setting, a network.

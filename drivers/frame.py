@@ -1,7 +1,5 @@
 """One reading of the pad."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 from numpy.typing import NDArray

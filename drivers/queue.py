@@ -1,7 +1,5 @@
 """The one queue between threads: bounded, and never waited for by whoever fills it."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import deque

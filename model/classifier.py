@@ -1,7 +1,5 @@
 """The classifier as the daemon runs it: ONNX Runtime only, one thread, no state but what is handed in."""
 
-from __future__ import annotations
-
 import os
 import threading
 from collections.abc import Mapping, Sequence
@@ -75,7 +73,7 @@ class Classifier:
     """Of these, those that take several touches' states at once; none in a file from before that."""
 
     @classmethod
-    def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> Classifier:
+    def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> "Classifier":
         """Load a model file that an export wrote; raises ModelError when it does not fit."""
         session = _open_session(path, threads)
         stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)

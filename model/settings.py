@@ -1,7 +1,5 @@
 """What decides a training: the network's shape, the augmentation, the schedule. No torch in here."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 import msgspec

@@ -5,8 +5,6 @@ encoder blocks relate it over the touch, and dense layers name the gesture. Ever
 logits is inside the network, so that training and robot cannot drift apart.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """What all bridges share: a bounded queue, a thread that owns the library, and frames at a stated rate."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """From the settings to the bridges: one for each pad and each section that is set."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """Lab Streaming Layer: a stream of markers and one of the pad's pressure, on the lab's common clock."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

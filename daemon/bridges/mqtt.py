@@ -1,7 +1,5 @@
 """MQTT: events, the pad's state and, where wanted, its pressure on a broker."""
 
-from __future__ import annotations
-
 import ssl
 import threading
 from collections.abc import Sequence

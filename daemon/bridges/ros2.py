@@ -1,7 +1,5 @@
 """ROS 2 without a ROS installation: the messages that its nodes publish, over DDS."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """rosbridge: ROS 1, and ROS 2 behind a firewall or on another processor, by JSON over a websocket."""
 
-from __future__ import annotations
-
 import base64
 import logging
 import threading

@@ -1,7 +1,5 @@
 """The sections of the configuration for bridges to other systems."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import msgspec

@@ -1,7 +1,5 @@
 """`touchd bench`: latency, memory and processor time of the real daemon, on a fake pad at 54 Hz."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import socket

@@ -1,7 +1,5 @@
 """`touchd classify`: the daemon's answers to recordings, without a port, as fast as possible."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

@@ -1,7 +1,5 @@
 """`touchd completion`: the script for a shell to complete touchd's commands and options."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import sys

@@ -1,7 +1,5 @@
 """`touchd convert`: a journal or a recording as CSV or MCAP."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """`touchd doctor`: checks pad, model, robot and service, and says what to do."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterable, Sequence

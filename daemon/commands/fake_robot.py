@@ -1,7 +1,5 @@
 """`touchd fake-robot`: a stand-in robot on this computer, to see what a Nao would do."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 

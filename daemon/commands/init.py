@@ -1,7 +1,5 @@
 """`touchd init`: finds the pad, asks for the robot, tries both, and writes a working configuration."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import shlex

@@ -1,7 +1,5 @@
 """`touchd record --from-journal`: saves what was misclassified, with the right label."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

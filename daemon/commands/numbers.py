@@ -1,7 +1,5 @@
 """Numbers on a command line; others, or those out of range, are refused in words."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable
 from typing import TypeVar

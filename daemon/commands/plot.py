@@ -1,7 +1,5 @@
 """`touchd plot`: recordings, or a journal of events, as a picture; needs matplotlib, of the extra `plot`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`touchd record`: guides a person through making recordings, a file each."""
 
-from __future__ import annotations
-
 import argparse
 import logging
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """`touchd replay`: recordings as a pad on a serial port, for `touchd run` to read."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import threading

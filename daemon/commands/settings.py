@@ -1,7 +1,5 @@
 """The settings of a command for one pad: those of a pad in a file, perhaps at another port."""
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`touchd teach`: three minutes at the pad adapt the model to its person; needs the extra `train`."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import logging

@@ -1,7 +1,5 @@
 """`touchd train --extra`: adapts the shipped model to recordings of your own; needs the extra `train`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A journal as a table: a row an event, a column each field, for pandas and spreadsheets."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterable
 from typing import IO, Any

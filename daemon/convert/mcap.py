@@ -1,7 +1,5 @@
 """Journals and recordings as MCAP, which Foxglove shows; needs the extra `mcap`."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterable, Sequence
 from typing import IO, Any
@@ -94,7 +92,7 @@ class _Mcap:
         self._writer = Writer(file)
         self._channels: dict[str, int] = {}
 
-    def __enter__(self) -> _Mcap:
+    def __enter__(self) -> "_Mcap":
         self._writer.start()
         return self
 

@@ -1,7 +1,5 @@
 """Runs all checks in turn, each bounded in time; skips those that cannot be made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

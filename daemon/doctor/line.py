@@ -1,7 +1,5 @@
 """Checks of the pad's line: port, protocol, damage and frame rate."""
 
-from __future__ import annotations
-
 import os
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Listens to a pad for a while."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

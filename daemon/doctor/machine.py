@@ -1,7 +1,5 @@
 """Checks of the model, the robot and the service."""
 
-from __future__ import annotations
-
 import subprocess
 import threading
 import time

@@ -1,7 +1,5 @@
 """Checks of the pad: rest, noise, taxels, orientation."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The file of events: each line whole or not at all, rotated by size, so that it never fills a disk."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import logging
@@ -33,7 +31,7 @@ class Journal:
     writes a journal. Raises JournalError when the file cannot be opened, or is no journal and left as it is.
     """
 
-    def __init__(self, path: Path, *, max_bytes: int, keep: int, before: Journal | None = None) -> None:
+    def __init__(self, path: Path, *, max_bytes: int, keep: int, before: "Journal | None" = None) -> None:
         self._path = path
         self._max_bytes = max_bytes
         self._keep = keep

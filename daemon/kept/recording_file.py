@@ -1,7 +1,5 @@
 """A file of a lab's own recordings: there whole or not at all, and never written over."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path

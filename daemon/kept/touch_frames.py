@@ -1,7 +1,5 @@
 """The frames around a finished touch, cut into rest before, touch, and quiet after."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

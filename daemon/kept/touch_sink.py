@@ -4,8 +4,6 @@ In the loop a frame costs two appends. A thread of its own cuts, packs and write
 the next answer is a second away or more.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict, deque
 from collections.abc import Mapping
 

@@ -6,8 +6,6 @@ second of rest before the touch, the touch from its true first frame to its last
 which its end was known.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import re

@@ -1,7 +1,5 @@
 """Groups events by touch, from a pipeline or from a journal."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable
 from contextlib import suppress

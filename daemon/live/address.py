@@ -1,7 +1,5 @@
 """Where the live page is served, and the host names it answers to."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import io

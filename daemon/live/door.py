@@ -1,7 +1,5 @@
 """Limits on connections and on what each may send: they share the daemon's memory and descriptors."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 

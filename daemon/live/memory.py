@@ -1,7 +1,5 @@
 """The state of the live page, for viewers who come later."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import msgspec

@@ -4,8 +4,6 @@ All but frames are JSON. A frame has 133 bytes, little-endian, its sensor_ms (ui
 the pad's place in `PageState.pads` (uint8).
 """
 
-from __future__ import annotations
-
 import struct
 
 import msgspec

@@ -1,7 +1,5 @@
 """The page's files and the answers to HTTP requests."""
 
-from __future__ import annotations
-
 import hashlib
 from http import HTTPStatus
 from pathlib import Path

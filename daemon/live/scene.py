@@ -1,7 +1,5 @@
 """What the live page knows of the configuration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from daemon.decide import ProbabilityModel

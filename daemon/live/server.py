@@ -1,7 +1,5 @@
 """Serves the live page from a thread with its own event loop."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import socket

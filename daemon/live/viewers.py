@@ -1,7 +1,5 @@
 """The viewers of the live page; a slow one does not hold up the others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from websockets.asyncio.server import ServerConnection, broadcast

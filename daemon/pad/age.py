@@ -1,7 +1,5 @@
 """Uses the pad's clock to tell how old frames are, and whether touches can be felt."""
 
-from __future__ import annotations
-
 from collections import deque
 
 from daemon.touch import CALIBRATION_FRAMES

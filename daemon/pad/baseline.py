@@ -1,7 +1,5 @@
 """What the pad reads while nothing touches it, and its last second."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

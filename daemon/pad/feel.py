@@ -1,7 +1,5 @@
 """Describes a touch from its frames: duration, pressure, area, path and rhythm."""
 
-from __future__ import annotations
-
 import math
 
 import msgspec

@@ -1,7 +1,5 @@
 """Whether the network sees a touch, relative to what it says of the pad at rest."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 

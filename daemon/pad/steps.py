@@ -1,7 +1,5 @@
 """Runs several pads side by side and batches equal requests to the network."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Generator, Iterable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The daemon in a process of its own, for the demo, the bench and end-to-end tests."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Makes a pad's stream of recordings: selects, realigns, and puts notouch around touches."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import replace

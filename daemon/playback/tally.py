@@ -1,7 +1,5 @@
 """Recorded against answered gestures, for `touchd classify`."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from daemon.events import Event, TouchBegan, TouchEnded

@@ -1,7 +1,5 @@
 """Reads the pad while recordings are made, and checks what it read."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -56,7 +54,7 @@ class PadReader:
         self._troubles: dict[Kind, str] = {}
         self._away = ""
 
-    def __enter__(self) -> PadReader:
+    def __enter__(self) -> "PadReader":
         self._sensor.start()
         return self
 

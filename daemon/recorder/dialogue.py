@@ -1,7 +1,5 @@
 """Guides a person through a session: records each gesture, checks it, keeps it."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Shows kept touches one by one and asks what each was."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from rich.console import Console

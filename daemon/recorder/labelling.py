@@ -5,8 +5,6 @@ the kept touch; FOLDER/.right holds an empty file for each touch whose answer wa
 records the progress, also after a crash.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

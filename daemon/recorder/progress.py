@@ -1,7 +1,5 @@
 """The pad and the progress of a recording in the terminal, while it is made."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -4,8 +4,6 @@ One file a recording, FOLDER/participant_substrate_cover_gesture_number.csv.gz, 
 provenance. Files are written whole and never overwritten, so an interrupted session can be continued.
 """
 
-from __future__ import annotations
-
 import random
 import re
 from dataclasses import dataclass

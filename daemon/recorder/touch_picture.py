@@ -1,7 +1,5 @@
 """Kept touches in the terminal: as a list, or one with mean pad, pressure over time and answers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """SIGHUP: the configuration is read again while the daemon runs on, and a wrong one changes nothing."""
 
-from __future__ import annotations
-
 import itertools
 import logging
 import threading

@@ -1,7 +1,5 @@
 """Names and phrases for gestures, in the languages that ship with touchd."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal, TypeAlias
 

@@ -1,7 +1,5 @@
 """Questions at the terminal, answered by a line each."""
 
-from __future__ import annotations
-
 import sys
 import termios
 from collections.abc import Collection

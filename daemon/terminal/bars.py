@@ -1,7 +1,5 @@
 """The probabilities as bars."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from rich.segment import Segment

@@ -1,7 +1,5 @@
 """Words in large letters, to be read from afar."""
 
-from __future__ import annotations
-
 ROWS = 5
 # Five rows a letter, from top to bottom; a dot is empty.
 LETTERS = {

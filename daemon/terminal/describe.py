@@ -1,7 +1,5 @@
 """Events in words, for people at a terminal."""
 
-from __future__ import annotations
-
 from daemon.events import Event, Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.terms import term

@@ -1,7 +1,5 @@
 """The name by which the shell finds this program, for commands to paste."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

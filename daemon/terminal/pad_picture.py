@@ -1,7 +1,5 @@
 """The pad in half blocks, so that taxels are square."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from itertools import groupby

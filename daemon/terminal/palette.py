@@ -1,7 +1,5 @@
 """The live page's colours in a terminal, with fall-backs for fewer colours."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise

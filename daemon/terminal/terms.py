@@ -1,7 +1,5 @@
 """The words of the terminal around the gestures, in the languages that ship with touchd."""
 
-from __future__ import annotations
-
 import typing
 from collections.abc import Mapping
 

@@ -1,7 +1,5 @@
 """The time line of a touch: pressure, the marks at which answers are due, and the answers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The terminal view: pad, answer, time line, probabilities, and the robot's words."""
 
-from __future__ import annotations
-
 import logging
 import threading
 from collections import deque
@@ -188,7 +186,7 @@ class View:
         """Restore the terminal."""
         self._live.stop()
 
-    def __enter__(self) -> View:
+    def __enter__(self) -> "View":
         self._live.start()
         return self
 

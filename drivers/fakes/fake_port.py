@@ -1,7 +1,5 @@
 """A fake pad: a pseudo-terminal that plays a stream to whoever opens it as a serial port."""
 
-from __future__ import annotations
-
 import array
 import fcntl
 import os
@@ -83,7 +81,7 @@ class FakePort:
             os.close(self._master)
             self._master = -1
 
-    def __enter__(self) -> FakePort:
+    def __enter__(self) -> "FakePort":
         self.start()
         return self
 

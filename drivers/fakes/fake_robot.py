@@ -4,8 +4,6 @@
 own, `python -m drivers.fakes.fake_robot`, which prints a JSON object a line: its address, then every call.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

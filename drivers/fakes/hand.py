@@ -6,8 +6,6 @@ along the rows. Forces, sizes and paces are set so that load, peak, area, pace a
 those of HAART's training recordings on the bare pad, not so that any one network likes them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What can go wrong on a serial line, done on purpose."""
 
-from __future__ import annotations
-
 import random
 from dataclasses import dataclass
 

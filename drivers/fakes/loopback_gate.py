@@ -4,8 +4,6 @@ Python's qi can be a client of such a robot but not the server, so this does the
 TLS, checks the login in the first message, and then passes bytes through.
 """
 
-from __future__ import annotations
-
 import logging
 import shutil
 import socket

@@ -1,7 +1,5 @@
 """A robot made of real qi services in a process of its own, on 127.0.0.1."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -85,7 +83,7 @@ class LoopbackRobot:
         if self._process is not None:
             self.kill()
 
-    def __enter__(self) -> LoopbackRobot:
+    def __enter__(self) -> "LoopbackRobot":
         self.start()
         return self
 

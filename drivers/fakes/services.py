@@ -1,7 +1,5 @@
 """The few NAOqi services that touchd uses, in plain Python: they note what was asked and do nothing else."""
 
-from __future__ import annotations
-
 import struct
 import threading
 import time

@@ -1,7 +1,5 @@
 """A robot in this process, without qi: for tests and demonstrations where qi cannot be installed."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Collection
@@ -67,7 +65,7 @@ class StubRobot:
         """End; may be called again."""
         self.kill()
 
-    def __enter__(self) -> StubRobot:
+    def __enter__(self) -> "StubRobot":
         self.start()
         return self
 

@@ -7,8 +7,6 @@ frame that begins inside is found. Some damage cannot be detected: the fabric pa
 sums low bytes only, so a flip in bit 8 or 9 of a value passes.
 """
 
-from __future__ import annotations
-
 from typing import Literal
 
 import numpy as np

@@ -15,8 +15,6 @@ one frame time and none is lost, even when damaged frames fall between. The sing
 restarts within 250 ms of its last start cannot be told from one that did not.
 """
 
-from __future__ import annotations
-
 from drivers.pad.framing import CLOCK_MODULUS, ProtocolCounts, Reading
 
 # Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.

@@ -1,7 +1,5 @@
 """Bytes arrive but no frame does: what do they look like, and how would they be described?"""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter, defaultdict

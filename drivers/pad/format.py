@@ -1,7 +1,5 @@
 """What a pad sends, described rather than programmed: framing, cells, clock, checksum, orientation."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import Annotated, Literal
 

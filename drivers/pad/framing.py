@@ -1,7 +1,5 @@
 """What every parser shares: the count of what was refused, and frames before their clock is judged."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

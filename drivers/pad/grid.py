@@ -6,8 +6,6 @@ Any other rate is interpolated linearly between the two neighbouring frames. A f
 model learned on single scans and their noise.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 from itertools import islice
@@ -68,7 +66,7 @@ class Ring:
     """
 
     def __init__(
-        self, settings: RingSettings, capacity: int, before: Ring | None = None, first_index: int = 0
+        self, settings: RingSettings, capacity: int, before: "Ring | None" = None, first_index: int = 0
     ) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
         self._next_index = first_index

@@ -5,8 +5,6 @@ changes at least every 2 s, and none reads above 972. So a taxel that stands sti
 untouched. Pads that are silent at rest exist too; on those stillness means nothing and is not reported.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """A pad behind a network address: as much of a serial port's interface as is used here."""
 
-from __future__ import annotations
-
 import re
 import socket
 from typing import Any
@@ -77,7 +75,7 @@ class NetworkPort:
         finally:
             self._socket.settimeout(timeout_s)
 
-    def __enter__(self) -> NetworkPort:
+    def __enter__(self) -> "NetworkPort":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -1,7 +1,5 @@
 """How fast and how evenly frames came, by the pad's own clock."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What every parser does: counts, clock, layout, and when a pad that only answers is to be asked."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 

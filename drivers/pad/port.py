@@ -1,7 +1,5 @@
 """Opening a serial port, reading what waits in it, and saying in one line why that does not work."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

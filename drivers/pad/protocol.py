@@ -1,7 +1,5 @@
 """From the description of a pad to the parser for it."""
 
-from __future__ import annotations
-
 from drivers.pad.binary import BinaryFrames, Replies
 from drivers.pad.format import PadFormat
 from drivers.pad.parser import FrameParser

@@ -1,7 +1,5 @@
 """The pad on its serial port: a thread that reads frames, notices when they stop, and finds the pad again."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

@@ -1,7 +1,5 @@
 """Reports changes of the pad's state: to the daemon as a state, to people in the log."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

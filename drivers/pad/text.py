@@ -6,8 +6,6 @@ a digit damaged into another digit goes unnoticed. The first line, or the first 
 is seen from the first whole one; three lines running that say otherwise change it.
 """
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs a pad's faults: a warning when one begins, a line when it is over, and no flood."""
 
-from __future__ import annotations
-
 import logging
 
 from drivers.frame import DEFAULT_PAD, Frame

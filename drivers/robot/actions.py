@@ -14,8 +14,6 @@ actions:
       - behavior: animations/Stand/Emotions/Positive/Laugh_1
 """
 
-from __future__ import annotations
-
 import re
 import string
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The three events of a pad in the robot's memory: what was felt, its detail, and the pad's status."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterable
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """How long the robot may take, how often it is asked, and how much is kept for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

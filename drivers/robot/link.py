@@ -3,8 +3,6 @@
 The daemon never waits for the robot, whether that is there, hangs or refuses.
 """
 
-from __future__ import annotations
-
 import atexit
 import logging
 import time

@@ -1,7 +1,5 @@
 """What the robot is told about a touch, and the form in which its memory can hold it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 

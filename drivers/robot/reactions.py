@@ -1,7 +1,5 @@
 """From an answer to what the robot does about it, and the doing of it."""
 
-from __future__ import annotations
-
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """One connection to NAOqi over qi, on which every call has a limit."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import os

@@ -1,7 +1,5 @@
 """Where the robot is and how to log in, as the configuration says it."""
 
-from __future__ import annotations
-
 import ipaddress
 import logging
 import os

@@ -1,7 +1,5 @@
 """A thread that keeps a session with the robot and processes a bounded queue, whatever the robot does."""
 
-from __future__ import annotations
-
 import logging
 import threading
 import time

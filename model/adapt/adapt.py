@@ -1,7 +1,5 @@
 """Adapts the shipped network to a lab's recordings and evaluates it before and after."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,14 +36,14 @@ class Pretrained:
     temperatures: dict[int, float]
 
     @classmethod
-    def of(cls, saved: Checkpoint, model: Path) -> Pretrained:
+    def of(cls, saved: Checkpoint, model: Path) -> "Pretrained":
         """Return a pretrained; the temperatures are those in the file that the checkpoint was exported to."""
         stored = Classifier.load(model).metadata.temperatures
         backbone, head = split(saved.build())
         return cls(saved, backbone, head, {int(length): value for length, value in stored.items()})
 
     @classmethod
-    def shipped(cls) -> Pretrained:
+    def shipped(cls) -> "Pretrained":
         """Return the shipped network."""
         return cls.of(checkpoint.load(SHIPPED_MODEL.with_suffix(".pt")), SHIPPED_MODEL)
 

@@ -4,8 +4,6 @@ Adapting changes only the head, the dense layers behind the summary of a touch. 
 backbone once, however many heads are trained on it.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -38,7 +36,7 @@ class CropFeatures:
     within: Tensor
     gestures: tuple[str, ...]
 
-    def of(self, recordings: Sequence[int]) -> CropFeatures:
+    def of(self, recordings: Sequence[int]) -> "CropFeatures":
         """Return those of some recordings."""
         chosen = torch.tensor(recordings, dtype=torch.long)
         return CropFeatures(

@@ -1,7 +1,5 @@
 """A lab's own recordings, as `touchd record` leaves them in a folder: read, checked, ready to learn from."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Sequence

@@ -6,8 +6,6 @@ ones (Wortsman et al. 2022), which keeps most of what the person gains and spare
 were chosen on three people of the second study; see docs/adapt.md.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from typing import cast

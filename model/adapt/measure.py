@@ -1,7 +1,5 @@
 """Before and after, measured on what was left out, with how far to trust the difference."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

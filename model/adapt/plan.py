@@ -4,8 +4,6 @@ With two participants or more, whole participants; with one, recordings. Never a
 both sides. A recording counts only where the gesture was learnt from another one on the other side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

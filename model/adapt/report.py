@@ -1,7 +1,5 @@
 """Reports what adapting did, in words and a table 80 characters wide, and how certain that is."""
 
-from __future__ import annotations
-
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """An adapted network as a file that the daemon loads; what is there already is never written over."""
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """What may differ between two touches of the same name: pace, hand, place, pressure, pad, noise, framing."""
 
-from __future__ import annotations
-
 import math
 
 import torch

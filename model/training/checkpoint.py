@@ -1,7 +1,5 @@
 """Checkpoints: a network with everything that says where it came from, and what resuming needs."""
 
-from __future__ import annotations
-
 import hashlib
 import zipfile
 from collections.abc import Iterable

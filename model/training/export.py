@@ -1,7 +1,5 @@
 """Export: a trained network and its temperatures into one ONNX file that takes raw counts."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

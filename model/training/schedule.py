@@ -1,7 +1,5 @@
 """How fast a network learns, step by step."""
 
-from __future__ import annotations
-
 import math
 
 GRADIENT_LIMIT = 1.0
