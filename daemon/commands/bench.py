@@ -39,9 +39,10 @@ START_S = 30.0
 STAMP_S = 0.002
 SEED = 1
 TARGETS = {
-    "latency_p99_ms": ("at most", 5.0),
-    "cpu_idle_percent": ("at most", 3.0),
-    "cpu_touching_percent": ("at most", 3.0),
+    "latency_p50_ms": ("at most", 1.5),
+    "latency_p99_ms": ("at most", 3.0),
+    "cpu_idle_percent": ("at most", 1.2),
+    "cpu_touching_percent": ("at most", 2.0),
     "memory_mb": ("at most", 120.0),
     "start_to_ready_s": ("at most", 1.5),
     "classify_times_real_time": ("at least", 100.0),

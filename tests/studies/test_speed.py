@@ -27,7 +27,10 @@ def test_our_share_is_of_processor_time_in_each_runtime() -> None:
 def test_ours_and_a_small_network_of_the_papers_are_timed() -> None:
     small = PaperSettings("public", frames=144, blocks=1, width=8, heads=2)
     speeds = speed.run(SHIPPED_MODEL, answers=2, paper=[small])
-    assert [each.frames for each in speeds] == [*sorted(LENGTHS, reverse=True), 144, 144]
+    longest, *shorter = sorted(LENGTHS, reverse=True)
+    assert [each.frames for each in speeds] == [longest, longest, *shorter, 144, 144]
+    assert speeds[1].runtime == speed.BY_STATE
+    assert speeds[1].share == speeds[1].timing.processor_ms / speeds[0].timing.processor_ms
     assert [each.runtime for each in speeds[-2:]] == [ONNX_RUNTIME, PYTORCH]
     assert speeds[0].file_bytes == SHIPPED_MODEL.stat().st_size
     console = Console(width=200)
