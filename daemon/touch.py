@@ -51,6 +51,8 @@ NO_TOUCH_STILL = 0.3
 # Contact must exceed the untouched pad's recent peak by half; the peak is forgotten in 20 seconds.
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
+# What was measured while a hand left is forgotten after two quiet seconds, in which a body breathes once.
+LEAVING_FRAMES = 108
 
 # Pressure never swings below rest. Where a pad just did, by half a count a taxel, light contact is a
 # vibration that begins; two seconds later its noise is known. Mains hum appears as 4 Hz.
@@ -174,7 +176,7 @@ class TouchTracker:
         self._swing_frames = 0
         self._vibrates_since = self._last_swing = -CALM_AGAIN_FRAMES
         self._unsteady_index = 0
-        self._restless = 0.0
+        self._restless = self._restless_since = 0.0
         self._watched_frames = 0
         self._rest_activity = 0.0
         self._light: _Light | None = None
@@ -253,6 +255,10 @@ class TouchTracker:
         if contact >= self._onset_counts or self._light is not None:
             return self._weigh_light(smooth, above, contact)
         self._restless = max(self._restless * RESTLESS_KEPT, contact)
+        self._restless_since = max(self._restless_since, contact)
+        vibrates = self._index - self._last_swing <= CALM_AGAIN_FRAMES
+        if self._watched_frames == LEAVING_FRAMES and not vibrates:
+            self._restless = self._restless_since
         self._baseline.track(self._recent.last(1)[0])
         is_sunken = sunken >= self._settings.onset_threshold
         self._sunken_frames = self._sunken_frames + 1 if is_sunken else 0
@@ -443,6 +449,7 @@ class TouchTracker:
         release = Release(self._held.first, self.last_contact_index, reason)
         self._held = None
         self._watched_frames = 0
+        self._restless_since = 0.0
         self._sight.forget_looks()
         return release
 

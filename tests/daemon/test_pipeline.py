@@ -7,9 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.expectations import LENGTHS
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
+from daemon.commands.classify import play
 from daemon.decide import SURE, DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pad.steps import work_off
@@ -18,7 +20,7 @@ from daemon.touch import TouchSettings
 from drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings
 from drivers.pad.sensor_state import SensorState
-from drivers.recording import ideal_clock_ms
+from drivers.recording import NO_TOUCH, ideal_clock_ms, read_recordings, splice
 from model.classifier import Classifier, State
 
 STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
@@ -468,3 +470,13 @@ def test_every_touch_is_answered_ended_and_told_once(
         assert len(once) == len(set(once)) > 0
         assert ended.gesture == (heard[-1] if heard else "uncertain")
         assert (ended.gesture == "uncertain") == (answers[-1].stage == "uncertain")
+
+
+def test_what_a_hand_did_as_it_left_is_no_restlessness_of_the_pad() -> None:
+    # The recording ends with pats of a hand that rested, far lighter than the rest before.
+    twice = splice(read_recordings(LENGTHS) * 2)
+    events: list[Event] = []
+    play(twice, Pipeline(PipelineSettings(), Classifier.load(), events.append))
+    spans = [span for span in twice.spans if span.gesture != NO_TOUCH]
+    made = len(spans) - sum(one.stop == other.start for one, other in pairwise(spans))
+    assert sum(isinstance(event, TouchBegan) for event in events) == made
