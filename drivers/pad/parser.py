@@ -39,11 +39,6 @@ class FrameParser(ABC):
         return len(self._buffer)
 
     @property
-    def has_clock(self) -> bool:
-        """Whether the pad sends its own time with each frame, as far as is known."""
-        return self.format.clock
-
-    @property
     def poll(self) -> bytes:
         """What to ask the pad for a frame with; empty for a pad that sends by itself."""
         return bytes.fromhex(self.format.poll)

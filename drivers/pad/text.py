@@ -36,11 +36,6 @@ class TextFrames(FrameParser):
         self._has_clock: bool | None = None
         self._lines_of_other_layout = 0
 
-    @property
-    def has_clock(self) -> bool:
-        """Whether the lines begin with the pad's time; not known before the first."""
-        return bool(self._has_clock)
-
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
         *blocks, self._buffer = self._end.split(self._buffer + data)

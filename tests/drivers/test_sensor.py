@@ -12,7 +12,7 @@ from rigs.wait import WITHIN_S
 
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.line_faults import Faults
-from drivers.frame import Counts
+from drivers.frame import Counts, Frame
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 
 
@@ -65,24 +65,15 @@ def test_frames_that_may_wait_come_together_and_all_the_same() -> None:
         sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
         sensor.may_wait = True
         sensor.start()
-        frames = next_frames(queue, 40)
+        came = []
+        while not port.wait(0.001):
+            came.append(len(queue))
         sensor.stop()
+    frames = [item for item in queue.take_all() if isinstance(item, Frame)]
     assert_played(frames, stream, range(40))
     delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s
-    assert 0.01 < np.median(delay_s) < 0.1
-    assert len({frame.host_s for frame in frames}) <= 40 / 2
-
-
-def test_frames_without_a_clock_of_their_own_never_wait() -> None:
-    stream, queue = stream_of(40), FrameQueue()
-    with FakePort(stream, lambda counts, _: encode_csv_line(counts, None)) as port:
-        sensor = Sensor(port.path, BAUD, CsvLines(), queue)
-        sensor.may_wait = True
-        sensor.start()
-        frames = next_frames(queue, 39)
-        sensor.stop()
-    delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s[1:]
     assert np.median(delay_s) < 0.01
+    assert len(set(came)) <= 40 / 2
 
 
 def test_frames_after_a_stall_keep_their_true_arrival() -> None:
