@@ -255,7 +255,7 @@ class TouchTracker:
         if contact >= self._onset_counts or self._light is not None:
             return self._weigh_light(smooth, above, contact)
         self._restless = max(self._restless * RESTLESS_KEPT, contact)
-        self._restless_since = max(self._restless_since, contact)
+        self._restless_since = max(self._restless_since, contact) if self._watched_frames else contact
         vibrates = self._index - self._last_swing <= CALM_AGAIN_FRAMES
         if self._watched_frames == LEAVING_FRAMES and not vibrates:
             self._restless = self._restless_since
@@ -449,7 +449,6 @@ class TouchTracker:
         release = Release(self._held.first, self.last_contact_index, reason)
         self._held = None
         self._watched_frames = 0
-        self._restless_since = 0.0
         self._sight.forget_looks()
         return release
 
