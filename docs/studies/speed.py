@@ -27,8 +27,8 @@ from model.training.threads import one_torch_thread
 
 PAPER = (PaperSettings("printed"), PaperSettings("public"))
 ANSWERS = 200
-# Of the paper's time for an answer, in each runtime; of our own whole window's, by the state.
 BY_STATE = "ONNX Runtime, next frame"
+# Of the paper's time for an answer, in each runtime; of our own whole window's, by the state.
 ALLOWED_SHARE = {ONNX_RUNTIME: 1 / 10, PYTORCH: 1 / 25, BY_STATE: 1 / 6}
 
 

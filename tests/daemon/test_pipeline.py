@@ -7,11 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rigs.expectations import LENGTHS
+from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from daemon.commands.classify import play
 from daemon.decide import SURE, DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pad.steps import work_off
@@ -475,8 +474,7 @@ def test_every_touch_is_answered_ended_and_told_once(
 def test_what_a_hand_did_as_it_left_is_no_restlessness_of_the_pad() -> None:
     # The recording ends with pats of a hand that rested, far lighter than the rest before.
     twice = splice(read_recordings(LENGTHS) * 2)
-    events: list[Event] = []
-    play(twice, Pipeline(PipelineSettings(), Classifier.load(), events.append))
+    events = answers(twice, Classifier.load())
     spans = [span for span in twice.spans if span.gesture != NO_TOUCH]
     made = len(spans) - sum(one.stop == other.start for one, other in pairwise(spans))
     assert sum(isinstance(event, TouchBegan) for event in events) == made

@@ -13,19 +13,17 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.expectations import LENGTHS, answers, expected, stream_of
 from rigs.running_daemon import run_daemon
 from rigs.service_manager import Manager
 
-from daemon.commands.classify import play as play_flat_out
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan
-from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import Stream, read_recordings, splice
+from drivers.recording import read_recordings, splice
 from model.classifier import Classifier
 
 IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
@@ -117,15 +115,8 @@ def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
     assert processed + dropped == len(stream.counts)
     assert "frames dropped: the machine is too busy for the pad" in said
     assert any(re.search(r"frames/s, \d+ touches, [1-9]\d* frames dropped", status) for status in statuses)
-    assert _last_turn(events) == _last_turn(_at_leisure(stream))
+    assert _last_turn(events) == _last_turn(answers(stream, Classifier.load()))
     sys.stdout.write(f"held up for {held_up_s:.0f} s: {processed} frames, {dropped} dropped\n")
-
-
-def _at_leisure(stream: Stream) -> list[Event]:
-    """Return what the pipeline says of a stream of which it is given every frame."""
-    events: list[Event] = []
-    play_flat_out(stream, Pipeline(PipelineSettings(), Classifier.load(), events.append))
-    return events
 
 
 def _last_turn(events: list[Event]) -> list[dict[str, object]]:

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import argparse
 import random
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -20,10 +18,10 @@ from daemon.decide import ProbabilityModel
 from daemon.events import UNCERTAIN
 from daemon.pipeline import PipelineSettings
 from docs.studies.sessions.plan import SKIPPED_FRAMES, PlannedSession, Scans
+from docs.studies.sessions.report import add_choice, print_scores
 from docs.studies.sessions.score import felt_in, play
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import NO_TOUCH, Recording, Selection, read_recordings, realign, set_up
-from model.classifier import SHIPPED_MODEL, Classifier
+from drivers.recording import NO_TOUCH, Recording, set_up
 
 QUIET_BEFORE_FRAMES, QUIET_AFTER_FRAMES = 162, 108
 FIRST_FRAMES, SECOND_FRAMES, SINGLE_FRAMES = 189, 162, 378
@@ -138,21 +136,6 @@ def _told(
 def main(arguments: Sequence[str]) -> int:
     """Print the scores; returns 0."""
     parser = argparse.ArgumentParser(prog="python -m docs.studies joined")
-    parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--people", default="", help="only these, with commas between")
-    parser.add_argument("--substrate", default="", help="only this one")
-    parser.add_argument("--cover", default="", help="only this one")
-    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL)
-    chosen = parser.parse_args(arguments)
-
-    def those(text: str) -> tuple[str, ...]:
-        return tuple(text.split(",")) if text else ()
-
-    select = Selection(
-        participants=those(chosen.people), substrates=those(chosen.substrate), covers=those(chosen.cover)
-    )
-    for path in chosen.files:
-        recordings = [realign(recording) for recording in read_recordings(path, select)]
-        result = measure(recordings, Classifier.load(chosen.model))
-        sys.stdout.write(f"{path.name} {msgspec.json.encode(result).decode()}\n")
+    add_choice(parser)
+    print_scores(parser.parse_args(arguments), measure)
     return 0

@@ -1,12 +1,13 @@
 """Sessions of all people, played flat out through the daemon's own pipeline.
 
-`python -m docs.studies sessions FILE... [--people P3,P4] [--substrate static] [--model FOLD.onnx]
-[--seconds 3] [--as-recorded] [--noise 1.5] [--hum 2] [--motor 2] [--breathing 2]` prints a line a file.
+`python -m docs.studies sessions FILE... [--people P3,P4] [--substrate static] [--cover none]
+[--model FOLD.onnx] [--seconds 3] [--as-recorded] [--noise 1.5] [--hum 2] [--motor 2] [--breathing 2]`
+prints a line a file.
 """
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
@@ -28,13 +29,33 @@ def measure(recordings: Sequence[Recording], settings: SessionSettings, model: C
     )
 
 
+def add_choice(parser: argparse.ArgumentParser) -> None:
+    """Add whose recordings are played, and which model is asked."""
+    parser.add_argument("files", type=Path, nargs="+")
+    for name in ("people", "substrate", "cover"):
+        parser.add_argument(f"--{name}", default="", help="only these, with commas between")
+    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL)
+
+
+def print_scores(
+    chosen: argparse.Namespace, measure: Callable[[Sequence[Recording], Classifier], msgspec.Struct]
+) -> None:
+    """Print a line a file with what is measured on the chosen recordings."""
+
+    def those(text: str) -> tuple[str, ...]:
+        return tuple(text.split(",")) if text else ()
+
+    select = Selection(those(chosen.people), those(chosen.substrate), those(chosen.cover))
+    for path in chosen.files:
+        recordings = [realign(recording) for recording in read_recordings(path, select)]
+        result = measure(recordings, Classifier.load(chosen.model))
+        sys.stdout.write(f"{path.name} {msgspec.json.encode(result).decode()}\n")
+
+
 def main(arguments: Sequence[str]) -> int:
     """Print the scores; returns 0."""
     parser = argparse.ArgumentParser(prog="python -m docs.studies sessions")
-    parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--people", default="", help="only these, with commas between")
-    parser.add_argument("--substrate", default="", help="only this one")
-    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL)
+    add_choice(parser)
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--as-recorded", action="store_true")
     for name in ("noise", "hum", "motor", "breathing"):
@@ -48,12 +69,5 @@ def main(arguments: Sequence[str]) -> int:
         motor=chosen.motor,
         breathing=chosen.breathing,
     )
-    select = Selection(
-        participants=tuple(chosen.people.split(",")) if chosen.people else (),
-        substrates=(chosen.substrate,) if chosen.substrate else (),
-    )
-    for path in chosen.files:
-        recordings = [realign(recording) for recording in read_recordings(path, select)]
-        result = measure(recordings, settings, Classifier.load(chosen.model))
-        sys.stdout.write(f"{path.name} {msgspec.json.encode(result).decode()}\n")
+    print_scores(chosen, lambda recordings, model: measure(recordings, settings, model))
     return 0
