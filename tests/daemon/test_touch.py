@@ -273,6 +273,11 @@ def test_a_touch_ends_at_the_longest_it_may_last() -> None:
     assert (release.last_index - release.first_index) / 54 == pytest.approx(5.0, abs=0.1)
 
 
+def faint(seconds: float) -> Scans:
+    """A hand that in no taxel is above the noise."""
+    return nothing(seconds) + np.float32(0.5)
+
+
 def breath(seconds: float, counts: float = 3.0) -> Scans:
     """The body below breathes at 0.5 Hz."""
     depth = counts / 2 * (1 - np.cos(2 * np.pi * 0.5 * np.arange(round(54 * seconds)) / 54))
@@ -316,7 +321,7 @@ def test_the_network_ends_a_touch_that_is_none(seen: TrackedPad) -> None:
 def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: Network) -> None:
     began = seen.index
     network.no_touch = 0.02
-    (onset,) = seen.feel(nothing(1.5))
+    (onset,) = seen.feel(faint(1.5))
     assert isinstance(onset, Onset)
     assert abs(onset.first_index - began) <= 27
     network.no_touch = 0.9
@@ -324,10 +329,18 @@ def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: N
     assert isinstance(release, Release)
 
 
+def test_a_pad_that_reads_the_same_is_not_looked_at_again(seen: TrackedPad, network: Network) -> None:
+    looked = len(network.windows)
+    assert seen.feel(nothing(10.0)) == []
+    assert len(network.windows) == looked > 0
+    assert seen.feel(faint(1.0)) == []
+    assert len(network.windows) > looked
+
+
 def test_one_look_of_the_network_makes_no_touch(seen: TrackedPad, network: Network) -> None:
     for _ in range(5):
         network.no_touch = 0.02
-        assert seen.feel(nothing(1 / 3)) == []
+        assert seen.feel(faint(1 / 3)) == []
         network.no_touch = 0.9
         assert seen.feel(nothing(1.0)) == []
 
