@@ -10,6 +10,7 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
 from daemon.pipeline import PipelineSettings
+from daemon.touch import TouchSettings
 from docs.studies.sessions import joined
 from docs.studies.sessions.plan import PlannedSession, SessionSettings, sessions
 from docs.studies.sessions.report import measure
@@ -56,7 +57,7 @@ def test_noise_begins_at_its_time_and_not_before() -> None:
 def test_the_touches_of_a_session_stay_apart(disturbance: dict[str, float]) -> None:
     session = made(SessionSettings(**disturbance))
     result = score([judge(session, play(session, Scripted(), PipelineSettings()))])
-    assert (result.n, result.missed, result.merged, result.split) == (2, 0.0, 0.0, 0.0)
+    assert (result.n, result.missed, result.merged, result.split, result.open) == (2, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_touch_that_never_closes_is_scored_as_merged() -> None:
@@ -64,7 +65,13 @@ def test_a_touch_that_never_closes_is_scored_as_merged() -> None:
     events = play(session, Scripted(), PipelineSettings())
     first_end = next(i for i, event in enumerate(events) if type(event).__name__ == "TouchEnded")
     result = score([judge(session, events[:first_end])])
-    assert result.merged == 100.0
+    assert result.merged == result.open == 100.0
+
+
+def test_a_touch_that_ends_late_is_scored_as_open() -> None:
+    session = made(SessionSettings())
+    events = play(session, Scripted(), PipelineSettings(touch=TouchSettings(quiet_s=2.5)))
+    assert score([judge(session, events)]).open > 0.0
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from daemon.decide import ProbabilityModel
-from daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from docs.studies.sessions.plan import PlannedSession, Stretch
 from drivers.frame import FRAME_RATE_HZ, Frame
@@ -16,6 +16,7 @@ from drivers.recording import ideal_clock_ms
 
 # A touch counts for a stretch that it overlaps by more than this.
 OVERLAP_MS = 100.0
+OPEN_MS = 2000.0
 FRAME_MS = 1000.0 / FRAME_RATE_HZ
 
 
@@ -24,7 +25,8 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
 
     missed: in no touch. merged: in a touch joined with another. split: felt as several.
     early, revised, final: right at that stage. last, first: right in what the robot was told last, first.
-    harmful: told right, then wrong. late: told again after final. false: touches in ten minutes of quiet.
+    harmful: told right, then wrong. late: told again after final. open: two seconds after the hand has left.
+    false: touches in ten minutes of quiet.
     t_first: mean seconds until the robot was first told. n: touches made.
     """
 
@@ -38,6 +40,7 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
     first: float
     harmful: float
     late: float
+    open: float
     false: float
     t_first: float
     n: int
@@ -45,21 +48,26 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Felt:
-    """A touch as the daemon had it; stop_ms is infinite when it never ended."""
+    """A touch as the daemon had it, and when it said that it was over; infinite when it never ended."""
 
     start_ms: float
     stop_ms: float
+    over_ms: float
     answers: tuple[Prediction, ...]
 
 
 @dataclass(frozen=True)
 class Fate:
-    """The outcome of one touch made; answers are those of the touch that it began."""
+    """The outcome of one touch made; answers are those of the touch that it began.
+
+    open: whether the daemon still had it when the hand had been away for OPEN_MS.
+    """
 
     gesture: str
     missed: bool
     merged: bool
     split: bool
+    open: bool
     answers: tuple[Prediction, ...]
 
     @property
@@ -92,7 +100,7 @@ def play(session: PlannedSession, model: ProbabilityModel, settings: PipelineSet
     """Return what the daemon's own pipeline says to a session."""
     events: list[Event] = []
     now_s = [0.0]
-    pipeline = Pipeline(settings, model, events.append, Clock(monotonic_s=lambda: now_s[0]))
+    pipeline = Pipeline(settings, model, events.append, Clock(lambda: now_s[0], lambda: now_s[0]))
     for number, ms in enumerate(ideal_clock_ms(len(session.counts)).tolist()):
         now_s[0] = ms / 1000.0
         pipeline.on_frame(Frame(number, ms, now_s[0], session.counts[number]))
@@ -106,7 +114,7 @@ def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
     inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in felt]
     quiet = sum(stretch.stop - stretch.start for stretch in session.stretches if stretch.gesture is None)
     return Played(
-        tuple(_fate(i, stretch.gesture or "", felt, inside) for i, stretch in enumerate(made)),
+        tuple(_fate(i, stretch, felt, inside) for i, stretch in enumerate(made)),
         quiet / FRAME_RATE_HZ / 60.0,
         sum(not among for among in inside),
     )
@@ -137,6 +145,7 @@ def score(played: Sequence[Played]) -> SessionScore:
         first=percent(fate.told[:1] == [fate.gesture] for fate in fates),
         harmful=percent(fate.harmed for fate in fates),
         late=percent(fate.told_late for fate in fates),
+        open=percent(fate.open for fate in fates),
         false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
         t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
         n=len(fates),
@@ -146,18 +155,19 @@ def score(played: Sequence[Played]) -> SessionScore:
 def felt_in(events: Iterable[Event]) -> list[Felt]:
     """Return the touches as the daemon had them."""
     began: dict[int, float] = {}
-    ended: dict[int, float] = {}
+    ended: dict[int, tuple[float, float]] = {}
     answers: dict[int, list[Prediction]] = {}
     for event in events:
         match event:
             case TouchBegan():
                 began[event.touch] = event.sensor_ms
             case TouchEnded():
-                ended[event.touch] = float("inf") if event.sensor_ms is None else event.sensor_ms
+                stop_ms = float("inf") if event.sensor_ms is None else event.sensor_ms
+                ended[event.touch] = (stop_ms, epoch_s(event.time) * 1000.0)
             case Prediction():
                 answers.setdefault(event.touch, []).append(event)
     return [
-        Felt(start_ms, ended.get(touch, float("inf")), tuple(answers.get(touch, ())))
+        Felt(start_ms, *ended.get(touch, (float("inf"), float("inf"))), tuple(answers.get(touch, ())))
         for touch, start_ms in began.items()
     ]
 
@@ -167,15 +177,17 @@ def _overlaps(touch: Felt, stretch: Stretch) -> bool:
     return touch.start_ms < stop_ms - OVERLAP_MS and touch.stop_ms > start_ms + OVERLAP_MS
 
 
-def _fate(i: int, gesture: str, felt: Sequence[Felt], inside: Sequence[Sequence[int]]) -> Fate:
+def _fate(i: int, made: Stretch, felt: Sequence[Felt], inside: Sequence[Sequence[int]]) -> Fate:
+    gesture = made.gesture or ""
     owners = [k for k, among in enumerate(inside) if i in among]
     if not owners:
-        return Fate(gesture, True, False, False, ())
+        return Fate(gesture, True, False, False, False, ())
     owner = owners[-1] if len(inside[owners[0]]) > 1 and len(owners) > 1 else owners[0]
     return Fate(
         gesture=gesture,
         missed=False,
         merged=len(inside[owner]) > 1,
         split=sum(len(inside[k]) == 1 for k in owners) > 1,
+        open=any(felt[k].over_ms > made.stop * FRAME_MS + OPEN_MS for k in owners),
         answers=felt[owner].answers if inside[owner][0] == i else (),
     )
