@@ -3,14 +3,15 @@
 import os
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
+from daemon.events import TouchEnded, epoch_s, timestamp
 from daemon.pipeline import PipelineSettings
-from daemon.touch import TouchSettings
 from docs.studies.sessions import joined
 from docs.studies.sessions.plan import PlannedSession, SessionSettings, sessions
 from docs.studies.sessions.report import measure
@@ -70,8 +71,14 @@ def test_a_touch_that_never_closes_is_scored_as_merged() -> None:
 
 def test_a_touch_that_ends_late_is_scored_as_open() -> None:
     session = made(SessionSettings())
-    events = play(session, Scripted(), PipelineSettings(touch=TouchSettings(quiet_s=2.5)))
-    assert score([judge(session, events)]).open > 0.0
+    events = play(session, Scripted(), PipelineSettings())
+    late = [
+        msgspec.structs.replace(event, time=timestamp(epoch_s(event.time) + 2.0))
+        if isinstance(event, TouchEnded)
+        else event
+        for event in events
+    ]
+    assert score([judge(session, late)]).open == 100.0
 
 
 @pytest.mark.slow
