@@ -16,7 +16,6 @@ STUDIES = {
     "report": ("docs.studies.report.page", "the paper's tables and figures beside ours"),
     "stages": ("docs.studies.stages", "where the time goes from a frame's last byte to the robot"),
     "speed": ("docs.studies.speed", "times an answer against the paper's network"),
-    "quantize": ("docs.studies.quantize", "compares int8 copies of the model with float32"),
     "adapting": ("docs.studies.adapting", "what adapting to a person gains and costs"),
     "sessions": ("docs.studies.sessions.report", "what the robot hears of a pad in use, touch after touch"),
     "joined": ("docs.studies.sessions.joined", "what the robot hears of two gestures without a pause"),

@@ -28,11 +28,19 @@ from docs.studies.checks import evaluate
 from docs.studies.checks.hard_cases import hand
 from docs.studies.checks.timing import time_in_turn
 from docs.studies.marked import table
-from docs.studies.quantize import FLOAT32
 from docs.studies.report import networks as every
 from docs.studies.report import sizes, table1
 from docs.studies.report.macs import multiply_adds
-from docs.studies.report.networks import CHALLENGE, HUGHES, INT8, OURS, PAPER_BLOCKS, SHIPPED, TimedNetwork
+from docs.studies.report.networks import (
+    CHALLENGE,
+    FLOAT32,
+    HUGHES,
+    INT8,
+    OURS,
+    PAPER_BLOCKS,
+    SHIPPED,
+    TimedNetwork,
+)
 from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, trained_cells
 from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values

@@ -12,8 +12,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from docs.studies import quantize
-from docs.studies.quantize import FLOAT32
+from docs.studies.report import int8
 from docs.studies.report.challenge_hughes import AUTOENCODER_RNN, CNN, CRNN, RECURRENT, HughesNetwork
 from docs.studies.report.paper_cells import Variant
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
@@ -26,7 +25,7 @@ from model.classifier import Classifier
 from model.settings import LENGTHS
 from model.training.export import OPSET
 
-INT8 = "int8"
+FLOAT32, INT8 = "float32", "int8"
 SHIPPED = "touchd"
 OURS, HUGHES = "touchd", "hughes"
 """Families of networks, beside the paper's two variants: ours, and the challenge's."""
@@ -94,7 +93,7 @@ def ours(sizes: Mapping[str, Path], calibration: Sequence[Recording], folder: Pa
     networks = []
     for name, path in {SHIPPED: HAART_MODEL, **sizes}.items():
         shape = Classifier.load(path).metadata.training["network"]
-        small = quantize.convert(path, "int8 static", calibration, folder)
+        small = int8.static(path, calibration, folder)
         for arithmetic, file in ((FLOAT32, path), (INT8, small)):
             networks.append(
                 TimedNetwork(name, OURS, arithmetic, LENGTHS, file, shape["width"], shape["blocks"])
@@ -138,7 +137,7 @@ def _others(
     path = folder / f"{name}.onnx"
     export(network, frames, path)
     # Dynamic scales: with random weights, static ones would mean nothing.
-    small = quantize.convert(path, "int8 dynamic", (), folder)
+    small = int8.dynamic(path, folder)
     return [
         TimedNetwork(name, family, FLOAT32, (frames,), path, width, blocks, network),
         TimedNetwork(name, family, INT8, (frames,), small, width, blocks),

@@ -19,13 +19,12 @@ def data(arguments: Sequence[str]) -> int:
     """Download what HAART's folder lacks, check everything, print its contents; returns 0."""
     parser = argparse.ArgumentParser(
         prog="python -m docs.studies data",
-        description="Downloads the HAART recordings from their official place, resumably, and checks them.",
+        description="Downloads the HAART recordings from their official place, and checks them.",
     )
     add_haart_argument(parser)
     parser.add_argument("--url", default=ARCHIVE_URL, help="where the archive lies (%(default)s)")
     options = parser.parse_args(arguments)
     console = Console()
-    options.haart.mkdir(parents=True, exist_ok=True)
     for name, contents in obtain(options.haart, console, options.url).items():
         people = ", ".join(contents.participants)
         console.print(f"{name}: {contents.recordings} recordings of participants {people}")

@@ -1,7 +1,8 @@
 """The HAART folder: checked where it is there, else downloaded from the UBC SPIN lab, unpacked and checked.
 
 The archive is the one that https://www.cs.ubc.ca/labs/spin/data/ links. Only the two files of the 2015
-challenge are unpacked, and only put in the folder when their contents are right.
+challenge are unpacked, and only put in the folder when their contents are right. An archive that is there
+already is used, so whoever has a bad line fetches it with a program that resumes.
 """
 
 import lzma
@@ -10,21 +11,27 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from http.client import HTTPException
 from pathlib import Path, PurePosixPath
+from urllib.request import urlopen
 
 from rich.console import Console
-from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import wrap_file
 
 from docs.studies.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE
-from docs.studies.training.http_file import DownloadError, fetch
+from drivers.errors import TouchdError
 from drivers.recording import Recording, RecordingError, read_recordings
 from model.adapt.folder import HAART_TRAINING_FILE, find
 
 ARCHIVE_URL = "https://www.cs.ubc.ca/labs/spin/data/HAART%20DataSet.zip"
 ARCHIVE_NAME = "HAART DataSet.zip"
+TIMEOUT_S = 30.0
 # The two files are 40 and 18 MB; ten times that is another archive.
-MAX_ARCHIVE_BYTES = 400_000_000
 MAX_FILE_BYTES = 400_000_000
+
+
+class DownloadError(TouchdError):
+    """The set could not be had; the message says which file, why and what to do, in one line."""
 
 
 @dataclass(frozen=True)
@@ -117,15 +124,20 @@ def _is_there(folder: Path, name: str) -> bool:
 
 
 def _download(url: str, archive: Path, console: Console) -> None:
-    columns = (TextColumn(archive.name), BarColumn(), DownloadColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("", total=None)
-        fetch(
-            url,
-            archive,
-            MAX_ARCHIVE_BYTES,
-            lambda arrived, total: progress.update(task, completed=arrived, total=total),
-        )
+    part = archive.with_name(f"{archive.name}.part")
+    try:
+        archive.parent.mkdir(parents=True, exist_ok=True)
+        with urlopen(url, timeout=TIMEOUT_S) as response, part.open("wb") as target:
+            shown = {"total": response.length or 0, "description": archive.name, "console": console}
+            with wrap_file(response, **shown) as source:
+                shutil.copyfileobj(source, target)
+            if response.length:
+                raise HTTPException(f"the connection ended {response.length:,} bytes too early")
+        part.replace(archive)
+    except (OSError, HTTPException, ValueError) as error:
+        raise DownloadError(
+            f"{url}: cannot be fetched ({error}); run this again, or put the archive there: {archive}"
+        ) from error
 
 
 def _member(archive: Path, opened: zipfile.ZipFile, name: str, max_bytes: int) -> zipfile.ZipInfo:
