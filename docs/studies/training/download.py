@@ -128,8 +128,8 @@ def _download(url: str, archive: Path, console: Console) -> None:
     try:
         archive.parent.mkdir(parents=True, exist_ok=True)
         with urlopen(url, timeout=TIMEOUT_S) as response, part.open("wb") as target:
-            shown = {"total": response.length or 0, "description": archive.name, "console": console}
-            with wrap_file(response, **shown) as source:
+            size = response.length or 0
+            with wrap_file(response, size, description=archive.name, console=console) as source:
                 shutil.copyfileobj(source, target)
             if response.length:
                 raise HTTPException(f"the connection ended {response.length:,} bytes too early")
