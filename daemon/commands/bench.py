@@ -10,6 +10,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import cycle, islice
 from pathlib import Path
 
 import msgspec
@@ -23,21 +24,17 @@ from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, S
 from daemon.events import Event, Prediction, decode, epoch_s
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.stream import DEMO_RECORDING
 from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.hand import simulate
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ
-from drivers.recording import Stream, splice
+from drivers.recording import Stream, read_recordings, splice
 
 QUIET_S = 20.0
-TOUCHES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
-TOUCH_S = 3.0
-BETWEEN_S = 1.5
 START_S = 30.0
 # Events carry whole milliseconds, enough to find their frame: frames are 18 ms apart.
 STAMP_S = 0.002
-SEED = 1
 TARGETS = {
     "latency_p50_ms": ("at most", 1.5),
     "latency_p99_ms": ("at most", 3.0),
@@ -173,13 +170,14 @@ def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> 
     )
 
 
-def touched(touch_s: float) -> Stream:
-    """Return a simulated stream that rests for 20 s and is then touched repeatedly for `touch_s`."""
-    turns = max(1, round(touch_s / (TOUCH_S + BETWEEN_S)))
-    script = [("notouch", QUIET_S)]
-    for turn in range(turns):
-        script += [(TOUCHES[turn % len(TOUCHES)], TOUCH_S), ("notouch", BETWEEN_S)]
-    return splice(simulate(script, SEED))
+def touched(touch_s: float, quiet_s: float = QUIET_S) -> Stream:
+    """Return a stream that rests for `quiet_s` and then repeats the demo's touches for about `touch_s`."""
+    rest, *others = read_recordings(DEMO_RECORDING)
+    # A touch, and the rest after it.
+    turn_frames = len(others[0].counts) + len(others[1].counts)
+    turns = max(1, round(touch_s * FRAME_RATE_HZ / turn_frames))
+    rests = round(quiet_s * FRAME_RATE_HZ / len(rest.counts))
+    return splice([rest] * rests + list(islice(cycle(others), 2 * turns)))
 
 
 def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:

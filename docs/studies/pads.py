@@ -17,8 +17,8 @@ from daemon.config import Settings
 from daemon.events import Event, TouchBegan, TouchEnded
 from daemon.pipeline import Clock, Pipeline
 from daemon.setup.parts import load_model
+from docs.studies.hand import GESTURES, pressure, read_pad
 from docs.studies.marked import fill, table
-from drivers.fakes.hand import GESTURES, pressure, read_pad
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.pad.format import PRESETS, PadFormat, encode_values
 from drivers.pad.protocol import parser_of

@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.commands.bench import BETWEEN_S, SEED, TOUCH_S, TOUCHES
+from daemon.commands.bench import touched
 from daemon.commands.run import favour_latency
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction
@@ -35,10 +35,8 @@ from daemon.sinks import EventFanout
 from docs.studies.marked import fill, table
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.fake_robot import LoopbackRobot
-from drivers.fakes.hand import simulate
 from drivers.frame import Frame
 from drivers.pad.sensor import FrameQueue
-from drivers.recording import splice
 from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
 
@@ -142,10 +140,7 @@ def measure(seconds: float) -> Times:
 
 def _pad(to: Connection, seconds: float) -> None:
     """Play a pad that rests and is then touched; send its port and, at the end, when each frame was sent."""
-    script = [("notouch", REST_S)]
-    for turn in range(max(1, round(seconds / (TOUCH_S + BETWEEN_S)))):
-        script += [(TOUCHES[turn % len(TOUCHES)], TOUCH_S), ("notouch", BETWEEN_S)]
-    with FakePort(splice(simulate(script, SEED)), encoder_for(SensorSettings())) as port:
+    with FakePort(touched(seconds, REST_S), encoder_for(SensorSettings())) as port:
         to.send(port.path)
         port.wait(REST_S + seconds + 60)
         to.send(port.sent_s)

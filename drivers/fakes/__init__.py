@@ -1,1 +1,1 @@
-"""Stand-ins for hardware: a fake serial port, a simulated hand, robots on loopback."""
+"""Stand-ins for hardware: a fake serial port, robots on loopback."""

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.fakes.line_faults import NO_FAULTS, Faults
 from drivers.frame import FRAME_RATE_HZ, Counts
 from drivers.recording import Stream
 
@@ -41,13 +40,11 @@ class FakePort:
         *,
         speed: float | None = 1.0,
         loop: bool = False,
-        faults: Faults = NO_FAULTS,
     ) -> None:
         self._stream = stream
         self._encode = encode
         self._speed = speed
         self._loop = loop
-        self._faults = faults
         self.sent_s: NDArray[np.float64] = np.full(len(stream.counts), np.nan)
         self._stop = threading.Event()
         self._finished = threading.Event()
@@ -98,9 +95,8 @@ class FakePort:
 
     def _play(self) -> None:
         begin_s = time.monotonic()
-        for number, index, sensor_ms, elapsed_ms in self._schedule():
+        for index, sensor_ms, elapsed_ms in self._schedule():
             packet = self._encode(self._stream.counts[index], sensor_ms)
-            packet = self._faults.on_line(number, packet)
             if self._speed is not None:
                 due_s = begin_s + elapsed_ms / 1000 / self._speed
                 self._stop.wait(max(0.0, due_s - time.monotonic()))
@@ -108,8 +104,8 @@ class FakePort:
                 return
             self._send(index, packet)
 
-    def _schedule(self) -> Iterator[tuple[int, int, int, int]]:
-        """Yield each frame's number from 0, its index in the stream, its clock, and when it is due, in ms."""
+    def _schedule(self) -> Iterator[tuple[int, int, int]]:
+        """Yield each frame's index in the stream, its clock, and when it is due, in ms."""
         period_ms = round(1000 / FRAME_RATE_HZ)
         steps_ms = np.diff(self._stream.sensor_ms)
         # A clock that starts anew goes back, time does not.
@@ -120,7 +116,7 @@ class FakePort:
         while number < frames or self._loop:
             turn, index = divmod(number, frames)
             later_ms = turn * length_ms
-            yield number, index, int(self._stream.sensor_ms[index]) + later_ms, int(due_ms[index]) + later_ms
+            yield index, int(self._stream.sensor_ms[index]) + later_ms, int(due_ms[index]) + later_ms
             number += 1
 
     def _send(self, index: int, packet: bytes) -> None:
@@ -132,10 +128,9 @@ class FakePort:
                 self._await_reader()
                 sent = 0
                 continue
-            piece = packet[sent : sent + (self._faults.chunk_bytes or len(packet))]
             now_s = time.monotonic()
             try:
-                sent += os.write(self._master, piece)
+                sent += os.write(self._master, packet[sent:])
             except BlockingIOError:
                 self._stop.wait(POLL_S)
             else:

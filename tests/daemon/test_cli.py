@@ -25,7 +25,7 @@ from daemon.setup.parts import check_fit
 from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
 from docs.studies.__main__ import STUDIES
-from drivers.fakes.hand import write_simulated
+from docs.studies.hand import write_simulated
 from drivers.recording import Recording, Selection, read_recordings, write_recordings
 from drivers.robot.session import qi_installed
 from model.classifier import Classifier

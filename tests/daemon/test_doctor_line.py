@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 from rigs.doctor_rig import SETTINGS, heard, resting
 from rigs.formats import encode_csv_line, encode_fabric_grid
+from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, noise, silence
 
 from daemon.doctor.check import Check
@@ -15,7 +16,6 @@ from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
 from daemon.setup.destinations import parser_for
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.line_faults import Faults
 from drivers.frame import Counts, Frame
 from drivers.pad.port import open_port
 from drivers.recording import Stream, ideal_clock_ms

@@ -18,8 +18,8 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
+from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.hand import simulate
 from drivers.frame import Counts
 from drivers.recording import Stream, ideal_clock_ms
 

@@ -10,7 +10,7 @@ from rigs.scripted_model import Scripted
 from daemon.events import Event, Prediction, TouchEnded
 from daemon.pad.feel import Feel
 from daemon.pipeline import Pipeline, PipelineSettings
-from drivers.fakes.hand import simulate
+from docs.studies.hand import simulate
 from drivers.frame import Frame
 from drivers.recording import splice
 from drivers.robot.actions import Action, ActionRule

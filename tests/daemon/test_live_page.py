@@ -26,7 +26,7 @@ from selenium.webdriver.common.by import By
 from daemon.config import PadSettings
 from daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from daemon.setup.words import name_of, vocabulary
-from drivers.fakes.hand import simulate
+from docs.studies.hand import simulate
 from drivers.recording import Stream, ideal_clock_ms
 
 pytestmark = [

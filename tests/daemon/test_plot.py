@@ -20,7 +20,7 @@ from daemon.plot import recording as plot_recording
 from daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
 from daemon.plot.recording import Trace, feel
 from daemon.setup.parts import load_model
-from drivers.fakes.hand import simulate, write_simulated
+from docs.studies.hand import simulate, write_simulated
 from drivers.recording import UNLABELLED, Recording, splice
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))

@@ -11,7 +11,7 @@ from daemon import cli
 from daemon.kept.recording_file import keep, prepare
 from daemon.recorder.capture import Capture, complaints
 from daemon.recorder.session import Session
-from drivers.fakes.hand import simulate
+from docs.studies.hand import simulate
 from drivers.frame import Frame
 from drivers.recording import Recording, RecordingError, read_recordings
 

@@ -16,8 +16,8 @@ from daemon.config import SensorSettings, Settings
 from daemon.kept.recording_file import keep
 from daemon.recorder.capture import PadLost, PadReader
 from daemon.recorder.session import Session
+from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.hand import simulate
 from drivers.frame import Counts
 from drivers.recording import Stream, ideal_clock_ms, read_recordings
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import serial
 from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.peers import wait_for
 from rigs.sensor_rig import stream_of
 from rigs.wait import AT_ONCE_S
 
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.line_faults import NO_FAULTS, Faults
 from drivers.recording import Stream
 
 SIZE = 209
@@ -43,7 +43,7 @@ def read_to_end(port: FakePort, reader: serial.Serial) -> bytes:
 
 def played(stream: Stream, faults: Faults) -> bytes:
     """What a reader gets of a stream played flat out."""
-    with FakePort(stream, encode_fabric_grid, speed=None, faults=faults) as port, opened(port) as reader:
+    with FaultyPort(stream, encode_fabric_grid, speed=None, faults=faults) as port, opened(port) as reader:
         return read_to_end(port, reader)
 
 

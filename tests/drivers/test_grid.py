@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import next_frames, sensing
 
+from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.hand import simulate
 from drivers.frame import Counts, Frame
 from drivers.pad.grid import CLOCK_WRAP_MS, PERIOD_MS, GridFrame, Ring, RingSettings, on_grid
 from drivers.recording import Recording, Stream, ideal_clock_ms, read_recordings, write_recordings

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
+from rigs.line_faults import Faults, FaultyPort
 from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.wait import WITHIN_S
 
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.line_faults import Faults
 from drivers.frame import Counts, Frame
 from drivers.pad.format import PRESETS, encode_frame
 from drivers.pad.protocol import parser_of
@@ -42,7 +42,10 @@ def test_it_says_up_and_then_delivers_every_frame_in_order(speed: float | None) 
 def test_every_intact_frame_of_a_lossy_line_arrives_once(faults: Faults, lost: list[int]) -> None:
     stream = stream_of(32)
     intact = [index for index in range(32) if index not in lost]
-    with FakePort(stream, encode_fabric_grid, speed=20.0, faults=faults) as port, sensing(port.path) as queue:
+    with (
+        FaultyPort(stream, encode_fabric_grid, speed=20.0, faults=faults) as port,
+        sensing(port.path) as queue,
+    ):
         assert_played(next_frames(queue, len(intact)), stream, intact)
 
 

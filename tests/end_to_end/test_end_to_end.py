@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
+from rigs.line_faults import Faults
 from rigs.patient_port import PATIENT, PatientPort
 from rigs.running_daemon import run_daemon
 
@@ -19,11 +20,10 @@ from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for, parser_for
+from docs.studies.hand import simulate
 from docs.studies.sessions.plan import SessionSettings, sessions
 from docs.studies.sessions.score import SessionScore, judge, score
 from drivers.fakes.fake_robot import LoopbackRobot
-from drivers.fakes.hand import simulate
-from drivers.fakes.line_faults import Faults
 from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings

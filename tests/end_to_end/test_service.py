@@ -21,8 +21,8 @@ from daemon.events import SensorEvent, decode
 from daemon.health import Health, Notifier
 from daemon.playback.rig import SpawnedDaemon, outline
 from daemon.setup.destinations import encoder_for
+from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.hand import simulate
 from drivers.recording import splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings

@@ -25,7 +25,7 @@ from daemon.doctor.machine import check_model  # noqa: E402
 from daemon.events import TouchBegan, decode  # noqa: E402
 from daemon.setup.words import vocabulary  # noqa: E402
 from daemon.terminal.view import View  # noqa: E402
-from drivers.fakes.hand import simulate  # noqa: E402
+from docs.studies.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
 from model.adapt.backbone import crops, windows  # noqa: E402

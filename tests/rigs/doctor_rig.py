@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs.formats import encode_fabric_grid
+from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.sensor_rig import Encode
 
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard, listen
 from daemon.setup.destinations import parser_for
-from drivers.fakes.fake_port import FakePort
-from drivers.fakes.hand import simulate
-from drivers.fakes.line_faults import NO_FAULTS, Faults
+from docs.studies.hand import simulate
 from drivers.frame import Counts
 from drivers.pad.port import open_port
 from drivers.recording import Stream
@@ -36,7 +35,7 @@ def heard(
     clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
     almost_all_s = (len(counts) - 3) / rate_hz
     with (
-        FakePort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
+        FaultyPort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
         open_port(port.path, 512_000) as opened,
     ):
         return listen(opened, parser_for(SETTINGS.sensor), almost_all_s)

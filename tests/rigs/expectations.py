@@ -18,7 +18,7 @@ from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
 from daemon.playback.stream import DEMO_RECORDING as DEMO
 from daemon.setup.parts import load_model
-from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
+from docs.studies.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 from drivers.recording import Stream, read_recordings, splice
 from model.classifier import Classifier
 

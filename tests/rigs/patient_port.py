@@ -6,10 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from rigs.expectations import stream_of
+from rigs.line_faults import FaultyPort
 
 from daemon.config import SceneSettings, SensorSettings
 from daemon.setup.destinations import encoder_for
-from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream
 
 # A tenth of the daemon's queue.
@@ -23,7 +23,7 @@ LONGEST_S = 0.5
 PATIENT = SceneSettings(stale_s=60.0)
 
 
-class PatientPort(FakePort):
+class PatientPort(FaultyPort):
     """A fake port that lets the daemon process a second's frames before it sends more.
 
     reader: the daemon's process; until it is set, the port only keeps its pace.

@@ -14,7 +14,7 @@ from pathlib import Path
 from daemon.config import SensorSettings
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for
-from drivers.fakes.hand import simulate
+from docs.studies.hand import simulate
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Selection, Stream, read_recordings, realign, splice
 

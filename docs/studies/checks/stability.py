@@ -21,7 +21,7 @@ from rich.table import Table
 
 from docs.studies.checks.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
 from docs.studies.checks.timing import time_in_turn
-from drivers.fakes.hand import simulate
+from docs.studies.hand import simulate
 from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ import pytest
 from rigs.haart_folder import needs_haart
 
 from daemon.playback.stream import DEMO_RECORDING as DEMO
-from drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
+from docs.studies.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from drivers.recording import Recording, Selection, read_recordings, splice
 from model.classifier import Classifier

@@ -1,7 +1,14 @@
 """What can go wrong on a serial line, done on purpose."""
 
+import itertools
 import random
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+
+from drivers.fakes.fake_port import FakePort
+from drivers.frame import Counts
+from drivers.recording import Stream
 
 # Of a fabric-grid frame, the low bytes of the values and the checksum: a bit flipped there is always noticed.
 FIRST_LOW_BYTE = 8
@@ -42,6 +49,28 @@ class Faults:
 
 
 NO_FAULTS = Faults()
+
+
+class FaultyPort(FakePort):
+    """A fake port on such a line."""
+
+    def __init__(
+        self,
+        stream: Stream,
+        encode: Callable[[Counts, int], bytes],
+        *,
+        faults: Faults = NO_FAULTS,
+        **options: Any,
+    ) -> None:
+        super().__init__(stream, encode, **options)
+        self._faults = faults
+        self._numbers = itertools.count()
+
+    def _send(self, index: int, packet: bytes) -> None:
+        packet = self._faults.on_line(next(self._numbers), packet)
+        size = self._faults.chunk_bytes or len(packet) or 1
+        for start in range(0, len(packet), size):
+            super()._send(index, packet[start : start + size])
 
 
 def _falls_on(number: int, every: int) -> bool:

@@ -1,4 +1,4 @@
-"""A hand on the pad, simulated: the seven gestures for a demo and for tests that ship no one's data.
+"""A hand on the pad, simulated: the seven gestures of the demo's recording, and for tests and studies.
 
 A hand is a few round patches of pressure, each with a path and a force over time; the pad adds what HAART's
 recordings show of theirs: a rest level for each row and taxel, noise, taxels that feel unequally, and a leak
@@ -216,7 +216,7 @@ def write_simulated(path: Path, script: Sequence[tuple[str, float]], seed: int) 
     Raises RecordingError when the file is there already or cannot be written.
     """
     provenance = {
-        "source": "SIMULATED by drivers/fakes/hand.py; no person's data",
+        "source": "SIMULATED by docs/studies/hand.py; no person's data",
         "sensor": f"none; a simulated pad of {ROWS}x{COLUMNS} taxels at {FRAME_RATE_HZ:g} Hz",
         "seed": str(seed),
         "licence": "Apache-2.0",
