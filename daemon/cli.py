@@ -32,7 +32,7 @@ COMMANDS = (
     Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
     Command("demo", "daemon.commands.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
-    Command("fake-robot", "daemon.commands.fake_robot", "stands in for a robot, prints what it is asked"),
+    Command("fake-robot", "drivers.fakes.fake_robot", "stands in for a robot, prints what it is asked"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
     Command("record", "daemon.commands.record", "guides through making recordings of your own"),
     Command("teach", "daemon.commands.teach", "records your gestures and adapts the model, in three minutes"),

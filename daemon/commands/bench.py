@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.commands.classify import play
-from daemon.commands.numbers import within
 from daemon.commands.run import favour_latency
 from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
 from daemon.events import Event, Prediction, decode, epoch_s
@@ -29,6 +28,7 @@ from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ
+from drivers.numbers import within
 from drivers.recording import Stream, read_recordings, splice
 
 QUIET_S = 20.0

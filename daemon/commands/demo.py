@@ -29,8 +29,9 @@ from daemon.terminal.describe import describe
 from daemon.terminal.own_name import own_name
 from daemon.terminal.terms import term
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
+from drivers.fakes.loopback_robot import LoopbackRobot
 from drivers.fakes.services import Call
+from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
 from drivers.recording import Stream, read_recordings, splice
 from drivers.robot.actions import Action, ActionRule, Leds

@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from daemon.commands.numbers import within
 from daemon.commands.settings import add_settings, settings_of
 from daemon.doctor.check import Check, Verdict
 from daemon.doctor.examine import examine
+from drivers.numbers import within
 
 WIDTH = 80
 VERDICT_WIDTH, NAME_WIDTH = 11, 11

@@ -5,7 +5,6 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.commands.numbers import within
 from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.touches import read_journal
 from daemon.playback.stream import add_arguments, chosen_stream
@@ -13,6 +12,7 @@ from daemon.plot import journal as plot_journal
 from daemon.plot import recording as plot_recording
 from daemon.plot.plot import PlotError, new_figure, save
 from daemon.setup.parts import load_model
+from drivers.numbers import within
 
 RECORDING_SUFFIXES = (".csv", ".csv.gz")
 MOST_TOUCHES = 100

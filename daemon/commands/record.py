@@ -8,13 +8,13 @@ from pathlib import Path
 from rich.console import Console
 
 from daemon.commands.label import label, label_of
-from daemon.commands.numbers import within
 from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import Dialogue, Terms
 from daemon.recorder.session import NAME_RULE, Session, is_name
 from daemon.terminal.ask import Stopped, ask_name
+from drivers.numbers import within
 from drivers.pad.sensor import check_port
 
 GESTURES = "constant,notouch,pat,rub,scratch,stroke,tickle"

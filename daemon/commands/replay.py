@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import msgspec
 
-from daemon.commands.numbers import within
 from daemon.commands.settings import add_settings, settings_of
 from daemon.playback.stream import add_arguments, chosen_stream
 from daemon.setup.destinations import encoder_for
 from daemon.terminal.own_name import own_name
 from drivers.fakes.fake_port import FakePort
+from drivers.numbers import within
 from drivers.pad.format import PRESETS
 
 

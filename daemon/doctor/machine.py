@@ -11,7 +11,7 @@ from daemon.doctor.check import Check
 from daemon.setup.parts import load_model
 from drivers.frame import COLUMNS, ROWS
 from drivers.robot.limits import RobotLimits
-from drivers.robot.session import OpenSession, QiSession, RobotError, RobotLost, RobotRefused
+from drivers.robot.session import QiSession, RobotError, RobotLost, RobotRefused
 from drivers.robot.settings import RobotSettings, read_login
 from model.classifier import ModelError
 
@@ -47,13 +47,13 @@ def check_model(settings: Settings) -> Check:
     return Check("model", "ok", found, "", figures)
 
 
-def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Check:
+def check_robot(settings: Settings) -> Check:
     """Connect to the configured robot and ask for its version, within a few seconds."""
     if settings.robot is None:
         return Check("robot", "ok", "none is configured")
     wanted = settings.robot
     try:
-        version, took_s = _ask_version(wanted, open_session)
+        version, took_s = _ask_version(wanted)
     except RobotError as error:
         return Check("robot", "to do", str(error), "see docs/install.md, Wire a robot")
     except RobotLost as error:
@@ -67,10 +67,10 @@ def check_robot(settings: Settings, open_session: OpenSession = QiSession) -> Ch
     return Check("robot", "ok", found, "", {"reached_ms": round(1000 * took_s, 1)})
 
 
-def _ask_version(wanted: RobotSettings, open_session: OpenSession) -> tuple[str, float]:
+def _ask_version(wanted: RobotSettings) -> tuple[str, float]:
     """Return the robot's version, and the time this took in seconds."""
     login, limits = read_login(wanted), RobotLimits(call_s=wanted.call_s)
-    session = open_session(wanted.url, login, limits, threading.Event())
+    session = QiSession(wanted.url, login, limits, threading.Event())
     begun_s = time.monotonic()
     try:
         session.connect()

@@ -34,7 +34,8 @@ from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout
 from docs.studies.marked import fill, table
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.fake_robot import LoopbackRobot
+from drivers.fakes.loopback_robot import LoopbackRobot
+from drivers.fakes.services import Call
 from drivers.frame import Frame
 from drivers.pad.sensor import FrameQueue
 from drivers.robot.settings import RobotSettings
@@ -110,16 +111,15 @@ def measure(seconds: float) -> Times:
         sent_s.append(ours.recv())
         stop.set()
 
-    with LoopbackRobot() as robot, _noted(rows):
+    calls: list[Call] = []
+    with LoopbackRobot(on_call=calls.append) as robot, _noted(rows):
         settings = Settings(sensor=SensorSettings(port=ours.recv()), robot=RobotSettings(url=robot.url))
         service = Service(settings, Health(Notifier({})))
         favour_latency()
         threading.Thread(target=end, daemon=True).start()
         service.run(stop)
         raised_s = [
-            call.time_s
-            for call in robot.calls.all()
-            if call.method == "raiseEvent" and call.arguments[0] == GESTURE
+            call.time_s for call in calls if call.method == "raiseEvent" and call.arguments[0] == GESTURE
         ]
     pad.join()
     rows = rows[: len(raised_s)]

@@ -1,12 +1,10 @@
-"""Stand-ins for a Nao, and the command that shows what one would do.
+"""`touchd fake-robot`: a stand-in robot on this computer, to see what a Nao would do.
 
-`StubRobot` lives in this process and needs nothing. `LoopbackRobot` is real qi services in a process of its
-own, `python -m drivers.fakes.fake_robot`, which prints a JSON object a line: its address, then every call.
+It is real qi services in a process, which prints a JSON object a line: its address, then every call.
 """
 
 import argparse
 import os
-import re
 import signal
 import sys
 import tempfile
@@ -14,39 +12,45 @@ import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import BinaryIO, NoReturn
+from typing import NoReturn
 
 import msgspec
 
 from drivers.fakes.loopback_gate import Gate
-from drivers.fakes.loopback_robot import LoopbackRobot
 from drivers.fakes.services import SERVICE_NAMES, Call, fake_services
-from drivers.fakes.stub_robot import StubRobot
+from drivers.numbers import within
 from drivers.robot.session import Login, RobotError, load_qi
 from drivers.robot.settings import RobotSettings, read_login
 
-__all__ = ["LoopbackRobot", "StubRobot", "add_arguments", "main", "run", "serve"]
+LONGEST_S = 9999.0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of the stand-in robot to a command."""
-    parser.add_argument("--port", type=_port, default=9559, help="on 127.0.0.1; 0 for any that is free")
+def parser() -> argparse.ArgumentParser:
+    """Return what the command line takes."""
+    parser = argparse.ArgumentParser(
+        prog="touchd fake-robot",
+        description="Real qi services on 127.0.0.1; prints where it listens, then every call, as JSON lines.",
+    )
+    port, seconds = within(int, 0, 2**16 - 1), within(float, 0.0, LONGEST_S)
+    parser.add_argument("--port", type=port, default=9559, help="on 127.0.0.1; 0 for any that is free")
     parser.add_argument("--user", help="ask for a login and speak TLS, like NAOqi 2.9")
     parser.add_argument("--token-file", help="a file that holds the token of --user")
     parser.add_argument("--token-env", help="an environment variable that holds the token of --user")
-    parser.add_argument("--call-s", type=_seconds, default=0.0, help="how long every call takes")
-    parser.add_argument("--say-s", type=_seconds, default=0.0, help="how long speech takes")
+    parser.add_argument("--call-s", type=seconds, default=0.0, help="how long every call takes")
+    parser.add_argument("--say-s", type=seconds, default=0.0, help="how long speech takes")
     parser.add_argument(
         "--without", action="append", default=[], choices=SERVICE_NAMES, help="a service to leave out"
     )
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input does")
+    return parser
 
 
-def run(options: argparse.Namespace) -> NoReturn:
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Be a robot until SIGINT or SIGTERM, then end the process with exit code 0.
 
     Raises RobotError with one line for what the user must change.
     """
+    options = parser().parse_args(arguments)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -60,18 +64,16 @@ def run(options: argparse.Namespace) -> NoReturn:
             token_env=options.token_env,
         )
     )
-    serve(options, login, sys.stdout.buffer, stop)
+    _serve(options, login, stop)
     # Everything is closed and flushed, but libqi's threads may still be letting go of our services, and a
     # Python that ends meanwhile aborts (3 times in 80 when a client had just left).
     os._exit(0)
 
 
-def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop: threading.Event) -> None:
-    """Be a robot on 127.0.0.1 until told to stop; raises RobotError when it cannot listen.
-
-    out: gets {"listening": url} once all services are there, and every Call, as one JSON object a line.
-    """
+def _serve(options: argparse.Namespace, login: Login | None, stop: threading.Event) -> None:
+    """Be a robot until told to stop; print {"listening": url} once all services are there, and every Call."""
     qi = load_qi()
+    out = sys.stdout.buffer
     writing = threading.Lock()
 
     def report(thing: Call | dict[str, str]) -> None:
@@ -103,25 +105,6 @@ def serve(options: argparse.Namespace, login: Login | None, out: BinaryIO, stop:
             session.registerService(name, service)
         report({"listening": url})
         stop.wait()
-
-
-def main(arguments: Sequence[str] | None = None) -> NoReturn:
-    """Run the stand-in robot as a program; raises RobotError."""
-    parser = argparse.ArgumentParser(description="A robot that reports what it is asked, on 127.0.0.1.")
-    add_arguments(parser)
-    run(parser.parse_args(arguments))
-
-
-def _port(text: str) -> int:
-    if not (text.isdecimal() and int(text) < 2**16):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
-    return int(text)
-
-
-def _seconds(text: str) -> float:
-    if not re.fullmatch(r"\d{1,4}(\.\d+)?", text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds from 0 to 9999")
-    return float(text)
 
 
 def _stop_at_end_of_stdin(stop: threading.Event) -> None:

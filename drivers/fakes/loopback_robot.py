@@ -10,9 +10,8 @@ from typing import IO
 
 import msgspec
 
-from drivers.fakes.services import Call, CallLog
-from drivers.robot.limits import RobotLimits
-from drivers.robot.session import Login, QiSession, RobotError, RobotSession, load_qi
+from drivers.fakes.services import Call
+from drivers.robot.session import Login, RobotError, load_qi
 
 START_S = 20.0
 TOKEN_ENV = "TOUCHD_FAKE_ROBOT_TOKEN"
@@ -35,10 +34,10 @@ class LoopbackRobot:
         say_s: float = 0.0,
         without: Collection[str] = (),
         login: Login | None = None,
-        on_call: Callable[[Call], None] | None = None,
+        on_call: Callable[[Call], None] = lambda call: None,
     ) -> None:
         load_qi()
-        self.calls = CallLog(on_call)
+        self._on_call = on_call
         self.url = ""
         self._port = port
         self._login = login
@@ -90,12 +89,6 @@ class LoopbackRobot:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def open_session(
-        self, url: str, login: Login | None, limits: RobotLimits, hurry: threading.Event
-    ) -> RobotSession:
-        """Return a new session over qi, as RobotLink asks for it."""
-        return QiSession(url, login, limits, hurry)
-
     def _wait_for_url(self, reports: IO[bytes]) -> str:
         # Do not wait for ever when the other process fails.
         timer = threading.Timer(START_S, self._signal, args=(signal.SIGKILL,))
@@ -108,12 +101,12 @@ class LoopbackRobot:
         return url
 
     def _follow(self, reports: IO[bytes]) -> str:
-        """Note the calls until the robot says where it listens, which is returned, or until its end."""
+        """Report the calls until the robot says where it listens, which is returned, or until its end."""
         for line in reports:
             report = msgspec.json.decode(line)
             if "listening" in report:
                 return str(report["listening"])
-            self.calls.add(msgspec.convert(report, Call))
+            self._on_call(msgspec.convert(report, Call))
         return ""
 
     def _signal(self, number: signal.Signals) -> None:

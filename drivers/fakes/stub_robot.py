@@ -1,149 +1,71 @@
-"""A robot in this process, without qi: for tests and demonstrations where qi cannot be installed."""
+"""A robot in this process, for a demonstration where qi cannot be installed."""
 
-import threading
-import time
-from collections.abc import Callable, Collection
+import itertools
+from collections.abc import Callable
 
-from drivers.fakes.services import SPEECH_NAMES, Call, CallLog, fake_services
-from drivers.robot.limits import RobotLimits
-from drivers.robot.session import HURRY_S, Login, RobotLost, RobotRefused, RobotSession
-
-LOOK_S = 0.02
+from drivers.fakes.services import Call, fake_services
+from drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
 
 class StubRobot:
-    """Answers, dies, hangs and comes back as asked, like `LoopbackRobot` but without a network.
-
-    call_s, say_s: what a call, and what speech takes, in seconds. without: services it lacks.
-    login: whom it lets in, everybody when left out. on_call: told of each call, from the caller's thread.
-    """
+    """Answers while it is switched on. say_s: seconds that speech takes. on_call: told of each call."""
 
     url = "tcp://stub-robot:9559"
 
-    def __init__(
-        self,
-        *,
-        call_s: float = 0.0,
-        say_s: float = 0.0,
-        without: Collection[str] = (),
-        login: Login | None = None,
-        on_call: Callable[[Call], None] | None = None,
-    ) -> None:
-        self.calls = CallLog(on_call)
-        self._call_s = call_s
+    def __init__(self, on_call: Callable[[Call], None] = lambda call: None, say_s: float = 0.0) -> None:
+        self._on_call = on_call
         self._say_s = say_s
-        self._without = frozenset(without)
-        self._login = login
+        self._lives = itertools.count(1)
         self._services: dict[str, object] = {}
-        self._changed = threading.Condition()
-        self._life = 0
-        self._alive = False
-        self._hung = False
-        if login is not None:
-            self.url = "tcps://stub-robot:9503"
+        self.life = 0
 
     def start(self) -> None:
-        """Switch the robot on; also after kill(), and then it has forgotten everything."""
-        with self._changed:
-            self._life += 1
-            self._services = fake_services(self.calls.add, without=self._without)
-        self._change(alive=True, hung=False)
+        """Switch the robot on; it has forgotten everything."""
+        self._services = fake_services(self._on_call, say_s=self._say_s)
+        self.life = next(self._lives)
 
     def kill(self) -> None:
-        """Switch it off at once, in the middle of whatever it does."""
-        self._change(alive=False, hung=self._hung)
-
-    def hang(self) -> None:
-        """Stop answering while the connections stay."""
-        self._change(alive=self._alive, hung=True)
-
-    def resume(self) -> None:
-        """Answer again, first what was asked meanwhile."""
-        self._change(alive=self._alive, hung=False)
-
-    def stop(self) -> None:
-        """End; may be called again."""
-        self.kill()
+        """Switch it off; may be called again."""
+        self.life = 0
 
     def __enter__(self) -> "StubRobot":
         self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        self.kill()
 
-    def open_session(
-        self, url: str, login: Login | None, limits: RobotLimits, hurry: threading.Event
-    ) -> RobotSession:
-        """Return a new session, as RobotLink asks for it; the URL does not matter here."""
-        return _StubSession(self, login, limits, hurry)
+    def open_session(self, *_: object) -> RobotSession:
+        """Return a new session, as RobotLink asks for it."""
+        return _StubSession(self)
 
-    def _change(self, alive: bool, hung: bool) -> None:
-        with self._changed:
-            self._alive, self._hung = alive, hung
-            self._changed.notify_all()
-
-    def _lives(self, life: int) -> bool:
-        return self._alive and self._life == life
-
-    def _takes_s(self, service: str) -> float:
-        return self._say_s if service in SPEECH_NAMES else self._call_s
+    def asked(self, service: str, method: str, arguments: tuple[object, ...]) -> object:
+        """Return what a service answers; raises RobotRefused."""
+        try:
+            return getattr(self._services[service], method)(*arguments)
+        except RuntimeError as error:
+            raise RobotRefused(str(error)) from error
 
 
 class _StubSession:
-    """One connection to a StubRobot, which fails as a QiSession does."""
+    """One connection to a StubRobot, lost with its life."""
 
-    def __init__(
-        self, robot: StubRobot, login: Login | None, limits: RobotLimits, hurry: threading.Event
-    ) -> None:
+    def __init__(self, robot: StubRobot) -> None:
         self._robot = robot
-        self._login = login
-        self._limits = limits
-        self._hurry = hurry
         self._life = 0
-        self._what = ""
-        self._limit_s = 0.0
-        self._asked_s = 0.0
 
     def connect(self) -> None:
-        self._life = self._robot._life
-        self._ask("connecting", self._limits.connect_s)
-        if self._robot._login is not None and self._login != self._robot._login:
-            raise RobotLost("connecting: disconnected; check user and token")
+        self._life = self._robot.life
+        if not self.connected():
+            raise RobotLost("connecting: connection refused")
 
     def connected(self) -> bool:
-        return self._robot._lives(self._life)
+        return self._life == self._robot.life != 0
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        self._ask(f"{service}.{method}", limit_s)
-        if service not in self._robot._services:
-            raise RobotRefused(f"looking for {service}: no such service")
-        try:
-            answer: object = getattr(self._robot._services[service], method)(*arguments)
-        except AttributeError as error:
-            raise RobotRefused(f"{service} has no {method}") from error
-        except RuntimeError as error:
-            raise RobotRefused(str(error)) from error
-        done_s = time.monotonic() + self._robot._takes_s(service)
-        self._wait(lambda: time.monotonic() >= done_s and not self._robot._hung)
-        return answer
+        if not self.connected():
+            raise RobotLost(f"{service}.{method}: connection lost")
+        return self._robot.asked(service, method, arguments)
 
     def close(self) -> None:
         self._life = 0
-
-    def _ask(self, what: str, limit_s: float) -> None:
-        """Begin a call: wait while the robot hangs."""
-        self._what, self._limit_s, self._asked_s = what, limit_s, time.monotonic()
-        self._wait(lambda: not self._robot._hung)
-
-    def _wait(self, answered: Callable[[], bool]) -> None:
-        with self._robot._changed:
-            while True:
-                waited_s = time.monotonic() - self._asked_s
-                if not self.connected():
-                    raise RobotLost(f"{self._what}: connection lost or refused")
-                if answered():
-                    return
-                if waited_s >= self._limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
-                    raise RobotLost(f"{self._what}: no answer within {waited_s:.1f} s")
-                self._robot._changed.wait(LOOK_S)

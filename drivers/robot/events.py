@@ -8,9 +8,10 @@ from drivers.frame import DEFAULT_PAD
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage, detail
 from drivers.robot.session import RobotRefused, RobotSession
+from drivers.robot.worker import Duty
 
 
-class EventDuty:
+class EventDuty(Duty[RobotMessage]):
     """Raises PREFIX/Detail and PREFIX/Gesture per answer, and PREFIX/Status when it changes.
 
     A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that goes from

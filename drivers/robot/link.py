@@ -8,7 +8,6 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from threading import Event
 
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import ActionRule, Kind, Words
@@ -16,7 +15,7 @@ from drivers.robot.events import EventDuty
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reaction, ReactionDuty, Reactions
-from drivers.robot.session import Login, OpenSession, QiSession, RobotSession, load_qi
+from drivers.robot.session import OpenSession, QiSession, load_qi
 from drivers.robot.settings import RobotSettings, read_login
 from drivers.robot.worker import LinkState, RobotCounts, RobotWorker
 
@@ -55,7 +54,7 @@ class RobotLink:
             load_qi()
             open_session = QiSession
         limits = limits or RobotLimits(call_s=settings.call_s)
-        opener = partial(_open, open_session, settings.url, login, limits)
+        opener = partial(open_session, settings.url, login, limits)
         self._url = settings.url
         self._on_state = on_state
         self._down_since_s: float | None = None
@@ -79,11 +78,6 @@ class RobotLink:
     def counts(self) -> RobotCounts:
         """What became of the messages published."""
         return self._events.counts
-
-    @property
-    def action_counts(self) -> RobotCounts:
-        """What became of the reactions, one for each message that set any rule off."""
-        return self._actions.counts if self._actions else RobotCounts()
 
     def start(self) -> None:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""
@@ -135,9 +129,3 @@ class RobotLink:
             log.info("robot %s is up again after %.1f s", self._url, now_s - self._down_since_s)
         if self._on_state is not None:
             self._on_state(state, reason)
-
-
-def _open(
-    open_session: OpenSession, url: str, login: Login | None, limits: RobotLimits, hurry: Event
-) -> RobotSession:
-    return open_session(url, login, limits, hurry)

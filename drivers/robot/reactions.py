@@ -9,6 +9,7 @@ from drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, sp
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.session import RobotRefused, RobotSession
+from drivers.robot.worker import Duty
 
 # Touches that may go on at once, with room to spare.
 MOST_TOUCHES = 64
@@ -70,7 +71,7 @@ class Reactions:
         return heard
 
 
-class ReactionDuty:
+class ReactionDuty(Duty[Reaction]):
     """Carries reactions out, one action after the other, each to its end.
 
     words: of the gestures, for speech. on_act: told which action begins, and with which words or name.
@@ -86,9 +87,6 @@ class ReactionDuty:
         self._words = words
         self._on_act = on_act
 
-    def begin(self, session: RobotSession) -> None:
-        """Nothing is told when the robot comes."""
-
     def handle(self, session: RobotSession, item: Reaction) -> None:
         """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""
         refused: list[RobotRefused] = []
@@ -99,13 +97,6 @@ class ReactionDuty:
                 refused.append(error)
         if refused:
             raise RobotRefused("; ".join(map(str, refused)))
-
-    def tend(self, session: RobotSession) -> bool:
-        """Nothing is due by itself."""
-        return False
-
-    def end(self, session: RobotSession) -> None:
-        """Nothing is left behind."""
 
     def _perform(self, session: RobotSession, action: Action, message: RobotMessage) -> None:
         """Have the robot do one action and wait for its end; raises RobotLost or RobotRefused."""

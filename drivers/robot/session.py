@@ -100,7 +100,7 @@ class QiSession:
         self._session = self._qi.Session()
         self._proxies: dict[str, Any] = {}
         if login is not None:
-            self._session.setClientAuthenticatorFactory(_AuthenticatorFactory(login))
+            self._session.setClientAuthenticatorFactory(_Authenticator(login))
 
     def connect(self) -> None:
         """Connect and log in; raises RobotLost."""
@@ -148,19 +148,16 @@ class QiSession:
 
 
 class _Authenticator:
+    """What libqi asks for the login, and its own factory; libqi calls both methods by these names."""
+
     def __init__(self, login: Login) -> None:
         self._login = login
 
-    def initialAuthData(self) -> dict[str, str]:  # noqa: N802 - the name that libqi calls
+    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
+        return self
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
         return {"user": self._login.user, "token": self._login.token}
-
-
-class _AuthenticatorFactory:
-    def __init__(self, login: Login) -> None:
-        self._login = login
-
-    def newAuthenticator(self) -> _Authenticator:  # noqa: N802 - the name that libqi calls
-        return _Authenticator(self._login)
 
 
 def _first_line(error: BaseException) -> str:

@@ -3,10 +3,11 @@
 import logging
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Generic, Literal, TypeVar
 
 from drivers.backoff import Backoff
 from drivers.queue import DroppingQueue
@@ -15,7 +16,6 @@ from drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
 log = logging.getLogger(__name__)
 
-Item_contra = TypeVar("Item_contra", contravariant=True)
 Item = TypeVar("Item")
 LinkState = Literal["up", "down"]
 
@@ -25,24 +25,22 @@ LOOK_S = 0.05
 LAST_WORDS_S = 0.5
 
 
-class Duty(Protocol[Item_contra]):
+class Duty(ABC, Generic[Item]):
     """What a worker does with the session it keeps. Every method may raise RobotLost or RobotRefused."""
 
     def begin(self, session: RobotSession) -> None:
         """Make the first calls on a new session, if any."""
-        ...
 
-    def handle(self, session: RobotSession, item: Item_contra) -> None:
+    @abstractmethod
+    def handle(self, session: RobotSession, item: Item) -> None:
         """Do what a queued item asks for."""
-        ...
 
     def tend(self, session: RobotSession) -> bool:
         """Do what is due by itself; returns whether the robot was asked anything."""
-        ...
+        return False
 
     def end(self, session: RobotSession) -> None:
         """Leave the robot tidy before the session is given up."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from rigs.robots import linked, message
+from rigs.robots import Robot, linked, message
 
 from daemon.commands.run import favour_latency
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink
 
@@ -58,7 +57,7 @@ def publishes(link: RobotLink, count: int) -> Iterator[Publish]:
 @contextmanager
 def in_state(state: str) -> Iterator[RobotLink]:
     """A link whose robot is in a state."""
-    with LoopbackRobot(call_s=0.2 if state == "slow" else 0.0) as robot, ExitStack() as closing:
+    with Robot(call_s=0.2 if state == "slow" else 0.0) as robot, ExitStack() as closing:
         if state == "away":
             robot.kill()
         link, states = closing.enter_context(linked(robot, actions=ACTIONS))

@@ -10,16 +10,15 @@ import threading
 import time
 from collections.abc import Callable
 
-from rigs.robots import GESTURE, States, linked, message
+from rigs.robots import GESTURE, Robot, States, linked, message
 
 from daemon.commands.run import favour_latency
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.robot.link import RobotLink
 
-Round = Callable[[LoopbackRobot, RobotLink, States], dict[str, float]]
+Round = Callable[[Robot, RobotLink, States], dict[str, float]]
 
 
-def idle_kill(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str, float]:
+def idle_kill(robot: Robot, link: RobotLink, states: States) -> dict[str, float]:
     """The robot dies while the link is idle, and is back after 3 s."""
     began_s = time.monotonic()
     robot.kill()
@@ -30,12 +29,12 @@ def idle_kill(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str
     return {"kill noticed": noticed_s, "flow again after its return": flow(robot, link)}
 
 
-def idle_hang(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str, float]:
+def idle_hang(robot: Robot, link: RobotLink, states: States) -> dict[str, float]:
     """The robot hangs while the link is idle."""
     return {"idle hang noticed": hang(robot, states), "flow again after it resumes": resume(robot, link)}
 
 
-def busy_hang(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str, float]:
+def busy_hang(robot: Robot, link: RobotLink, states: States) -> dict[str, float]:
     """The robot hangs while a message is published every 20 ms."""
     done = threading.Event()
 
@@ -54,20 +53,20 @@ def busy_hang(robot: LoopbackRobot, link: RobotLink, states: States) -> dict[str
     return {"busy hang noticed": noticed_s, "flow again after it resumes": again_s}
 
 
-def hang(robot: LoopbackRobot, states: States) -> float:
+def hang(robot: Robot, states: States) -> float:
     began_s = time.monotonic()
     robot.hang()
     states.wait_for("up", "down")
     return time.monotonic() - began_s
 
 
-def resume(robot: LoopbackRobot, link: RobotLink) -> float:
+def resume(robot: Robot, link: RobotLink) -> float:
     time.sleep(3.0)
     robot.resume()
     return flow(robot, link)
 
 
-def flow(robot: LoopbackRobot, link: RobotLink) -> float:
+def flow(robot: Robot, link: RobotLink) -> float:
     """Return how long it takes until a message published from now on reaches the robot."""
     began_s = time.monotonic()
     link.publish(message("fresh"))
@@ -82,7 +81,7 @@ def main(rounds: int) -> None:
     longest: dict[str, float] = {}
     for number in range(rounds):
         for kind in (idle_kill, idle_hang, busy_hang):
-            with LoopbackRobot() as robot, linked(robot) as (link, states):
+            with Robot() as robot, linked(robot) as (link, states):
                 states.wait_for("up")
                 # At another moment of the heartbeat each time.
                 time.sleep(0.3 * (number + 1) / rounds)

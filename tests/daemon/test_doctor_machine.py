@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from rigs.doctor_rig import SETTINGS, systemd_says
-from rigs.robots import Robot, every_robot
+from rigs.robots import Robot, needs_qi
 
 from daemon.config import Settings
 from daemon.doctor.machine import check_model, check_robot, check_service
@@ -21,14 +21,14 @@ def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPat
     assert "cannot be read" in missing.found
 
 
-@every_robot
-def test_the_robot_is_asked_for_its_version(make_robot: type[Robot]) -> None:
-    with make_robot() as robot:
-        check = check_robot(Settings(robot=RobotSettings(url=robot.url)), robot.open_session)
+@needs_qi
+def test_the_robot_is_asked_for_its_version() -> None:
+    with Robot() as robot:
+        check = check_robot(Settings(robot=RobotSettings(url=robot.url)))
         assert check.verdict == "ok"
         assert "NAOqi 2.8.7.4" in check.found
         robot.kill()
-        gone = check_robot(Settings(robot=RobotSettings(url=robot.url)), robot.open_session)
+        gone = check_robot(Settings(robot=RobotSettings(url=robot.url)))
     assert gone.verdict == "to do"
     assert "ping it" in gone.advice
 

@@ -4,17 +4,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rigs.robots import linked, message, needs_qi
+from rigs.robots import Robot, linked, message, needs_qi
 from rigs.wait import wait_for
-
-from drivers.fakes.fake_robot import LoopbackRobot
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
 
 @needs_qi
 def test_the_python_example_hears_a_stroke_and_answers() -> None:
-    with LoopbackRobot() as robot, linked(robot) as (link, states):
+    with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         with subprocess.Popen(
             [sys.executable, EXAMPLES / "react_to_touch.py", robot.url], stdout=subprocess.PIPE, text=True

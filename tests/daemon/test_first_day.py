@@ -31,8 +31,8 @@ from daemon.sinks import RobotSink
 from daemon.terminal.own_name import own_name
 from drivers.extras import how_to_install
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.fake_robot import StubRobot
 from drivers.fakes.services import Call
+from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import DEFAULT_PAD, Frame
 from drivers.pad.pace import pace_of
 from drivers.recording import read_recordings, splice

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from rigs.expectations import RECORDINGS, stream_of
-from rigs.robots import needs_qi
+from rigs.robots import Robot, needs_qi
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
@@ -22,7 +22,6 @@ from daemon.config import ConfigError, SensorSettings, load
 from daemon.events import SensorEvent, decode
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import Counts
 from drivers.pad.format import PRESETS
 
@@ -116,7 +115,7 @@ def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
     path = tmp_path / "touchd.yaml"
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    with LoopbackRobot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
+    with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", str(path), "--port", port.path, "--baud", "115200") as terminal:
             terminal.until("The robot's address")
             terminal.answer(robot.url)

@@ -12,6 +12,7 @@ from typing import TypeGuard
 import msgspec
 import numpy as np
 import pytest
+from rigs.call_log import CallLog
 from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
@@ -151,7 +152,8 @@ def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> N
 
 def test_the_robot_hears_of_each_pad_by_its_name() -> None:
     say = ActionRule(do=(Action(say="{gesture}"),))
-    with StubRobot() as robot:
+    calls = CallLog()
+    with StubRobot(calls.add) as robot:
         pads: dict[str, tuple[ActionRule, ...]] = {"head": (say,), "left_arm": ()}
         link = RobotLink(RobotSettings(url=robot.url), open_session=robot.open_session, actions=pads)
         sink = RobotSink(link, itertools.count(1))
@@ -160,12 +162,12 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))
             sink.put(msgspec.structs.replace(PREDICTION, pad=pad))
         for pad, state in (("head", "up"), ("left_arm", "down")):
-            robot.calls.wait_for_raise(f"TouchGesture/{pad}/Status", state)
-            robot.calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "stroke")
-        robot.calls.wait_for(lambda call: call.method == "say")
+            calls.wait_for_raise(f"TouchGesture/{pad}/Status", state)
+            calls.wait_for_raise(f"TouchGesture/{pad}/Gesture", "stroke")
+        calls.wait_for(lambda call: call.method == "say")
         sink.stop(WITHIN_S)
-        robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
-        assert [call.method for call in robot.calls.all()].count("say") == 1
+        calls.wait_for_raise("TouchGesture/head/Status", "down")
+        assert [call.method for call in calls.all()].count("say") == 1
 
 
 @pytest.mark.parametrize(

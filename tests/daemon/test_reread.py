@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.patient_port import playing
+from rigs.robots import Robot
 from rigs.running_daemon import SPEED, Daemon
 from rigs.wait import WITHIN_S, wait_for
 
@@ -20,7 +21,6 @@ from daemon.playback.rig import outline
 from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import Frame
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
@@ -97,7 +97,7 @@ def test_another_port_is_read_from_then_on(daemon: Daemon) -> None:
 
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
-    with LoopbackRobot() as robot:
+    with Robot() as robot:
         daemon.configure(robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "up")
         robot.calls.wait_for(lambda call: "TouchGesture/Gesture" in call.arguments)

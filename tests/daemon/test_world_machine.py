@@ -40,7 +40,7 @@ from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.fake_robot import StubRobot
+from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import Frame
 from drivers.pad.sensor_state import SensorState
 from drivers.robot.link import RobotLink

@@ -13,7 +13,7 @@ from rigs.wait import wait_for
 
 from drivers.backoff import Backoff
 from drivers.fakes.fake_port import FakePort
-from drivers.fakes.fake_robot import StubRobot
+from drivers.fakes.stub_robot import StubRobot
 from drivers.robot.limits import RobotLimits
 
 Paused = Callable[[str], list[float]]

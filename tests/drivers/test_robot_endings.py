@@ -1,4 +1,4 @@
-"""Leaving takes little time and is clean whatever the robot does; on the stub and on real qi."""
+"""Leaving takes little time and is clean whatever the robot does; on real qi."""
 
 import os
 import socket
@@ -13,7 +13,6 @@ from rigs.robots import (
     IMPATIENT,
     LOGIN,
     Robot,
-    every_robot,
     link_threads,
     linked,
     needs_openssl,
@@ -22,17 +21,16 @@ from rigs.robots import (
 )
 from rigs.wait import AT_ONCE_S
 
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
-@every_robot
+@needs_qi
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
-def test_stopping_ends_soon_and_leaves_no_thread(make_robot: type[Robot], state: str) -> None:
-    with make_robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, actions=(SAY,)) as (link, states):
+def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
+    with Robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, actions=(SAY,)) as (link, states):
         reach(state, robot, link, states)
         started_s = time.monotonic()
         link.stop()
@@ -43,7 +41,7 @@ def test_stopping_ends_soon_and_leaves_no_thread(make_robot: type[Robot], state:
 
 @needs_qi
 def test_a_silent_listener_is_down_and_can_be_left() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as mute, LoopbackRobot() as robot:
+    with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with linked(robot, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
             assert "connecting: no answer" in states.wait_for("down")

@@ -1,4 +1,4 @@
-"""Whatever becomes of the robot, the daemon goes on and the link comes back; on the stub and on real qi."""
+"""Whatever becomes of the robot, the daemon goes on and the link comes back; on real qi."""
 
 import logging
 import time
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rigs.call_log import CallLog
 from rigs.robots import (
     GESTURE,
     IMPATIENT,
@@ -14,7 +15,6 @@ from rigs.robots import (
     STATUS,
     Robot,
     States,
-    every_robot,
     linked,
     message,
     needs_openssl,
@@ -22,7 +22,7 @@ from rigs.robots import (
 )
 from rigs.wait import AT_ONCE_S
 
-from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
+from drivers.fakes.stub_robot import StubRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
@@ -31,9 +31,9 @@ from drivers.robot.settings import RobotSettings
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
-@every_robot
-def test_a_robot_that_comes_later_is_found(make_robot: type[Robot]) -> None:
-    with make_robot() as robot:
+@needs_qi
+def test_a_robot_that_comes_later_is_found() -> None:
+    with Robot() as robot:
         robot.kill()
         with linked(robot) as (link, states):
             assert "refused" in states.wait_for("down")
@@ -43,10 +43,10 @@ def test_a_robot_that_comes_later_is_found(make_robot: type[Robot]) -> None:
             robot.calls.wait_for_raise(GESTURE, "pat")
 
 
-@every_robot
-def test_a_kill_during_a_call_is_survived(make_robot: type[Robot]) -> None:
+@needs_qi
+def test_a_kill_during_a_call_is_survived() -> None:
     limits = RobotLimits(call_s=20)
-    with make_robot(call_s=0.2) as robot, linked(robot, limits=limits) as (link, states):
+    with Robot(call_s=0.2) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
         link.publish(message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
@@ -61,17 +61,17 @@ def test_a_kill_during_a_call_is_survived(make_robot: type[Robot]) -> None:
         assert link.counts.failed == 1
 
 
-@every_robot
-def test_a_kill_while_all_is_quiet_is_noticed(make_robot: type[Robot]) -> None:
-    with make_robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (_, states):
+@needs_qi
+def test_a_kill_while_all_is_quiet_is_noticed() -> None:
+    with Robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (_, states):
         states.wait_for("up")
         robot.kill()
         states.wait_for("up", "down", timeout_s=10)
 
 
-@every_robot
-def test_a_hang_is_noticed_and_events_flow_again_after_it(make_robot: type[Robot]) -> None:
-    with make_robot() as robot, linked(robot) as (link, states):
+@needs_qi
+def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
+    with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         robot.hang()
         assert "no answer within" in states.wait_for("up", "down")
@@ -81,9 +81,9 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it(make_robot: type[Robot
         robot.calls.wait_for_raise(GESTURE, "pat")
 
 
-@every_robot
-def test_a_slow_robot_gets_everything_in_order(make_robot: type[Robot]) -> None:
-    with make_robot(call_s=0.03) as robot, linked(robot) as (link, states):
+@needs_qi
+def test_a_slow_robot_gets_everything_in_order() -> None:
+    with Robot(call_s=0.03) as robot, linked(robot) as (link, states):
         gestures = [f"gesture {number}" for number in range(5)]
         for touch, gesture in enumerate(gestures):
             link.publish(message(gesture, touch))
@@ -92,9 +92,9 @@ def test_a_slow_robot_gets_everything_in_order(make_robot: type[Robot]) -> None:
         states.wait_for("up")
 
 
-@every_robot
-def test_a_slow_robot_is_heard_once_call_s_allows(make_robot: type[Robot]) -> None:
-    with make_robot(call_s=0.4) as robot:
+@needs_qi
+def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
+    with Robot(call_s=0.4) as robot:
         with linked(robot, call_s=0.2) as (_, states):
             assert "no answer within 0.2 s" in states.wait_for("down")
         with linked(robot, call_s=5.0) as (link, states):
@@ -103,9 +103,9 @@ def test_a_slow_robot_is_heard_once_call_s_allows(make_robot: type[Robot]) -> No
             states.wait_for("up")
 
 
-@every_robot
-def test_a_returning_robot_gets_the_status_each_time(make_robot: type[Robot]) -> None:
-    with make_robot() as robot, linked(robot) as (link, states):
+@needs_qi
+def test_a_returning_robot_gets_the_status_each_time() -> None:
+    with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         link.set_status("down")
         robot.calls.wait_for_raise(STATUS, "down")
@@ -116,10 +116,10 @@ def test_a_returning_robot_gets_the_status_each_time(make_robot: type[Robot]) ->
         robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
 
 
-@every_robot
-def test_late_news_is_dropped_and_fresh_news_told(make_robot: type[Robot]) -> None:
+@needs_qi
+def test_late_news_is_dropped_and_fresh_news_told() -> None:
     limits = RobotLimits(stale_s=0.5)
-    with make_robot() as robot:
+    with Robot() as robot:
         robot.kill()
         with linked(robot, limits=limits) as (link, states):
             link.publish(message("stale"))
@@ -133,16 +133,16 @@ def test_late_news_is_dropped_and_fresh_news_told(make_robot: type[Robot]) -> No
             assert (link.counts.queued, link.counts.stale) == (2, 1)
 
 
-@every_robot
-def test_a_robot_without_its_memory_is_down_and_says_why(make_robot: type[Robot]) -> None:
-    with make_robot(without=["ALMemory"]) as robot, linked(robot) as (_, states):
+@needs_qi
+def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
+    with Robot(without=["ALMemory"]) as robot, linked(robot) as (_, states):
         assert "looking for ALMemory" in states.wait_for("down")
 
 
-@every_robot
-def test_the_heartbeat_does_without_the_service_it_asks(make_robot: type[Robot]) -> None:
+@needs_qi
+def test_the_heartbeat_does_without_the_service_it_asks() -> None:
     limits = RobotLimits(heartbeat_s=0.02)
-    with make_robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
+    with Robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
         time.sleep(0.1)
         link.publish(message())
@@ -150,15 +150,15 @@ def test_the_heartbeat_does_without_the_service_it_asks(make_robot: type[Robot])
         states.wait_for("up")
 
 
-@every_robot
+@needs_qi
 @needs_openssl
 def test_the_right_login_lets_in_and_never_shows_the_token(
-    make_robot: type[Robot], tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
     token = tmp_path / "token"
     token.write_text(f"{LOGIN.token}\n")
-    with make_robot(login=LOGIN) as robot:
+    with Robot(login=LOGIN) as robot:
         assert robot.url.startswith("tcps://")
         with linked(robot, user="nao", token_file=str(token), trust_network=True, actions=(SAY,)) as told:
             link, states = told
@@ -169,15 +169,15 @@ def test_the_right_login_lets_in_and_never_shows_the_token(
             assert LOGIN.token not in repr([LOGIN, vars(link), states.told, caplog.text])
 
 
-@every_robot
+@needs_qi
 @needs_openssl
 def test_a_wrong_login_gives_advice_without_the_token(
-    make_robot: type[Robot], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
     monkeypatch.setenv("ROBOT_TOKEN", "wr0ng-token")
     login: dict[str, Any] = {"user": "nao", "token_env": "ROBOT_TOKEN", "trust_network": True}
-    with make_robot(login=LOGIN) as robot, linked(robot, **login) as (_, states):
+    with Robot(login=LOGIN) as robot, linked(robot, **login) as (_, states):
         assert "check user and token" in states.wait_for("down")
     assert "wr0ng-token" not in repr(states.told) + caplog.text
 
@@ -186,16 +186,16 @@ def test_a_wrong_login_gives_advice_without_the_token(
 @needs_openssl
 @pytest.mark.parametrize("encrypted", [True, False])
 def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
-    with LoopbackRobot(login=LOGIN if encrypted else None) as robot:
+    with Robot(login=LOGIN if encrypted else None) as robot:
         url = robot.url.replace("tcps://", "tcp://") if encrypted else robot.url.replace("tcp://", "tcps://")
         with linked(robot, url=url) as (_, states):
             assert "tcp:// or tcps://" in states.wait_for("down")
 
 
-@every_robot
-def test_publishing_to_a_hung_robot_returns_at_once(make_robot: type[Robot]) -> None:
+@needs_qi
+def test_publishing_to_a_hung_robot_returns_at_once() -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
-    with make_robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):
+    with Robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):
         states.wait_for("up")
         robot.hang()
         states.wait_for("up", "down")
@@ -228,11 +228,12 @@ def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixtu
     def fail(state: str, reason: str) -> None:
         raise ZeroDivisionError(state + reason)
 
-    with StubRobot() as robot:
+    calls = CallLog()
+    with StubRobot(calls.add) as robot:
         link = RobotLink(RobotSettings(url=robot.url), on_state=fail, open_session=robot.open_session)
         link.start()
         link.publish(message())
-        robot.calls.wait_for_raise(GESTURE, "stroke")
+        calls.wait_for_raise(GESTURE, "stroke")
         link.stop()
     assert "ZeroDivisionError" in caplog.text
 

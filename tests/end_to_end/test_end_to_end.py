@@ -12,6 +12,7 @@ import pytest
 from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
 from rigs.line_faults import Faults
 from rigs.patient_port import PATIENT, PatientPort
+from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
@@ -23,7 +24,6 @@ from daemon.setup.destinations import encoder_for, parser_for
 from docs.studies.hand import simulate
 from docs.studies.sessions.plan import SessionSettings, sessions
 from docs.studies.sessions.score import SessionScore, judge, score
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
@@ -156,7 +156,7 @@ def untimed(event: Event) -> dict[str, object]:
 
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
-    with LoopbackRobot() as robot:
+    with Robot() as robot:
         said = run(beginning(stream_of(LENGTHS)), robot=RobotSettings(url=robot.url))
         told = [event.gesture for event in said if isinstance(event, Prediction) and event.told]
         assert told
@@ -166,7 +166,7 @@ def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[E
 
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
-    with LoopbackRobot() as robot:
+    with Robot() as robot:
         at_rest = splice(simulate([("notouch", 60.0)], seed=5))
         said = run(at_rest, robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "down")

@@ -6,10 +6,9 @@ import sys
 import time
 from typing import Any
 
-from rigs.robots import States, reach
+from rigs.robots import Robot, States, reach
 from rigs.wait import AT_ONCE_S
 
-from drivers.fakes.fake_robot import LoopbackRobot
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink
@@ -25,7 +24,7 @@ def main(state: str) -> int:
     # A clean end logs nothing, so the link must not warn either.
     logging.disable()
     mute = socket.create_server(("127.0.0.1", 0))
-    with LoopbackRobot(login=login, say_s=60) as robot:
+    with Robot(login=login, say_s=60) as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}" if state == "mute" else robot.url
         user: dict[str, Any] = {"user": "nao", "token_env": "ROBOT_TOKEN"} if encrypted else {}
         states = States()

@@ -1,4 +1,4 @@
-"""The stand-ins on which the same tests run, and a link that records its states."""
+"""A stand-in robot that records its calls, and a link that records its states."""
 
 import shutil
 import threading
@@ -8,10 +8,12 @@ from contextlib import contextmanager
 from typing import Any
 
 import pytest
+from rigs.call_log import CallLog
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S
 
-from drivers.fakes.fake_robot import LoopbackRobot, StubRobot
+from drivers.fakes.loopback_robot import LoopbackRobot
+from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
@@ -19,19 +21,17 @@ from drivers.robot.message import RobotMessage
 from drivers.robot.session import Login, qi_installed
 from drivers.robot.settings import RobotSettings
 
-Robot = StubRobot | LoopbackRobot
-
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 
 
-def on_loopback(**options: Any) -> LoopbackRobot:
-    """A robot whose port nobody takes while it is off."""
-    return LoopbackRobot(port=free_port(), **options)
+class Robot(LoopbackRobot):
+    """A robot that records its calls, and whose port nobody takes while it is off."""
 
+    def __init__(self, **options: Any) -> None:
+        self.calls = CallLog()
+        super().__init__(port=free_port(), on_call=self.calls.add, **options)
 
-both_kinds = [pytest.param(StubRobot, id="stub"), pytest.param(on_loopback, id="qi", marks=needs_qi)]
-every_robot = pytest.mark.parametrize("make_robot", both_kinds)
 
 LOGIN = Login("nao", "s3cret-token")
 # For tests of what follows a noticed hang; noticing takes 1.3 s by default.
@@ -67,14 +67,14 @@ class States:
 
 
 @contextmanager
-def linked(robot: Robot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
+def linked(robot: Robot | StubRobot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
     """A started link to a robot, and the states it reports; stopped at the end."""
     states = States()
     limits, actions = settings.pop("limits", None), settings.pop("actions", ())
     link = RobotLink(
         RobotSettings(url=url or robot.url, **settings),
         on_state=states,
-        open_session=robot.open_session,
+        open_session=robot.open_session if isinstance(robot, StubRobot) else None,
         actions={DEFAULT_PAD: actions},
         limits=limits,
     )
