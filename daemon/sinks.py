@@ -22,7 +22,6 @@ log = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 
-CAPACITY = 1000
 WRITABLE_WAIT_S = 0.1
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -74,10 +73,12 @@ class EventFanout:
 class QueuedSink(ABC, Generic[Item]):
     """A thread that passes items, events mostly, on one by one; a full queue drops and counts its oldest."""
 
-    def __init__(self, name: str, capacity: int = CAPACITY) -> None:
+    capacity = 1000
+
+    def __init__(self, name: str) -> None:
         self.name = name
         # None marks the end and is never dropped.
-        self._items: DroppingQueue[Item | None] = DroppingQueue(capacity, lambda item: item is not None)
+        self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, lambda item: item is not None)
         self._draining = False
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
@@ -117,30 +118,28 @@ class QueuedSink(ABC, Generic[Item]):
                 log.exception("%s: an event could not be passed on", self.name)
 
 
-class LineSink(QueuedSink[Item]):
+class LinesSink(QueuedSink[Item]):
     """Writes lines to a file descriptor, which may have no reader or a full disk.
 
-    on_gone: called once, from the sink's thread, when nobody reads any more.
+    form: returns an item as a line, without its newline. on_gone: called once, from the sink's thread, when
+    nobody reads any more.
     """
 
     def __init__(
-        self, name: str, fd: int, on_gone: Callable[[], None] = lambda: None, capacity: int = CAPACITY
+        self, name: str, fd: int, form: Callable[[Item], bytes], on_gone: Callable[[], None] = lambda: None
     ) -> None:
-        super().__init__(name, capacity)
+        super().__init__(name)
         self._fd = fd
+        self._form = form
         self._on_gone = on_gone
         self._is_full = False
         self._is_cut_off = False
         self.lost = 0
 
-    @abstractmethod
-    def line_of(self, item: Item) -> bytes:
-        """Return an item as a line, without its newline."""
-
     def write(self, item: Item) -> None:
         """Write one line; waits for a slow reader, not for one that is gone. A full disk costs the line."""
         # First end the line that a full disk cut off.
-        data = b"\n" * self._is_cut_off + self.line_of(item) + b"\n"
+        data = b"\n" * self._is_cut_off + self._form(item) + b"\n"
         try:
             while data and not self._abandoned.is_set():
                 # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
@@ -166,32 +165,14 @@ class LineSink(QueuedSink[Item]):
             log.warning("%s: %s; lines are lost until that is mended", self.name, error.strerror)
 
 
-class LinesSink(LineSink[Event]):
-    """One line an event to standard output. form: makes the line."""
-
-    def __init__(
-        self,
-        fd: int,
-        on_gone: Callable[[], None],
-        capacity: int = CAPACITY,
-        form: Callable[[Event], bytes] = encode,
-    ) -> None:
-        super().__init__("stdout", fd, on_gone, capacity)
-        self._form = form
-
-    def line_of(self, item: Event) -> bytes:
-        """Return the event as its line."""
-        return self._form(item)
-
-
-class LogSink(LineSink[str]):
+class LogSink(LinesSink[str]):
     """Writes the log without blocking any thread of the daemon; reports how many lines were dropped."""
 
-    def __init__(self, fd: int, capacity: int = CAPACITY) -> None:
-        super().__init__("log", fd, capacity=capacity)
+    def __init__(self, fd: int) -> None:
+        super().__init__("log", fd, self._line)
         self._told = 0
 
-    def line_of(self, item: str) -> bytes:
+    def _line(self, item: str) -> bytes:
         """Return a line, after one about those that were dropped before it."""
         dropped, self._told = self.dropped - self._told, self.dropped
         gap = f"WARNING {__name__}: {dropped} lines of the log were dropped: nobody read them\n"
@@ -213,8 +194,8 @@ class LogHandler(logging.Handler):
 class JournalSink(QueuedSink[Event]):
     """One JSON line an event to the journal, which it closes at its end."""
 
-    def __init__(self, journal: Journal, capacity: int = CAPACITY) -> None:
-        super().__init__("journal", capacity)
+    def __init__(self, journal: Journal) -> None:
+        super().__init__("journal")
         self.journal = journal
 
     def write(self, item: Event) -> None:

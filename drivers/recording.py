@@ -25,6 +25,7 @@ from drivers.errors import TouchdError
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 CELLS = ROWS * COLUMNS
+SUFFIXES = (".csv", ".csv.gz")
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
 NO_TOUCH = "notouch"

@@ -6,7 +6,7 @@ import time
 from abc import abstractmethod
 
 from daemon.events import Event
-from daemon.sinks import CAPACITY, QueuedSink
+from daemon.sinks import QueuedSink
 from drivers.errors import TouchdError
 from drivers.frame import Frame
 
@@ -27,14 +27,14 @@ class Bridge(QueuedSink[Event | Frame]):
     frames_hz: frames a second at most, math.inf for all, None for none.
     """
 
-    def __init__(self, name: str, pad: str, frames_hz: float | None, capacity: int = CAPACITY) -> None:
+    def __init__(self, name: str, pad: str, frames_hz: float | None) -> None:
         self.pad = pad
         self._frames_hz = frames_hz
         self._next_frame_s = 0.0
         self._peer_is_there = threading.Event()
         self._log = logging.getLogger(f"daemon.bridges.{name}")
         self._was_away = False
-        super().__init__(name, capacity)
+        super().__init__(name)
 
     def put(self, item: Event | Frame) -> None:
         """Queue an event of this pad or of the robot; never blocks."""

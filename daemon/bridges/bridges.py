@@ -34,7 +34,7 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
         module = importlib.import_module(f"daemon.bridges.{name}")
     except ImportError as error:
         raise BridgeError(f"{name}: {error.name} is not installed: {how_to_install(name)}") from error
-    bridge: Bridge = module.make(section, pad, gestures)
+    bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, pad, gestures)
     return bridge
 
 

@@ -18,23 +18,17 @@ from daemon.events import (
     TouchEnded,
     epoch_s,
 )
-from daemon.sinks import CAPACITY
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 
 LOOKS = 10
 
 
-def make(settings: LslSettings, pad: str, labels: Sequence[str]) -> Bridge:
-    """Return the bridge, not yet started."""
-    return LslBridge(settings, pad)
-
-
 class LslBridge(Bridge):
     """Pushes markers and frames, each with its own time; listeners may come and go."""
 
-    def __init__(self, settings: LslSettings, pad: str, capacity: int = CAPACITY) -> None:
+    def __init__(self, settings: LslSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._stream = f"{settings.name}-{pad}"
-        super().__init__("lsl", pad, math.inf, capacity)
+        super().__init__("lsl", pad, math.inf)
 
     def open(self) -> None:
         """Announce both streams."""

@@ -13,7 +13,6 @@ from paho.mqtt.enums import CallbackAPIVersion
 from daemon.bridges.bridge import POLL_S, Bridge, BridgeError, arrival_s
 from daemon.bridges.settings import MqttSettings
 from daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
-from daemon.sinks import CAPACITY
 from drivers.frame import Frame
 
 KEEPALIVE_S = 10
@@ -28,13 +27,6 @@ TO_HOME_ASSISTANT = (
 )
 
 
-def make(settings: MqttSettings, pad: str, labels: Sequence[str]) -> Bridge:
-    """Return the bridge, not yet started; raises BridgeError when it cannot be used as configured."""
-    password = _read_password(settings.password_file) if settings.password_file else None
-    context = _tls(settings.ca_file) if settings.tls else None
-    return MqttBridge(settings, pad, labels, password, context)
-
-
 class MqttBridge(Bridge):
     """Publishes each event with QoS 1, one at a time and in order, and keeps the state retained.
 
@@ -42,15 +34,7 @@ class MqttBridge(Bridge):
     paho's own thread keeps the connection and reconnects.
     """
 
-    def __init__(
-        self,
-        settings: MqttSettings,
-        pad: str,
-        labels: Sequence[str] = (),
-        password: str | None = None,
-        context: ssl.SSLContext | None = None,
-        capacity: int = CAPACITY,
-    ) -> None:
+    def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
         self._labels = labels
         self._topic = f"{settings.topic}/{pad}"
@@ -63,14 +47,15 @@ class MqttBridge(Bridge):
         self._client.reconnect_delay_set(RECONNECT_FIRST_S, RECONNECT_CAP_S)  # type: ignore[arg-type]
         self._client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)
         if settings.user is not None:
+            password = _read_password(settings.password_file) if settings.password_file else None
             self._client.username_pw_set(settings.user, password)
-        if context is not None:
-            self._client.tls_set_context(context)
+        if settings.tls:
+            self._client.tls_set_context(_tls(settings.ca_file))
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = lambda *_: self._tell_away(self._where, "cannot be reached")
         self._client.on_disconnect = lambda *ends: self._tell_away(self._where, str(ends[3]))
         self._client.on_publish = self._on_publish
-        super().__init__("mqtt", pad, settings.pressure_hz, capacity)
+        super().__init__("mqtt", pad, settings.pressure_hz)
 
     def open(self) -> None:
         """Begin to connect."""

@@ -14,7 +14,6 @@ from daemon.bridges.bridge import Bridge
 from daemon.bridges.ros2_types import Image, String, image
 from daemon.bridges.settings import Ros2Settings
 from daemon.events import Event, Prediction, encode
-from daemon.sinks import CAPACITY
 from drivers.frame import Frame
 
 # The defaults of rclpy and rclcpp. A reliable writer suits reliable and best-effort readers.
@@ -28,17 +27,12 @@ QOS = Qos(
 Message = TypeVar("Message", String, Image)
 
 
-def make(settings: Ros2Settings, pad: str, labels: Sequence[str]) -> Bridge:
-    """Return the bridge, not yet started."""
-    return Ros2Bridge(settings, pad)
-
-
 class Ros2Bridge(Bridge):
     """Publishes gesture (told ones, a String), event (JSON in a String) and pressure (an Image)."""
 
-    def __init__(self, settings: Ros2Settings, pad: str, capacity: int = CAPACITY) -> None:
+    def __init__(self, settings: Ros2Settings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
-        super().__init__("ros2", pad, math.inf, capacity)
+        super().__init__("ros2", pad, math.inf)
 
     def open(self) -> None:
         """Join the domain."""

@@ -13,7 +13,6 @@ from websockets.sync.client import ClientConnection, connect
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import RosbridgeSettings
 from daemon.events import Event, Prediction, encode
-from daemon.sinks import CAPACITY
 from drivers.backoff import Backoff
 from drivers.frame import COLUMNS, ROWS, Frame
 
@@ -27,15 +26,10 @@ MOST_HEARD_BYTES = 64 * 1024
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
-def make(settings: RosbridgeSettings, pad: str, labels: Sequence[str]) -> Bridge:
-    """Return the bridge, not yet started."""
-    return RosbridgeBridge(settings, pad)
-
-
 class RosbridgeBridge(Bridge):
     """Publishes the topics of `Ros2Bridge`; a thread of its own keeps the connection and reconnects."""
 
-    def __init__(self, settings: RosbridgeSettings, pad: str, capacity: int = CAPACITY) -> None:
+    def __init__(self, settings: RosbridgeSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
         self._prefix = f"{settings.namespace}/{pad}"
         self._connection: ClientConnection | None = None
@@ -43,7 +37,7 @@ class RosbridgeBridge(Bridge):
         self._keeper = threading.Thread(
             target=self._keep_connected, name="touchd-rosbridge-link", daemon=True
         )
-        super().__init__("rosbridge", pad, settings.pressure_hz, capacity)
+        super().__init__("rosbridge", pad, settings.pressure_hz)
 
     def open(self) -> None:
         """Begin to connect."""

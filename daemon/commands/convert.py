@@ -9,9 +9,7 @@ from daemon.convert import journal_csv
 from daemon.events import Event, EventError, decode
 from daemon.kept.journal import MAX_LINE_BYTES, JournalError
 from drivers.errors import TouchdError
-from drivers.recording import read_provenance, read_recordings, write_recordings
-
-RECORDING_SUFFIXES = (".csv", ".csv.gz")
+from drivers.recording import SUFFIXES, read_provenance, read_recordings, write_recordings
 
 
 class ConvertError(TouchdError):
@@ -37,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
     file, out = options.file, options.out
     if out.suffix not in (".csv", ".mcap"):
         raise ConvertError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
-    is_recording = file.name.endswith(RECORDING_SUFFIXES)
+    is_recording = file.name.endswith(SUFFIXES)
     if out.suffix == ".mcap":
         # Before the work, as it may not be installed.
         from daemon.convert import mcap

@@ -13,8 +13,8 @@ from daemon.plot import recording as plot_recording
 from daemon.plot.plot import PlotError, new_figure, save
 from daemon.setup.parts import load_model
 from drivers.numbers import within
+from drivers.recording import SUFFIXES
 
-RECORDING_SUFFIXES = (".csv", ".csv.gz")
 MOST_TOUCHES = 100
 
 
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
     # Before the work, as it may not be installed.
     new_figure(1.0)
     names = ", ".join(file.name for file in options.files)
-    if all(file.name.endswith(RECORDING_SUFFIXES) for file in options.files):
+    if all(file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options)
         model = load_model(settings)
         felt = plot_recording.feel(chosen_stream(options), settings, model)

@@ -1,7 +1,6 @@
 """`touchd record`: guides a person through making recordings, a file each."""
 
 import argparse
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,13 +10,11 @@ from daemon.commands.label import label, label_of
 from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
-from daemon.recorder.dialogue import Dialogue, Terms
-from daemon.recorder.session import NAME_RULE, Session, is_name
+from daemon.recorder.dialogue import HOW, Dialogue, Terms
+from daemon.recorder.session import Session, name
 from daemon.terminal.ask import Stopped, ask_name
 from drivers.numbers import within
-from drivers.pad.sensor import check_port
 
-GESTURES = "constant,notouch,pat,rub,scratch,stroke,tickle"
 WIDTH = 80
 MOST_ROUNDS = 100
 MOST_GESTURES = 50
@@ -33,11 +30,11 @@ def parser() -> argparse.ArgumentParser:
         "What the options leave open is asked for.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the recordings go")
-    parser.add_argument("--participant", type=_name, metavar="NAME", help="who touches")
-    parser.add_argument("--substrate", type=_name, metavar="NAME", help="what is under the pad, as in foam")
-    parser.add_argument("--cover", type=_name, metavar="NAME", help="what is over the pad, as in fur")
+    parser.add_argument("--participant", type=name, metavar="NAME", help="who touches")
+    parser.add_argument("--substrate", type=name, metavar="NAME", help="what is under the pad, as in foam")
+    parser.add_argument("--cover", type=name, metavar="NAME", help="what is over the pad, as in fur")
     parser.add_argument(
-        "--gestures", type=_names, default=GESTURES, metavar="A,B,...", help="what is done (%(default)s)"
+        "--gestures", type=_names, default=",".join(HOW), metavar="A,B,...", help="what is done (%(default)s)"
     )
     parser.add_argument(
         "--rounds", type=within(int, 1, MOST_ROUNDS), default=1, help="how often each gesture (%(default)s)"
@@ -92,11 +89,8 @@ def main(arguments: Sequence[str]) -> int:
 def _record(console: Console, options: argparse.Namespace) -> None:
     """Make recordings of the pad; raises Stopped."""
     settings = settings_of(options)
-    # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
-    logging.getLogger("drivers").addHandler(logging.NullHandler())
-    check_port(settings.sensor.port, settings.sensor.baud)
-    prepare(options.folder)
     with PadReader(settings) as pad:
+        prepare(options.folder)
         terms = Terms(options.seconds, options.countdown, options.licence)
         Dialogue(console, pad, settings, _session(console, options), terms).run()
 
@@ -114,14 +108,8 @@ def _session(console: Console, options: argparse.Namespace) -> Session:
     )
 
 
-def _name(text: str) -> str:
-    if not is_name(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no name: {NAME_RULE}")
-    return text
-
-
 def _names(text: str) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(_name(name.strip()) for name in text.split(",")))
+    names = tuple(dict.fromkeys(name(part.strip()) for part in text.split(",")))
     if len(names) > MOST_GESTURES:
         raise argparse.ArgumentTypeError(f"more than {MOST_GESTURES} gestures")
     return names

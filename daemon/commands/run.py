@@ -110,7 +110,7 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
             closing.callback(log_sink.stop, LOG_STOP_S)
             closing.enter_context(_logging(LogHandler(log_sink), settings.log_level))
             form = _in_words(settings) if in_words else encode
-            service.tell(LinesSink(sys.stdout.fileno(), on_gone=stop.set, form=form))
+            service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
             if in_words and settings.live and settings.live.host in EVERY_ADDRESS and settings.live.port:
                 sys.stderr.write(qr_code(urls_of(settings.live, settings.live.port)[0]))
         reloader = Reloader(read, service.make_parts, service.replace)

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import logging
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,14 +12,12 @@ from daemon.commands.settings import add_settings, settings_of
 from daemon.config import ConfigError, Settings, load
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
-from daemon.recorder.dialogue import Dialogue, Terms
-from daemon.recorder.session import NAME_RULE, Session, is_name
+from daemon.recorder.dialogue import HOW, Dialogue, Terms
+from daemon.recorder.session import Session, name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
-from drivers.pad.sensor import check_port
 from drivers.whole_file import whole_file
 
-GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 ROUNDS = 2
 WIDTH = 80
 # With a second at either end and the countdown, fourteen recordings take two and a half minutes.
@@ -37,7 +34,7 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where recordings and model go")
     add_settings(parser, "settings, in which the model is set")
-    parser.add_argument("--participant", metavar="NAME", help="who touches; asked for without it")
+    parser.add_argument("--participant", type=name, metavar="NAME", help="who touches; asked for without it")
     parser.add_argument(
         "--rounds", type=int, choices=range(1, 11), default=ROUNDS, metavar="N", help="(%(default)s)"
     )
@@ -81,14 +78,9 @@ def with_model(text: str, model: Path) -> str:
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the recordings that are not there yet; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
-    if not is_name(participant):
-        raise ConfigError(f"--participant {participant!r}: {NAME_RULE}")
-    session = Session(options.folder, participant, "none", "none", GESTURES, options.rounds, 0)
+    session = Session(options.folder, participant, "none", "none", tuple(HOW), options.rounds, 0)
     if all(take.path.exists() for take in session.takes()):
         return
-    # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
-    logging.getLogger("drivers").addHandler(logging.NullHandler())
-    check_port(settings.sensor.port, settings.sensor.baud)
     with PadReader(settings) as pad:
         terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True)
         Dialogue(console, pad, settings, session, terms).run()

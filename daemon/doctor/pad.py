@@ -12,7 +12,7 @@ from daemon.pad.baseline import MAX_DEVIATION_COUNTS
 from daemon.touch import Onset, TouchTracker
 from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from drivers.pad.grid import Ring
-from drivers.pad.health import Finding, Kind, PadHealth
+from drivers.pad.health import Kind, PadHealth
 from drivers.pad.pace import steps_ms
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
@@ -99,16 +99,11 @@ def check_taxels(heard: Heard) -> list[Check]:
         found = "no value changed: the pad is silent at rest, or it hangs"
         return [Check("taxels", "warning", found, advice)]
     health = PadHealth()
-    troubles: dict[Kind, Finding] = {}
     for frame in heard.frames:
-        if finding := health.update(frame):
-            if finding.began:
-                troubles[finding.kind] = finding
-            else:
-                troubles.pop(finding.kind, None)
-    if not troubles:
+        health.update(frame)
+    if not health.told:
         return [Check("taxels", "ok", f"all {ROWS * COLUMNS} are alive")]
-    return [Check("taxels", "to do", trouble.what, ADVICE_FOR[kind]) for kind, trouble in troubles.items()]
+    return [Check("taxels", "to do", what, ADVICE_FOR[kind]) for kind, what in health.told.items()]
 
 
 def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:

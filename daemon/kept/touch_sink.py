@@ -16,7 +16,6 @@ from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 # A second of rest, and as long as a touch may have gone on before it is noticed, of a pad of 100 Hz.
 RECENT_FRAMES = 160
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
-CAPACITY = 8
 
 
 class TouchSink(QueuedSink[FeltTouch]):
@@ -25,8 +24,10 @@ class TouchSink(QueuedSink[FeltTouch]):
     Frames and the events that they cause come from one thread, a frame before its events.
     """
 
+    capacity = 8
+
     def __init__(self, stores: Mapping[str, TouchStore]) -> None:
-        super().__init__("touches", CAPACITY)
+        super().__init__("touches")
         self._stores = stores
         self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
 

@@ -3,9 +3,10 @@
 import os
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
+
+import msgspec
 
 from daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
 from daemon.kept.journal import MAX_LINE_BYTES, JournalError
@@ -14,12 +15,11 @@ from daemon.kept.journal import MAX_LINE_BYTES, JournalError
 TAIL_BYTES = 4_000_000
 
 
-@dataclass
-class ReportedTouch:
+class ReportedTouch(msgspec.Struct):
     """One touch. ended: None when it goes on, or when its end is not known."""
 
     began: TouchBegan
-    predictions: list[Prediction] = field(default_factory=list)
+    predictions: list[Prediction] = []
     ended: TouchEnded | None = None
 
 

@@ -1,9 +1,10 @@
 """The state of the live page, for viewers who come later."""
 
 from collections import deque
+from typing import TypeAlias
 
-import msgspec
-
+from daemon.config import Settings
+from daemon.decide import ProbabilityModel
 from daemon.events import (
     UNCERTAIN,
     Event,
@@ -14,10 +15,13 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.live.messages import PageState, PageTouch
-from daemon.live.scene import Scene
+from daemon.kept.touches import ReportedTouch
+from daemon.live.messages import PageState
 from daemon.setup.words import name_of
 from drivers.frame import FRAME_RATE_HZ
+
+# What the page knows of a pad: its settings, as the only pad, and its model.
+Scene: TypeAlias = tuple[Settings, ProbabilityModel]
 
 TOUCHES = 12
 PREDICTIONS = 24
@@ -31,7 +35,7 @@ class Memory:
         self._sensor: SensorEvent | None = None
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None
-        self._touches: deque[PageTouch] = deque(maxlen=TOUCHES)
+        self._touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
 
     def put(self, event: Event) -> None:
         """Remember an event, unless its touch began before we listened."""
@@ -44,29 +48,30 @@ class Memory:
                 self._action = event
             case TouchBegan():
                 self._action = None
-                self._touches.append(PageTouch(began=event, predictions=(), ended=None))
+                self._touches.append(ReportedTouch(event))
             case Prediction() | TouchEnded():
                 self._add(event)
 
     def state(self, page: str, pad: str, pads: tuple[str, ...]) -> PageState:
         """Return the whole state. page: stamp of the page's files. pad: the name of this pad."""
-        scene = self.scene
+        settings, model = self.scene
+        scene = settings.scene
         return PageState(
             page=page,
             pad=pad,
             pads=pads,
-            labels=scene.model.labels,
-            answer_at_frames=scene.settings.decision.answer_at_frames,
+            labels=model.labels,
+            answer_at_frames=scene.answer_at_frames,
             frame_rate_hz=FRAME_RATE_HZ,
-            model=scene.model.name,
-            speak_above=scene.settings.decision.speak_above,
-            revise_margin=scene.settings.decision.revise_margin,
-            language=scene.language,
-            names={label: name_of(scene.words, label) for label in (*scene.model.labels, UNCERTAIN)},
-            robot_configured=scene.robot_configured,
+            model=model.name,
+            speak_above=scene.speak_above,
+            revise_margin=scene.revise_margin,
+            language=settings.language,
+            names={label: name_of(settings.vocabulary, label) for label in (*model.labels, UNCERTAIN)},
+            robot_configured=settings.robot is not None,
             action=self._action,
             sensor=self._sensor,
-            robot=self._robot if scene.robot_configured else None,
+            robot=self._robot if settings.robot else None,
             touches=tuple(self._touches),
         )
 
@@ -75,7 +80,6 @@ class Memory:
             return
         felt = self._touches[-1]
         if isinstance(event, TouchEnded):
-            self._touches[-1] = msgspec.structs.replace(felt, ended=event)
+            felt.ended = event
         else:
-            predictions = (*felt.predictions, event)[-PREDICTIONS:]
-            self._touches[-1] = msgspec.structs.replace(felt, predictions=predictions)
+            felt.predictions = [*felt.predictions, event][-PREDICTIONS:]

@@ -8,19 +8,12 @@ import struct
 
 import msgspec
 
-from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import RobotAction, RobotEvent, SensorEvent
+from daemon.kept.touches import ReportedTouch
 from drivers.frame import Frame
 
 CLOCK = struct.Struct("<I")
 CLOCK_MASK = 0xFFFFFFFF
-
-
-class PageTouch(msgspec.Struct, frozen=True, kw_only=True):
-    """A touch so far: its beginning, its answers, and its end if it has ended."""
-
-    began: TouchBegan
-    predictions: tuple[Prediction, ...]
-    ended: TouchEnded | None
 
 
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
@@ -47,7 +40,7 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     action: RobotAction | None
     sensor: SensorEvent | None
     robot: RobotEvent | None
-    touches: tuple[PageTouch, ...]
+    touches: tuple[ReportedTouch, ...]
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):

@@ -19,10 +19,9 @@ from daemon.config import LiveSettings
 from daemon.events import Event, LivePrediction, RobotEvent
 from daemon.live.address import own_names, urls_of
 from daemon.live.door import Door
-from daemon.live.memory import Memory
+from daemon.live.memory import Memory, Scene
 from daemon.live.messages import Status, encode_frame, encode_message
 from daemon.live.page import Page
-from daemon.live.scene import Scene
 from daemon.live.viewers import Viewers
 from drivers.frame import DEFAULT_PAD, Frame
 from drivers.queue import DroppingQueue

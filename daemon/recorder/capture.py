@@ -1,5 +1,6 @@
 """Reads the pad while recordings are made, and checks what it read."""
 
+import logging
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,9 +13,9 @@ from daemon.touch import Onset, Release, TouchTracker
 from drivers.frame import Frame
 from drivers.pad.framing import CLOCK_MODULUS
 from drivers.pad.grid import Ring
-from drivers.pad.health import Kind, PadHealth
+from drivers.pad.health import PadHealth
 from drivers.pad.pace import pace_of, steps_ms
-from drivers.pad.sensor import FrameQueue, Sensor, SensorState
+from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 from drivers.recording import NO_TOUCH, Recording
 
 SILENCE_S = 2.5
@@ -43,7 +44,7 @@ class Capture:
 
 
 class PadReader:
-    """Reads the pad for a whole session; a context manager."""
+    """Reads the pad for a whole session; a context manager, which raises SensorError."""
 
     def __init__(self, settings: Settings) -> None:
         sensor = settings.sensor
@@ -51,10 +52,12 @@ class PadReader:
         self._queue = FrameQueue()
         self._sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self._queue)
         self._health = PadHealth()
-        self._troubles: dict[Kind, str] = {}
         self._away = ""
 
     def __enter__(self) -> "PadReader":
+        check_port(self._settings.sensor.port, self._settings.sensor.baud)
+        # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
+        logging.getLogger("drivers").addHandler(logging.NullHandler())
         self._sensor.start()
         return self
 
@@ -64,7 +67,7 @@ class PadReader:
     @property
     def troubles(self) -> list[str]:
         """Current faults of the pad's taxels, in words."""
-        return list(self._troubles.values())
+        return list(self._health.told.values())
 
     def await_frame(self, within_s: float) -> str:
         """Drop queued frames and wait for a new one; return why none came, "" if one did."""
@@ -93,7 +96,7 @@ class PadReader:
                         raise PadLost("the pad restarted, or its line was cut: look at its plug")
                     passed_ms += step_ms
                     last = frame
-                    self._look_at(frame)
+                    self._health.update(frame)
                     yield passed_ms / 1000, frame
                 case SensorState() as state:
                     self._note(state)
@@ -105,13 +108,6 @@ class PadReader:
     def _note(self, item: Frame | SensorState | None) -> None:
         if isinstance(item, SensorState):
             self._away = item.reason if item.state == "down" else ""
-
-    def _look_at(self, frame: Frame) -> None:
-        if finding := self._health.update(frame):
-            if finding.began:
-                self._troubles[finding.kind] = finding.what
-            else:
-                self._troubles.pop(finding.kind, None)
 
 
 class Contact:

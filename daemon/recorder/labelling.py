@@ -60,10 +60,7 @@ class LabelFolder:
         names = (setting.participant, setting.substrate, setting.cover, gesture)
         path = self.path / f"{'_'.join(names)}_{kept.path.name}"
         recording = _whole(read_frames(kept)) if gesture == NO_TOUCH else read_frames(kept).touch
-        participant, substrate, cover, _ = names
-        recording = replace(
-            recording, participant=participant, substrate=substrate, cover=cover, gesture=gesture
-        )
+        recording = Recording(*names, recording.counts, recording.sensor_ms, recording.framing)
         keep(path, [recording], self._provenance(kept))
         return path
 

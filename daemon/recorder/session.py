@@ -4,6 +4,7 @@ One file a recording, FOLDER/participant_substrate_cover_gesture_number.csv.gz, 
 provenance. Files are written whole and never overwritten, so an interrupted session can be continued.
 """
 
+import argparse
 import random
 import re
 from dataclasses import dataclass
@@ -61,3 +62,10 @@ class Session:
 def is_name(text: str) -> bool:
     """Return whether a text can name a participant, a substrate, a cover or a gesture."""
     return NAME.fullmatch(text) is not None
+
+
+def name(text: str) -> str:
+    """Return a name given on the command line; for argparse."""
+    if not is_name(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no name: {NAME_RULE}")
+    return text

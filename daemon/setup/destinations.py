@@ -14,7 +14,6 @@ from daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
 from daemon.kept.journal import Journal
 from daemon.kept.touch_store import TouchStore, folder_of
 from daemon.live.address import listen, require_library
-from daemon.live.scene import Scene
 from drivers.frame import Counts
 from drivers.pad.format import encode_frame
 from drivers.pad.parser import FrameParser
@@ -26,6 +25,7 @@ from drivers.robot.message import RobotMessage
 from drivers.robot.worker import LinkState
 
 if typing.TYPE_CHECKING:
+    from daemon.live.memory import Scene
     from daemon.live.server import LiveServer
 
 BYTES_PER_MB = 1_000_000
@@ -78,12 +78,7 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
 
 def scenes_of(settings: Settings, models: Mapping[str, ProbabilityModel]) -> dict[str, Scene]:
     """Return each pad's scene, as the live page needs it."""
-    return {
-        name: Scene(
-            pad.pipeline, models[name], settings.robot is not None, settings.vocabulary, settings.language
-        )
-        for name, pad in settings.pads.items()
-    }
+    return {name: (pad, models[name]) for name, pad in settings.pads.items()}
 
 
 def open_live_page(

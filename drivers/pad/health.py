@@ -49,7 +49,10 @@ class Finding:
 
 
 class PadHealth:
-    """Watches frames for a pad that is broken; each kind of trouble is told once when it begins and ends."""
+    """Watches frames for a pad that is broken; each kind of trouble is told once when it begins and ends.
+
+    told: the troubles that have begun and not ended, in words.
+    """
 
     def __init__(self) -> None:
         self._block: list[Frame] = []
@@ -59,7 +62,7 @@ class PadHealth:
         self._has_noise = False
         self._saturation = 0.0
         self._rest = _RestLevel()
-        self._told: dict[Kind, str] = {}
+        self.told: dict[Kind, str] = {}
         self._changing_since_s: dict[Kind, float] = {}
 
     def update(self, frame: Frame) -> Finding | None:
@@ -87,26 +90,26 @@ class PadHealth:
     def _troubles(self) -> dict[Kind, str]:
         """The current faults, in words."""
         troubles: dict[Kind, str] = {}
-        if self._saturation > (0.5 if "saturated" in self._told else 0.9):
+        if self._saturation > (0.5 if "saturated" in self.told else 0.9):
             troubles["saturated"] = "a quarter of the pad or more is at its limit: too heavy a load, a short?"
         elif self._has_noise and self._is_still.all():
             troubles["frozen"] = "frames arrive but no value changes: the pad is off its board, or it hangs"
         elif self._has_noise:
             troubles |= _still_parts(self._is_still)
         rise = self._rest.rise_counts
-        if rise > (DRIFT_COUNTS / 2 if "drift" in self._told else DRIFT_COUNTS):
+        if rise > (DRIFT_COUNTS / 2 if "drift" in self.told else DRIFT_COUNTS):
             troubles["drift"] = f"the level at rest rose by {rise:.0f} counts: drift, or something lies there"
         return troubles
 
     def _next_change(self, troubles: dict[Kind, str]) -> Finding | None:
-        changing = sorted(troubles.keys() ^ self._told.keys())
+        changing = sorted(troubles.keys() ^ self.told.keys())
         self._changing_since_s = {kind: self._changing_since_s.get(kind, self._clock_s) for kind in changing}
         for kind, since_s in self._changing_since_s.items():
             if self._clock_s - since_s < SETTLE_S:
                 continue
-            if kind in self._told:
-                return Finding(kind, self._told.pop(kind), began=False)
-            self._told[kind] = troubles[kind]
+            if kind in self.told:
+                return Finding(kind, self.told.pop(kind), began=False)
+            self.told[kind] = troubles[kind]
             return Finding(kind, troubles[kind], began=True)
         return None
 

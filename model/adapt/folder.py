@@ -9,10 +9,17 @@ from pathlib import Path
 from drivers.errors import TouchdError
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.grid import on_grid
-from drivers.recording import NO_TOUCH, UNLABELLED, Recording, RecordingError, read_recordings, realign
+from drivers.recording import (
+    NO_TOUCH,
+    SUFFIXES,
+    UNLABELLED,
+    Recording,
+    RecordingError,
+    read_recordings,
+    realign,
+)
 
 HAART_TRAINING_FILE = "training.csv"
-SUFFIXES = (".csv", ".csv.gz")
 # Shorter, there is not even an early answer to learn from.
 SHORTEST_FRAMES = 54
 # Ten hours at 54 Hz, a quarter of a gigabyte: far beyond what a lab records, and what fits any machine.

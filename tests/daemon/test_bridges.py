@@ -60,8 +60,11 @@ def test_events_are_heard_again_after_the_peer_died(peer: Peer) -> None:
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_while_the_peer_is_away_the_oldest_events_are_dropped(peer: Peer) -> None:
-    bridge = peer.bridge(capacity=10)
+def test_while_the_peer_is_away_the_oldest_events_are_dropped(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Bridge, "capacity", 10)
+    bridge = peer.bridge()
     began_s = time.monotonic()
     for number in range(50):
         bridge.put(touch(number))
@@ -74,8 +77,9 @@ def test_while_the_peer_is_away_the_oldest_events_are_dropped(peer: Peer) -> Non
 
 
 @pytest.mark.parametrize("peer", ALL, indirect=True)
-def test_put_returns_at_once_and_a_flood_is_counted(peer: Peer) -> None:
-    bridge = peer.bridge(capacity=5)
+def test_put_returns_at_once_and_a_flood_is_counted(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Bridge, "capacity", 5)
+    bridge = peer.bridge()
     slowest_s = 0.0
     for number in range(2000):
         began_s = time.monotonic()

@@ -25,7 +25,6 @@ from websockets.sync.client import ClientConnection, connect
 from daemon.config import LiveSettings, SensorSettings, Settings
 from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
-from daemon.live.scene import Scene
 from daemon.live.server import CAPACITY, LiveServer
 from daemon.playback.rig import outline
 from daemon.setup.destinations import encoder_for, scenes_of
@@ -146,8 +145,7 @@ def hung(server: LiveServer) -> Iterator[None]:
 
 def test_a_hanging_thread_delays_nobody() -> None:
     listening = socket.create_server(("127.0.0.1", 0))
-    scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
-    server = LiveServer(listening, LiveSettings(), {"pad": scene})
+    server = LiveServer(listening, LiveSettings(), {"pad": (Settings(), load_model(Settings()))})
     server.start()
     with hung(server):
         for _ in range(CAPACITY + 7):

@@ -6,7 +6,6 @@ from rigs.expectations import LENGTHS, answers, stream_of
 from daemon.config import Settings
 from daemon.events import Prediction, TouchBegan
 from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
-from daemon.live.scene import Scene
 from daemon.setup.parts import load_model
 
 STREAM = stream_of(LENGTHS)
@@ -14,9 +13,9 @@ NOW = "2026-11-20T10:00:00.000Z"
 
 
 def test_what_is_remembered_for_who_comes_late_is_bounded() -> None:
-    scene = Scene(Settings().pipeline, load_model(Settings()), robot_configured=False)
-    memory = Memory(scene)
-    prediction = next(event for event in answers(STREAM, scene.model) if isinstance(event, Prediction))
+    model = load_model(Settings())
+    memory = Memory((Settings(), model))
+    prediction = next(event for event in answers(STREAM, model) if isinstance(event, Prediction))
     for touch in range(1, 3 * TOUCHES):
         memory.put(TouchBegan(touch=touch, time=NOW, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):

@@ -15,7 +15,7 @@ from rigs.programs import ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from daemon.events import SensorEvent, TouchBegan, decode
+from daemon.events import Event, SensorEvent, TouchBegan, decode, encode
 from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
 from daemon.sinks import JournalSink, LinesSink
 
@@ -35,13 +35,19 @@ def pipe() -> Iterator[tuple[int, int]]:
             continue
 
 
+class ShortSink(LinesSink[Event]):
+    """Keeps ten events."""
+
+    capacity = 10
+
+
 def names() -> set[str]:
     return {thread.name for thread in threading.enumerate()}
 
 
 def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
-    sink = LinesSink(writer, on_gone=lambda: None)
+    sink = LinesSink("stdout", writer, encode)
     sink.start()
     for number in range(50):
         sink.put(touch(number))
@@ -53,7 +59,7 @@ def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
 
 def test_a_stalled_reader_blocks_nobody(pipe: tuple[int, int]) -> None:
     _, writer = pipe
-    sink = LinesSink(writer, on_gone=lambda: None, capacity=10)
+    sink = ShortSink("stdout", writer, encode)
     sink.start()
     long = SensorEvent(state="down", time="", reason="x" * 60_000)
     for _ in range(50):
@@ -67,7 +73,7 @@ def test_a_broken_pipe_is_told_once_and_ends_the_sink(pipe: tuple[int, int]) -> 
     reader, writer = pipe
     os.close(reader)
     gone = threading.Semaphore(0)
-    sink = LinesSink(writer, on_gone=gone.release)
+    sink = LinesSink("stdout", writer, encode, gone.release)
     sink.start()
     sink.put(touch(1))
     assert gone.acquire(timeout=5)

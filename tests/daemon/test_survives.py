@@ -95,9 +95,10 @@ def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
     os.close(reader)
 
 
-def test_lines_of_the_log_that_nobody_read_are_counted() -> None:
+def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     reader, writer = os.pipe()
-    sink = LogSink(writer, capacity=3)
+    monkeypatch.setattr(LogSink, "capacity", 3)
+    sink = LogSink(writer)
     for number in range(10):
         sink.put(f"line {number}")
     sink.start()
@@ -115,7 +116,7 @@ def test_lines_of_the_log_that_nobody_read_are_counted() -> None:
 def test_a_full_disk_at_standard_output_costs_lines_alone(caplog: pytest.LogCaptureFixture) -> None:
     gone: list[bool] = []
     full = os.open("/dev/full", os.O_WRONLY)
-    sink = LinesSink(full, on_gone=lambda: gone.append(True))
+    sink = LinesSink("stdout", full, encode, lambda: gone.append(True))
     sink.start()
     for number in range(20):
         sink.put(touch(number))

@@ -22,7 +22,7 @@ from rigs.wait import WITHIN_S
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
 from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.touch_frames import FeltTouch, cut
-from daemon.kept.touch_sink import CAPACITY, LONGEST_FRAMES, TouchSink
+from daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
 from daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.setup.destinations import open_touch_stores
@@ -251,13 +251,13 @@ class StuckStore(TouchStore):
 def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
     store = StuckStore(tmp_path)
     bench = StoreBench(store)
-    for _ in range(CAPACITY + 4):
+    for _ in range(TouchSink.capacity + 4):
         bench.feel(palm(0.3), nothing(1.1))
-    assert len(ended(bench.events)) == CAPACITY + 4
+    assert len(ended(bench.events)) == TouchSink.capacity + 4
     assert 3 <= bench.sink.dropped <= 4
     store.goes_on.set()
     bench.end()
-    assert len(kept_touches(tmp_path)) == CAPACITY + 4 - bench.sink.dropped
+    assert len(kept_touches(tmp_path)) == TouchSink.capacity + 4 - bench.sink.dropped
     assert "touchd-touches" not in {thread.name for thread in threading.enumerate()}
 
 

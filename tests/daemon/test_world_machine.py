@@ -33,7 +33,6 @@ from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.journal import Journal
 from daemon.kept.touches import gather
-from daemon.live.scene import Scene
 from daemon.live.server import LiveServer
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.playback.rig import SpawnedDaemon
@@ -84,11 +83,11 @@ class World(RuleBasedStateMachine):
         link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         # A log that nobody reads.
         self.ends = os.pipe()
-        self.log = LogSink(self.ends[1], capacity=10)
+        self.log = type("ShortLog", (LogSink,), {"capacity": 10})(self.ends[1])
         listening = socket.create_server(("127.0.0.1", 0))
         self.page_port = listening.getsockname()[1]
-        scene = Scene(PipelineSettings(), Scripted(), robot_configured=True)
-        self.page = LiveServer(listening, LiveSettings(), {"pad": scene})
+        settings = Settings(robot=RobotSettings(url=self.robot.url))
+        self.page = LiveServer(listening, LiveSettings(), {"pad": (settings, Scripted())})
         self.viewers: list[ExitStack] = []
         self.fanout = EventFanout()
         self.fanout.sinks = (

@@ -60,11 +60,11 @@ class Peer(ABC):
         self._is_there = False
 
     @abstractmethod
-    def make(self, capacity: int) -> Bridge: ...
+    def make(self) -> Bridge: ...
 
-    def bridge(self, capacity: int = 1000) -> Bridge:
+    def bridge(self) -> Bridge:
         """A started bridge to this peer."""
-        bridge = self.make(capacity)
+        bridge = self.make()
         self._bridges.append(bridge)
         bridge.start()
         return bridge
@@ -160,10 +160,10 @@ class MqttPeer(Peer):
         self.start()
         self.stop()
 
-    def make(self, capacity: int) -> Bridge:
+    def make(self) -> Bridge:
         from daemon.bridges.mqtt import MqttBridge
 
-        return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD, capacity=capacity)
+        return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD)
 
     def _start(self) -> None:
         lines = f"allow_anonymous true\npersistence true\npersistence_location {self._folder}/\nuser root\n"
@@ -190,11 +190,11 @@ class RosbridgePeer(Peer):
         self.port = free_port()
         self.operations: list[dict[str, Any]] = []
 
-    def make(self, capacity: int) -> Bridge:
+    def make(self) -> Bridge:
         from daemon.bridges.rosbridge import RosbridgeBridge
 
         settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
-        return RosbridgeBridge(settings, PAD, capacity)
+        return RosbridgeBridge(settings, PAD)
 
     def _start(self) -> None:
         from websockets.sync.server import serve
@@ -227,10 +227,10 @@ class LslPeer(Peer):
         super().__init__()
         self.name = f"test{free_port()}"
 
-    def make(self, capacity: int) -> Bridge:
+    def make(self) -> Bridge:
         from daemon.bridges.lsl import LslBridge
 
-        return LslBridge(LslSettings(name=self.name), PAD, capacity)
+        return LslBridge(LslSettings(name=self.name), PAD)
 
     def _start(self) -> None:
         self._ending = threading.Event()
@@ -269,10 +269,10 @@ class Ros2Peer(Peer):
         # A domain for each test, away from the one that a lab may use here.
         self.domain = 100 + free_port() % 100
 
-    def make(self, capacity: int) -> Bridge:
+    def make(self) -> Bridge:
         from daemon.bridges.ros2 import Ros2Bridge
 
-        return Ros2Bridge(Ros2Settings(domain=self.domain), PAD, capacity)
+        return Ros2Bridge(Ros2Settings(domain=self.domain), PAD)
 
     def _start(self) -> None:
         from cyclonedds.domain import DomainParticipant
