@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daemon.events import UNCERTAIN, Stage
+from drivers.frame import FRAME_RATE_HZ
 from model.classifier import State
 
 NO_TOUCH = "notouch"
@@ -25,22 +26,17 @@ EARLIEST_FRAMES = 9
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
-
-@dataclass(frozen=True, slots=True)
-class Sureness:
-    """An answer is sure once a gesture has had this confidence for this many frames in a row."""
-
-    confidence: float
-    frames: int
-
-
 Sure: TypeAlias = Literal["eager", "balanced", "careful"]
 
-SURE: dict[Sure, Sureness] = {
-    "eager": Sureness(0.65, 1),
-    "balanced": Sureness(0.75, 5),
-    "careful": Sureness(0.85, 5),
-}
+# The confidence from which an answer is sure one second into a touch; more is asked of one that comes
+# earlier, for the later it is, the less waiting helps (docs/early.md).
+SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7, "careful": 0.75}
+SURE_FALLS = 0.2
+
+
+def sure_above(confidence: float, frames: int) -> float:
+    """Return the confidence from which an answer is sure after so many frames; `confidence`: after 54."""
+    return confidence + SURE_FALLS * math.log(FRAME_RATE_HZ / frames)
 
 
 class ProbabilityModel(typing.Protocol):
@@ -122,11 +118,7 @@ class Decision:
         self._labels = labels
         occurs = {*(settings.gestures or labels), NO_TOUCH}
         self._occurs = np.array([label in occurs for label in labels])
-        sure = SURE[settings.sure]
-        # An answer that may not be told is not given early.
-        self._sure = Sureness(max(sure.confidence, settings.speak_above), sure.frames)
         self.may_be_early = settings.early == "when_sure"
-        self._leads: tuple[str, int] = ("", 0)
         self._stands: str | None = None
         self._answered: dict[str, float] = {}
         self.told: str | None = None
@@ -171,15 +163,11 @@ class Decision:
         return log_odds(now, best, stands) + log_odds(before, stands, best) >= CHANGED_LOG_ODDS
 
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
-        """Whether to answer early now, `frames` into the touch; call once a frame, in order."""
+        """Whether to answer early now, `frames` into the touch; never what may not be told."""
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
-        if best == NO_TOUCH or scene[best] < self._sure.confidence:
-            self._leads = ("", frames)
-            return False
-        if best != self._leads[0]:
-            self._leads = (best, frames)
-        return frames >= EARLIEST_FRAMES and frames - self._leads[1] + 1 >= self._sure.frames
+        limit = max(sure_above(SURE[self._settings.sure], frames), self._settings.speak_above)
+        return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
 
     def _may_tell(self, stage: Stage, confidence: float) -> bool:
         return stage == "final" or confidence >= self._settings.speak_above

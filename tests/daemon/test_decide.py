@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from daemon.decide import Decision, DecisionSettings, Sure
+from daemon.decide import SURE, Decision, DecisionSettings, Sure
 from daemon.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -167,18 +167,21 @@ def test_stages_out_of_order_are_refused() -> None:
         DecisionSettings(answer_at_frames=(54, 54, 144))
 
 
-@pytest.mark.parametrize(("sure", "frames"), [("eager", 1), ("balanced", 5), ("careful", 5)])
-def test_an_answer_is_sure_once_it_has_lasted(sure: Sure, frames: int) -> None:
-    decision = Decision(DecisionSettings(early="when_sure", sure=sure), LABELS)
-    since, given = 20, probabilities(stroke=0.9)
-    assert not decision.is_sure(probabilities(pat=0.9, stroke=0.1), 8)
-    found = [at for at in range(since, since + 8) if decision.is_sure(given, at)]
-    assert found[0] == since + frames - 1
+@pytest.mark.parametrize("sure", SURE)
+def test_the_later_it_is_the_less_confidence_is_asked_for(sure: Sure) -> None:
+    decision = Decision(DecisionSettings(early="when_sure", sure=sure, speak_above=0.0), LABELS)
+    first = {}
+    for hundredth in (50, 60, 70, 80, 90, 99):
+        said = probabilities(stroke=hundredth / 100)
+        first[hundredth] = next(at for at in range(1, 433) if decision.is_sure(said, at))
+    assert sorted(first.values(), reverse=True) == list(first.values())
+    assert first[99] < 30 < first[50]
+    assert not any(decision.is_sure(probabilities(notouch=1.0), at) for at in range(1, 433))
 
 
 def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
-    decision = Decision(DecisionSettings(early="when_sure"), LABELS)
-    assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.9), at)] == [9, 10, 11]
+    decision = Decision(DecisionSettings(early="when_sure", sure="eager"), LABELS)
+    assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.99), at)] == [9, 10, 11]
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from daemon.decide import SURE, DecisionSettings, Sure
+from daemon.decide import DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pad.steps import work_off
 from daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
@@ -259,12 +259,11 @@ def test_an_answer_too_unsure_to_be_told_is_not_hurried() -> None:
     assert [answer.frames for answer in answers] == [54, 81, 144]
 
 
-def test_a_careful_scene_waits_until_the_answer_stays() -> None:
-    def wavers(frames: int) -> str:
-        return "stroke" if frames >= 30 else ("pat", "rub")[frames % 2]
+def test_a_careful_scene_waits_longer_than_an_eager_one() -> None:
+    def first(sure: Sure) -> int:
+        return predictions(when_sure(lambda frames: "stroke", sure=sure))[0].frames
 
-    assert predictions(when_sure(wavers, 0.99, "careful"))[0].frames == 29 + SURE["careful"].frames
-    assert predictions(when_sure(wavers, 0.99, "eager"))[0].frames == 9
+    assert first("eager") < first("balanced") < first("careful") < 54
 
 
 def test_a_gesture_that_lasted_is_told_again() -> None:

@@ -56,6 +56,7 @@ def test_no_rule_is_better_than_the_oracle(late: Streams) -> None:
         "fixed time",
         "confidence",
         "confidence for 5 frames",
+        "falling confidence",
         "margin",
         "sequential test",
         "learnt trigger",
@@ -90,7 +91,7 @@ def test_pages_and_figure_are_filled_from_the_streams(late: Streams, tmp_path: P
     pytest.importorskip("matplotlib", reason="needs the extra train")
     for page in ("early.md", "decision.md"):
         shutil.copy(DOCS / page, tmp_path)
-    write({"made up": late}, tmp_path)
+    write({"made up": late}, late, tmp_path)
     early, decision = ((tmp_path / page).read_text() for page in ("early.md", "decision.md"))
     assert "| made up | 4 | 40 |" in early
     assert "| made up | `when_sure`, `careful` |" in early

@@ -1,7 +1,8 @@
 """Compares stopping rules on the same streams of probabilities: how early they tell, and their errors.
 
-`python -m docs.studies early` asks the left-out networks about the people of both studies, in about a minute,
-and fills the tables and the figure of docs/early.md, and what `scene.sure` costs in docs/decision.md.
+`python -m docs.studies early` asks the left-out networks about the people of both studies, and the shipped
+one about the challenge's test participants, in about two minutes; fills the tables and the figure of
+docs/early.md, and what `scene.sure` costs in docs/decision.md.
 """
 
 import argparse
@@ -13,17 +14,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings
+from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
 from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Told
 from docs.studies.decision.report import MOST_HARMED
-from docs.studies.decision.streams import FRAMES, Streams, collect
+from docs.studies.decision.streams import FRAMES, Streams, collect, collect_windows
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
-from docs.studies.training import haart, second_study
+from docs.studies.training import haart, metrics, second_study
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import NO_TOUCH
-from model.classifier import SHIPPED_MODEL
+from model.classifier import SHIPPED_MODEL, Classifier
 
 Frames = NDArray[np.int64]
 Rule = Callable[[Streams], Frames]
@@ -33,6 +34,8 @@ PRICES = (0.02, 0.05, 0.1)
 PAPER = {9: 57.0, 27: 66.6, 54: 70.8, 81: 71.1, 108: 72.3, 144: 72.8, 216: 71.6}
 LEARN_EVERY = 9
 MARKS = DecisionSettings().answer_at_frames
+# Confidence after a second, of the falling one.
+LIMITS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 class RuleScore(msgspec.Struct, frozen=True, kw_only=True):
@@ -78,6 +81,15 @@ def score(rule: str, setting: str, streams: Streams, frames: Frames) -> RuleScor
     )
 
 
+class Challenge(msgspec.Struct, frozen=True, kw_only=True):
+    """The challenge's test windows, answered once sure. right: macro accuracy, as in the paper's table 3."""
+
+    limit: float
+    mean_s: float
+    median_s: float
+    right: float
+
+
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
     """What one of the scene's choices costs. first: of what is told first."""
 
@@ -104,19 +116,31 @@ def main(arguments: Sequence[str]) -> int:
         "second study": second_study.takes(second_study.read(chosen.second_study)),
     }
     studies = {title: collect(of_one, chosen.weights) for title, of_one in recordings.items()}
-    best = write(studies, chosen.docs)
+    tested = collect_windows(haart.read_test(chosen.haart), Classifier.load())
+    best = write(studies, tested, chosen.docs)
     sys.stdout.write(f"{chosen.docs / 'early.md'}; the figures are for scene.early: {best}\n")
     return 0
 
 
-def write(studies: Mapping[str, Streams], docs: Path) -> str:
-    """Fill the pages in a folder from the streams of each study; return what `best_choice` says of them."""
+def write(studies: Mapping[str, Streams], tested: Streams, docs: Path) -> str:
+    """Fill the pages in a folder from the streams of each study and of the challenge's test windows.
+
+    Returns what `best_choice` says of the studies.
+    """
     choices = {title: choices_of(streams) for title, streams in studies.items()}
     scores = {title: compare(streams) for title, streams in studies.items()}
     sure = sure_table(choices)
-    fill(docs / "early.md", {"touches": touches_table(studies), "sure": sure, "rules": rules_table(scores)})
+    challenge = challenge_of(tested)
+    tables = {
+        "touches": touches_table(studies),
+        "sure": sure,
+        "rules": rules_table(scores),
+        "challenge": challenge_table(challenge),
+    }
+    fill(docs / "early.md", tables)
     fill(docs / "decision.md", {"sure": sure}, others=("stages", "curve"))
-    draw({title: (scores[title], choices[title]) for title in studies}, docs / "figures" / "early.png")
+    drawn = {title: (scores[title], choices[title]) for title in studies}
+    draw(drawn, challenge, docs / "figures" / "early.png")
     return best_choice(choices)
 
 
@@ -146,6 +170,7 @@ def compare(streams: Streams) -> list[RuleScore]:
         "fixed time": {f"{length}": _fixed(length) for length in (9, 27, 54, 72, 81, 108, 144)},
         "confidence": {f"{p:.2f}": _confidence(p, 1) for p in np.arange(0.4, 0.96, 0.05)},
         "confidence for 5 frames": {f"{p:.2f}": _confidence(p, 5) for p in np.arange(0.4, 0.96, 0.05)},
+        "falling confidence": {f"{limit:.2f}": _falling(limit) for limit in LIMITS},
         "margin": {f"{p:.2f}": _margin(p) for p in np.arange(0.1, 0.96, 0.1)},
         "sequential test": {f"{limit:g}": _sequential(limit) for limit in (1, 2, 4, 8, 16, 32, 64)},
         "learnt trigger": {f"{price:g}": _learnt(price) for price in (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)},
@@ -157,6 +182,23 @@ def compare(streams: Streams) -> list[RuleScore]:
         for name, settings in rules.items()
         for setting, rule in settings.items()
     ]
+
+
+def challenge_of(tested: Streams) -> list[Challenge]:
+    """Return how often, and when, the challenge's test windows are answered rightly."""
+    rows = []
+    for limit in LIMITS:
+        frames = _first(tested, _is_sure(tested.probabilities, limit))
+        told = tested.probabilities[np.arange(len(frames)), frames - 1].argmax(axis=1)
+        rows.append(
+            Challenge(
+                limit=limit,
+                mean_s=float(frames.mean()) / FRAME_RATE_HZ,
+                median_s=float(np.median(frames)) / FRAME_RATE_HZ,
+                right=metrics.macro_accuracy(told, tested.truth, len(tested.labels)),
+            )
+        )
+    return rows
 
 
 def heard(streams: Streams, settings: DecisionSettings) -> list[Told]:
@@ -251,36 +293,55 @@ def rules_table(studies: Mapping[str, Sequence[RuleScore]]) -> str:
     return table((*headings, "harmful changes"), rows)
 
 
+def challenge_table(challenge: Sequence[Challenge]) -> str:
+    """Return accuracy against time on the challenge's test windows."""
+    rows = [
+        (f"{row.limit:.2f}", f"{row.mean_s:.2f} / {row.median_s:.2f} s", f"{100 * row.right:.1f} %")
+        for row in challenge
+    ]
+    return table(("confidence after a second", "told after, mean / median", "macro accuracy"), rows)
+
+
 def _cheapest(scores: Sequence[RuleScore]) -> Iterator[RuleScore]:
     for name in dict.fromkeys(entry.rule for entry in scores):
         own = [entry for entry in scores if entry.rule == name]
         yield from dict.fromkeys(own[place] for place in np.argmin([entry.costs for entry in own], axis=0))
 
 
-def draw(studies: Mapping[str, tuple[Sequence[RuleScore], Sequence[Choice]]], path: Path) -> None:
+def draw(
+    studies: Mapping[str, tuple[Sequence[RuleScore], Sequence[Choice]]],
+    challenge: Sequence[Challenge],
+    path: Path,
+) -> None:
     """Draw error over mean time: rules as curves, the paper's table 3 and `scene.sure` as dots."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, panels = plt.subplots(
-        1, len(studies), figsize=(5.6 * len(studies), 4.4), layout="constrained", sharey=True, squeeze=False
+    width = 4.6 * (len(studies) + 1)
+    figure, (*panels, last) = plt.subplots(
+        1, len(studies) + 1, figsize=(width, 4.4), layout="constrained", sharey=True
     )
-    for axes, (title, (scores, choices)) in zip(panels[0], studies.items(), strict=True):
+    for axes, (title, (scores, choices)) in zip(panels, studies.items(), strict=True):
         for name in dict.fromkeys(entry.rule for entry in scores):
             own = sorted((entry.mean_s, 100 * entry.error) for entry in scores if entry.rule == name)
             axes.plot(*zip(*own, strict=True), marker="*" if name == "oracle" else ".", label=name)
-        axes.plot(
-            [n / FRAME_RATE_HZ for n in PAPER], [100 - p for p in PAPER.values()], "ks", label="the paper"
-        )
         for choice in choices:
             at = choice.first_mean_s, 100 * (1 - choice.first_right)
             axes.plot(*at, "rD")
             axes.annotate(choice.sure or "at_mark", at, textcoords="offset points", xytext=(5, 5), fontsize=8)
-        axes.set(title=title, xlabel="mean time to the told answer, s", xlim=(0, 3))
-    panels[0][0].set_ylabel("told wrong, %")
-    panels[0][0].legend(fontsize=7)
+        axes.set(title=f"{title}, six gestures")
+        axes.legend(fontsize=7)
+    curve = [(row.mean_s, 100 * (1 - row.right)) for row in challenge]
+    last.plot(*zip(*curve, strict=True), marker=".", label="falling confidence")
+    paper = [(frames / FRAME_RATE_HZ, 100 - right) for frames, right in PAPER.items()]
+    last.plot(*zip(*paper, strict=True), "ks", label="the paper, fixed time")
+    last.set(title="the challenge's test windows, seven gestures")
+    last.legend(fontsize=7)
+    for axes in (*panels, last):
+        axes.set(xlabel="mean time to the told answer, s", xlim=(0, 3))
+    panels[0].set_ylabel("told wrong, %")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
     plt.close(figure)
@@ -321,6 +382,17 @@ def _confidence(limit: float, patience: int) -> Rule:
         return _first(streams, stops)
 
     return rule
+
+
+def _falling(limit: float) -> Rule:
+    return lambda streams: _first(streams, _is_sure(_named(streams), limit))
+
+
+def _is_sure(said: NDArray[np.float32], limit: float) -> NDArray[np.bool_]:
+    """Return whether (N, FRAMES, labels) are sure after each frame, as the daemon has it."""
+    limits = [sure_above(limit, frames) for frames in range(1, FRAMES + 1)]
+    sure: NDArray[np.bool_] = said.max(axis=2) >= np.array(limits)
+    return sure
 
 
 def _margin(limit: float) -> Rule:

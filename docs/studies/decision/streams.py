@@ -17,7 +17,7 @@ from docs.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
 from docs.studies.training import haart
 from docs.studies.training.ship import left_out_split
 from drivers.recording import Recording
-from model.classifier import Classifier
+from model.classifier import Classifier, State
 
 FRAMES = 144
 # Rest is learned in half a second; more of the notouch would only take time.
@@ -55,6 +55,19 @@ def collect(recordings: Sequence[Recording], weights: Path) -> Streams:
         np.array([participant for *_, participant in rows]),
         labels,
     )
+
+
+def collect_windows(recordings: Sequence[Recording], model: Classifier) -> Streams:
+    """Ask a network about the challenge's windows of FRAMES frames, "notouch" among them."""
+    windows = haart.cut(haart.realigned(recordings), FRAMES)
+    states: list[State | None] = [None] * len(windows.labels)
+    said = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
+    for frame in range(FRAMES):
+        heard = model.steps(list(windows.counts[:, frame : frame + 1]), states)
+        said[:, frame] = [answer for answer, _ in heard]
+        states = [state for _, state in heard]
+    noticed = np.zeros(len(windows.labels), np.int64)
+    return Streams(said, windows.labels, noticed, windows.participants, model.labels)
 
 
 def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
