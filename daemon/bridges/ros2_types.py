@@ -65,10 +65,5 @@ def image(frame: Frame, pad: str) -> Image:
         encoding="mono16",
         is_bigendian=0,
         step=COLUMNS * BYTES_PER_TAXEL,
-        data=pixels(frame),  # type: ignore[arg-type]
+        data=frame.pressure.astype("<u2").tobytes(),  # type: ignore[arg-type]
     )
-
-
-def pixels(frame: Frame) -> bytes:
-    """Return a frame's counts row by row, little-endian."""
-    return frame.pressure.astype("<u2").tobytes()

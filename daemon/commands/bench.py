@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from itertools import cycle, islice
 from pathlib import Path
 
@@ -67,13 +66,8 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     same_predictions: bool
 
 
-@dataclass(frozen=True)
-class Received:
-    """An event read from the daemon, and when, by two clocks."""
-
-    event: Event
-    monotonic_s: float
-    epoch_s: float
+# An event read from the daemon, and when, by `time.monotonic` and by `time.time`.
+Received = tuple[Event, float, float]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -151,8 +145,7 @@ def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> 
         daemon.stop()
         reader.join()
     latencies_ms = _latencies_ms({name: port.sent_s for name, port in ports.items()}, received)
-    events = [arrived.event for arrived in received]
-    answers = [event for event in events if isinstance(event, Prediction)]
+    answers = [event for event, *_ in received if isinstance(event, Prediction)]
     inner_ms = [event.latency_ms for event in answers]
     speed, classified = _classify(stream)
     return Figures(
@@ -183,8 +176,8 @@ def touched(touch_s: float, quiet_s: float = QUIET_S) -> Stream:
 def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
     assert daemon.process.stdout is not None
     for line in daemon.process.stdout:
-        monotonic_s, epoch_s = time.monotonic(), time.time()
-        received.append(Received(decode(line), monotonic_s, epoch_s))
+        read_s = time.monotonic(), time.time()
+        received.append((decode(line), *read_s))
 
 
 def _stages(events: Sequence[Event], pad: str) -> list[dict[str, object]]:
@@ -200,13 +193,13 @@ def _latencies_ms(sent_s: Mapping[str, NDArray[np.float64]], received: Sequence[
     handed over and how long after its frame.
     """
     latencies_ms = []
-    for arrived in received:
-        if isinstance(arrived.event, Prediction):
-            since_hand_over_s = arrived.epoch_s - epoch_s(arrived.event.time)
-            frame_s = arrived.monotonic_s - since_hand_over_s - arrived.event.latency_ms / 1000
-            sent = sent_s[arrived.event.pad]
+    for event, read_s, read_epoch_s in received:
+        if isinstance(event, Prediction):
+            since_hand_over_s = read_epoch_s - epoch_s(event.time)
+            frame_s = read_s - since_hand_over_s - event.latency_ms / 1000
+            sent = sent_s[event.pad]
             frame = int(np.searchsorted(sent, frame_s + STAMP_S)) - 1
-            latencies_ms.append(1000 * (arrived.monotonic_s - float(sent[frame])))
+            latencies_ms.append(1000 * (read_s - float(sent[frame])))
     return latencies_ms
 
 

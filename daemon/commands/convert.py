@@ -1,11 +1,14 @@
 """`touchd convert`: a journal or a recording as CSV or MCAP."""
 
 import argparse
+import csv
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import IO, Any
 
-from daemon.convert import journal_csv
+import msgspec
+
 from daemon.events import Event, EventError, decode
 from daemon.kept.journal import MAX_LINE_BYTES, JournalError
 from drivers.errors import TouchdError
@@ -53,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
                 pass
             if out.suffix == ".csv":
                 with out.open("x", encoding="utf-8", newline="") as table:
-                    journal_csv.write(lambda: read(file), table)
+                    _write_table(file, table)
             else:
                 with out.open("xb") as target:
                     mcap.write_events(read(file), target)
@@ -77,3 +80,23 @@ def read(path: Path) -> Iterator[Event]:
                     raise JournalError(f"{path}, line {number}: longer than any event; not a journal")
     except OSError as error:
         raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error
+
+
+def _write_table(journal: Path, file: IO[str]) -> None:
+    """Write a row an event, a column each field, for pandas and spreadsheets."""
+    columns = dict.fromkeys(name for event in read(journal) for name in _flat(event))
+    table = csv.DictWriter(file, list(columns), lineterminator="\n")
+    table.writeheader()
+    table.writerows(map(_flat, read(journal)))
+
+
+def _flat(event: Event) -> dict[str, Any]:
+    """Return an event's fields by name; those of a mapping are called by both names: probabilities_pat."""
+    row: dict[str, Any] = {}
+    for name, value in msgspec.to_builtins(event).items():
+        row |= (
+            {f"{name}_{key}": part for key, part in value.items()}
+            if isinstance(value, dict)
+            else {name: value}
+        )
+    return row

@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
@@ -22,20 +21,12 @@ NOT_KEPT = (
 )
 
 
-@dataclass(frozen=True)
-class Label:
-    """The true gesture of a kept touch, which is given by its number or the beginning of its time."""
-
-    touch: str
-    gesture: str
-
-
-def label_of(text: str) -> Label:
-    """Return what TOUCH=GESTURE says; for argparse."""
+def label_of(text: str) -> tuple[str, str]:
+    """Return TOUCH, its number or the beginning of its time, and GESTURE of TOUCH=GESTURE; for argparse."""
     touch, equals, gesture = text.rpartition("=")
     if not (touch and equals and gesture):
         raise argparse.ArgumentTypeError(f"{text!r} is not TOUCH=GESTURE, as in 17=stroke")
-    return Label(touch, gesture)
+    return touch, gesture
 
 
 def label(console: Console, options: argparse.Namespace) -> None:
@@ -83,13 +74,13 @@ def _label_named(
     """Label what --label names; nothing when a name or a gesture is wrong."""
     if options.participant is None:
         raise RecordingError("--label: say with --participant who touched")
-    for label in options.label:
-        if label.gesture not in options.gestures:
+    for name, gesture in options.label:
+        if gesture not in options.gestures:
             known = ", ".join(options.gestures)
-            raise RecordingError(f"--label {label.touch}: {label.gesture} is none of --gestures, {known}")
+            raise RecordingError(f"--label {name}: {gesture} is none of --gestures, {known}")
     setting = Setting(options.participant, options.substrate or "none", options.cover or "none")
     there = folder.labelled()
-    for touch, gesture in [(find(kept, label.touch), label.gesture) for label in options.label]:
+    for touch, gesture in [(find(kept, name), gesture) for name, gesture in options.label]:
         already = there.get(touch.path.name)
         if already is not None and already.name.split("_")[3] == gesture:
             console.print(f"{already.name} is there already", markup=False, soft_wrap=True)

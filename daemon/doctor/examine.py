@@ -24,8 +24,8 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from daemon.setup.destinations import parser_for
 from drivers.pad.port import Line, open_port
+from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import SensorError, check_port
 
 PRESS_S = 15.0
@@ -59,7 +59,7 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool)
     with opened:
         yield port_is_open(sensor)
         say(f"Leave the pad alone for {seconds:g} s ...")
-        heard = listen(opened, parser_for(sensor), seconds)
+        heard = listen(opened, parser_of(sensor.described), seconds)
         yield check_protocol(heard, sensor, opened)
         if len(heard.frames) < LEAST_FRAMES:
             yield Check("pad", "not checked", "no frames come")
@@ -86,5 +86,7 @@ def _examine_orientation(opened: Line, heard: Heard, settings: Settings, say: Sa
         return Check("orientation", "not checked", "touchd doctor --press asks for a corner, and tells")
     rest = np.median(heard.counts(), axis=0)
     say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
-    pressed = listen(opened, parser_for(settings.sensor), PRESS_S, enough=lambda f: is_pressed(f, rest))
+    pressed = listen(
+        opened, parser_of(settings.sensor.described), PRESS_S, enough=lambda f: is_pressed(f, rest)
+    )
     return check_orientation(pressed, rest)

@@ -8,11 +8,11 @@ from serial.tools.list_ports import comports
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
-from daemon.setup.destinations import parser_for
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import as_yaml, diagnose, propose
-from drivers.pad.pace import pace_of, steps_ms
+from drivers.pad.pace import clock_ms, pace_of
 from drivers.pad.port import Line
+from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import SensorError
 
 # Usual baud rates, the lab's Mega and Teensy builds first.
@@ -64,7 +64,7 @@ def port_is_not_open(error: SensorError) -> Check:
 
 def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
     """Report whether frames were decoded; if not, try other baud rates and diagnose the bytes."""
-    expected = parser_for(sensor).description
+    expected = parser_of(sensor.described).description
     if heard.frames:
         return Check("protocol", "ok", f"{expected} at {sensor.baud} baud, as configured")
     if heard.broke_off:
@@ -97,7 +97,7 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
             opened.reset_input_buffer()
         except (OSError, ValueError):
             continue
-        if listen(opened, parser_for(sensor), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
+        if listen(opened, parser_of(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
             return baud
     return None
 
@@ -154,6 +154,5 @@ def _clock_by_ours(heard: Heard) -> float:
     if since_s[-1] < COMPARABLE_S:
         return 1.0
     # A fit through all frames, so that one late frame does not matter.
-    clock_s = np.concatenate([[0.0], np.cumsum(steps_ms(heard.frames))]) / 1000
-    slope, _ = np.polyfit(since_s, clock_s, 1)
+    slope, _ = np.polyfit(since_s, clock_ms(heard.frames) / 1000, 1)
     return float(slope)

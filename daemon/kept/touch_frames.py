@@ -8,7 +8,7 @@ import numpy as np
 from daemon.events import TouchBegan, TouchEnded
 from drivers.frame import Frame
 from drivers.pad.framing import CLOCK_MODULUS
-from drivers.pad.pace import pace_of, steps_ms
+from drivers.pad.pace import clock_ms, pace_of
 from drivers.recording import NO_TOUCH, UNLABELLED, Recording
 
 LEAD_MS = 1000
@@ -45,16 +45,13 @@ class TouchPieces:
     def rate(self) -> str:
         """How fast the frames came, in words."""
         frames = (*self.before, *self.touch, *self.after)
-        if len(frames) < 2:
-            return "unknown"
-        pace = pace_of(frames)
-        return f"{pace.rate_hz:.2f} Hz, {pace.lost} frames lost"
+        return str(pace_of(frames)) if len(frames) > 1 else "unknown"
 
     def recordings(self) -> list[Recording]:
         """Return them as unlabelled recordings on one clock."""
         pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
         frames = [frame for _, piece in pieces for frame in piece]
-        clock_ms = frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(frames))])
+        ms = clock_ms(frames)
         made: list[Recording] = []
         place = 0
         for gesture, piece in pieces:
@@ -66,7 +63,7 @@ class TouchPieces:
                         UNLABELLED,
                         gesture,
                         np.stack([frame.pressure for frame in piece]),
-                        clock_ms[place : place + len(piece)].astype(np.int64),
+                        ms[place : place + len(piece)],
                         "live",
                     )
                 )

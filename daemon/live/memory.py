@@ -28,10 +28,14 @@ PREDICTIONS = 24
 
 
 class Memory:
-    """The last touches of a pad with their answers, and the last state of pad and robot; bounded."""
+    """The last touches of a pad with their answers, and the last state of pad and robot; bounded.
+
+    frames: how many have come.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
+        self.frames = 0
         self._sensor: SensorEvent | None = None
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None

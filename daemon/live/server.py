@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import TypeAlias
 
 from websockets.asyncio.server import ServerConnection, serve
@@ -44,14 +43,6 @@ Scenes: TypeAlias = Mapping[str, Scene]
 Item: TypeAlias = Event | LivePrediction | tuple[Frame, str] | Scenes
 
 
-@dataclass
-class _Shown:
-    """One pad. frames: number so far."""
-
-    memory: Memory
-    frames: int = 0
-
-
 class LiveServer:
     """A sink that serves the page on a listening socket; taking events and frames never blocks."""
 
@@ -60,7 +51,7 @@ class LiveServer:
     def __init__(self, listening: socket.socket, settings: LiveSettings, scenes: Scenes) -> None:
         self.listening = listening
         self._settings = settings
-        self._pads = {name: _Shown(Memory(scene)) for name, scene in scenes.items()}
+        self._pads = {name: Memory(scene) for name, scene in scenes.items()}
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY)
@@ -207,14 +198,14 @@ class LiveServer:
                 self._viewers.show(encode_message(item))
             case Mapping():
                 for pad, scene in item.items():
-                    self._pads[pad].memory.scene = scene
+                    self._pads[pad].scene = scene
                 for state in self._state():
                     self._viewers.tell(state)
             case _:
                 for pad in [item.pad] if not isinstance(item, RobotEvent) else self._pads:
-                    self._pads[pad].memory.put(item)
+                    self._pads[pad].put(item)
                 self._viewers.tell(encode_message(item))
 
     def _state(self) -> list[str]:
         pads = tuple(self._pads)
-        return [encode_message(self._pads[pad].memory.state(self._page.stamp, pad, pads)) for pad in pads]
+        return [encode_message(self._pads[pad].state(self._page.stamp, pad, pads)) for pad in pads]

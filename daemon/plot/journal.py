@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from daemon.events import Stage
 from daemon.kept.touches import ReportedTouch
-from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
+from daemon.plot.plot import (
+    INK,
+    LANES,
+    PALE,
+    QUIET_INK,
+    PlotError,
+    bare,
+    colour_of,
+    draw_answer,
+    draw_lanes,
+    lane_of,
+    new_figure,
+)
 from drivers.frame import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -15,16 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
-# Answers after the final one share a column; the last is shown.
-COLUMN_OF: Mapping[Stage, int] = {
-    "early": 0,
-    "revised": 1,
-    "final": 2,
-    "ongoing": 3,
-    "released": 3,
-    "uncertain": 3,
-}
-COLUMN_NAMES = ("early", "revised", "final", "later, the last")
 
 
 def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
@@ -44,18 +45,16 @@ def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
 
 def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
     for row, touch in enumerate(touches):
-        last = {COLUMN_OF[answer.stage]: answer for answer in touch.predictions}
+        # Answers after the final one share a column; the last is shown.
+        last = {lane_of(answer): answer for answer in touch.predictions}
         for column, answer in last.items():
             colour = colour_of(answer.gesture, gestures)
             draw_answer(axes, column, row, answer, colour, wrong=False)
-    axes.set_xlim(-0.15, len(COLUMN_NAMES) - 0.2)
-    axes.set_xticks(range(len(COLUMN_NAMES)), COLUMN_NAMES, ha="left")
+    axes.set_xlim(-0.15, len(LANES) - 0.2)
+    axes.set_xticks(range(len(LANES)), (*LANES[:-1], f"{LANES[-1]}, the last"), ha="left")
     axes.set_yticks(range(len(touches)), [_name(touch) for touch in touches])
     axes.set_xlabel("answers; filled: the robot was told", fontsize=8, color=QUIET_INK)
-    axes.grid(axis="y", color=PALE, linewidth=0.8)
-    axes.set_axisbelow(True)
-    bare(axes)
-    axes.tick_params(length=0)
+    draw_lanes(axes)
 
 
 def _draw_lengths(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:

@@ -14,10 +14,22 @@ from numpy.typing import NDArray
 
 from daemon.config import Settings
 from daemon.decide import NO_TOUCH, ProbabilityModel
-from daemon.events import UNCERTAIN, Event, Stage, TouchBegan
+from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.kept.touches import ReportedTouch, gather
 from daemon.pipeline import Pipeline
-from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
+from daemon.plot.plot import (
+    INK,
+    LANES,
+    PALE,
+    QUIET_INK,
+    PlotError,
+    bare,
+    colour_of,
+    draw_answer,
+    draw_lanes,
+    lane_of,
+    new_figure,
+)
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import UNLABELLED, Span, Stream
 
@@ -28,13 +40,6 @@ if TYPE_CHECKING:
 ROW_S = 24.0
 LONGEST_S = 300.0
 LEGEND = "filled: the robot was told    red: not the gesture that was done    grey: a touch was felt"
-LANES: tuple[tuple[Stage, ...], ...] = (
-    ("early",),
-    ("revised",),
-    ("final",),
-    ("released", "ongoing", "uncertain"),
-)
-LANE_NAMES = ("early", "revised", "final", "later")
 ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
 LEAST_COLUMNS, MOST_COLUMNS = 4, 7
 # Do not scale noise up to look like touches.
@@ -192,17 +197,13 @@ def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: flo
         for answer in touch.predictions:
             at_s = felt.starts_s[number] + answer.elapsed_s
             if begin_s <= at_s < end_s:
-                lane = next(lane for lane, stages in enumerate(LANES) if answer.stage in stages)
                 colour = colour_of(answer.gesture, gestures)
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
-                draw_answer(axes, at_s, -lane, answer, colour, wrong=is_wrong)
+                draw_answer(axes, at_s, -lane_of(answer), answer, colour, wrong=is_wrong)
     axes.set_ylim(-len(LANES) + 0.4, 0.6)
-    axes.set_yticks([-lane for lane in range(len(LANES))], LANE_NAMES)
+    axes.set_yticks([-lane for lane in range(len(LANES))], LANES)
     axes.set_xticks([])
-    axes.grid(axis="y", color=PALE, linewidth=0.8)
-    axes.set_axisbelow(True)
-    bare(axes)
-    axes.tick_params(length=0)
+    draw_lanes(axes)
 
 
 def _draw_pads(figure: SubFigure, felt: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from daemon.config import Settings
-from daemon.setup.destinations import parser_for
 from daemon.touch import Onset, Release, TouchTracker
 from drivers.frame import Frame
 from drivers.pad.framing import CLOCK_MODULUS
 from drivers.pad.grid import Ring
 from drivers.pad.health import PadHealth
-from drivers.pad.pace import pace_of, steps_ms
+from drivers.pad.pace import clock_ms, pace_of
+from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 from drivers.recording import NO_TOUCH, Recording
 
@@ -38,9 +38,8 @@ class Capture:
 
     def recording(self, participant: str, substrate: str, cover: str, gesture: str) -> Recording:
         """Return the frames as a recording, on the pad's own clock."""
-        clock_ms = self.frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(self.frames))])
         counts = np.stack([frame.pressure for frame in self.frames])
-        return Recording(participant, substrate, cover, gesture, counts, clock_ms.astype(np.int64), "live")
+        return Recording(participant, substrate, cover, gesture, counts, clock_ms(self.frames), "live")
 
 
 class PadReader:
@@ -50,7 +49,7 @@ class PadReader:
         sensor = settings.sensor
         self._settings = settings
         self._queue = FrameQueue()
-        self._sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self._queue)
+        self._sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self._queue)
         self._health = PadHealth()
         self._away = ""
 

@@ -148,12 +148,11 @@ class Dialogue:
         return capture.recording(session.participant, session.substrate, session.cover, take.gesture)
 
     def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
-        pace = pace_of(capture.frames)
         return {
             "source": f"touchd record, touchd {metadata.version('touchd')}",
             "recorded": timestamp(time.time()),
             "sensor": description_of(self._settings.sensor),
-            "rate": f"{pace.rate_hz:.2f} Hz, {pace.lost} frames lost",
+            "rate": str(pace_of(capture.frames)),
             "part": f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s",
             "round": f"{take.number} of {self._session.rounds}, seed {self._session.seed}",
             "licence": self._terms.licence,

@@ -16,8 +16,6 @@ from daemon.kept.touch_store import TouchStore, folder_of
 from daemon.live.address import listen, require_library
 from drivers.frame import Counts
 from drivers.pad.format import encode_frame
-from drivers.pad.parser import FrameParser
-from drivers.pad.protocol import parser_of
 from drivers.recording import RecordingError
 from drivers.robot.actions import Kind
 from drivers.robot.link import RobotLink
@@ -101,11 +99,6 @@ def description_of(sensor: SensorSettings) -> str:
     """Return a line that says which pad it is and how it is read, for recordings."""
     pad = sensor.described
     return f"{pad}, crop {pad.crop}, invert {pad.invert}, at {sensor.baud} baud on {sensor.port}"
-
-
-def parser_for(sensor: SensorSettings) -> FrameParser:
-    """Return a parser for what the pad sends."""
-    return parser_of(sensor.described)
 
 
 def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:

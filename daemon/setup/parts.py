@@ -21,10 +21,10 @@ from daemon.setup.destinations import (
     open_journal,
     open_live_page,
     open_touch_stores,
-    parser_for,
 )
 from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.frame import COLUMNS, ROWS
+from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
 from drivers.pad.watch import PadWatch
 from drivers.queue import Signal
@@ -73,7 +73,7 @@ class Pad:
         if before is not None and sensor == before.settings.sensor:
             self.sensor = before.sensor
         else:
-            self.sensor = Sensor(sensor.port, sensor.baud, parser_for(sensor), self.queue)
+            self.sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self.queue)
         self.pipeline = Pipeline(
             settings.pipeline,
             model,

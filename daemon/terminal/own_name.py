@@ -10,17 +10,12 @@ PROGRAM = "touchd"
 
 
 def own_name() -> str:
-    """Return "touchd" if the shell finds this program by it, else a path or `python -m daemon`."""
+    """Return "touchd" if the shell finds this program by it, else a path, short if it is near."""
     beside = Path(sys.executable).with_name(PROGRAM)
     found = shutil.which(PROGRAM)
     if found is not None and os.path.realpath(found) == os.path.realpath(beside):
         return PROGRAM
     if beside.exists():
-        return shlex.quote(short(beside))
+        here = Path.cwd()
+        return shlex.quote(str(beside.relative_to(here) if beside.is_relative_to(here) else beside))
     return f"{shlex.quote(sys.executable)} -m daemon"
-
-
-def short(path: Path) -> str:
-    """Return a path relative to the working directory if it lies within."""
-    here = Path.cwd()
-    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)

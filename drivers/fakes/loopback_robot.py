@@ -18,7 +18,7 @@ TOKEN_ENV = "TOUCHD_FAKE_ROBOT_TOKEN"
 
 
 class LoopbackRobot:
-    """Runs `python -m drivers.fakes.fake_robot`, follows its reports, and lets it die, hang and come back.
+    """Runs `python -m drivers.fakes.fake_robot`, follows its reports, and lets it die and come back.
 
     port: 0 for any that is free; it is kept over kill() and start(). call_s, say_s: what a call, and speech,
     takes, in seconds. without: services it lacks. login: with one, the robot speaks TLS and asks for it, as
@@ -68,14 +68,6 @@ class LoopbackRobot:
         """Switch it off at once, in the middle of whatever it does."""
         self._signal(signal.SIGKILL)
         self._end()
-
-    def hang(self) -> None:
-        """Stop answering while the connections stay."""
-        self._signal(signal.SIGSTOP)
-
-    def resume(self) -> None:
-        """Answer again, first what was asked meanwhile."""
-        self._signal(signal.SIGCONT)
 
     def stop(self) -> None:
         """End, in whatever state it is; may be called again."""

@@ -21,6 +21,9 @@ class Pace:
     jitter_ms: float
     lost: int
 
+    def __str__(self) -> str:
+        return f"{self.rate_hz:.2f} Hz, {self.lost} frames lost"
+
 
 def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
     """Return the times between T frames by the pad's clock, (T - 1,), over its wrap.
@@ -33,6 +36,12 @@ def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
     if is_back.any():
         steps[is_back] = 0 if is_back.all() else np.median(steps[~is_back])
     return steps
+
+
+def clock_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
+    """Return the pad's clock at T frames, (T,), from the first one's on, without a wrap."""
+    clock: NDArray[np.int64] = frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(frames))])
+    return clock
 
 
 def pace_of(frames: Sequence[Frame]) -> Pace:

@@ -87,22 +87,14 @@ def learnable(pretrained: Pretrained, recordings: Sequence[Recording], each: int
     return crops(pretrained.backbone, recordings, pretrained.saved.settings.augmentation, each, seed)
 
 
-def labels_for(pretrained: Pretrained, gestures: set[str], rehearses: bool) -> tuple[str, ...]:
-    """Return the labels of the adapted model.
-
-    They are the recordings' gestures and "notouch", which the daemon counts on; with rehearsal, which keeps
-    them from being forgotten, also all that the pretrained knows.
-    """
-    return tuple(sorted(gestures | {NO_TOUCH} | (set(pretrained.saved.labels) if rehearses else set())))
-
-
 def adapt(
     pretrained: Pretrained, material: Features, rehearsed: CropFeatures | None, settings: AdaptSettings
 ) -> Adapted:
     """Adapt to all recordings, after measuring on each in turn what adapting to the others does to it."""
     gestures = {recording.gesture for recording in material.recordings}
-    labels = labels_for(pretrained, gestures, rehearsed is not None)
     known = pretrained.saved.labels
+    # The daemon counts on "notouch"; what is rehearsed is not forgotten.
+    labels = tuple(sorted(gestures | {NO_TOUCH} | set(known if rehearsed is not None else ())))
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
 

@@ -30,11 +30,6 @@ class Plan:
     left_out: LeftOut
     folds: tuple[Fold, ...]
 
-    @property
-    def evaluated(self) -> list[int]:
-        """Return every recording that is evaluated."""
-        return [i for fold in self.folds for i in fold.evaluated]
-
 
 def plan(recordings: Sequence[Recording]) -> Plan:
     """Return the folds for a folder's recordings; none where too few are there to leave any out."""

@@ -14,7 +14,6 @@ from torch import Tensor
 
 from drivers.errors import TouchdError
 from drivers.recording import Recording
-from drivers.whole_file import whole_file
 from model.settings import TrainSettings
 from model.tgc import TGC
 
@@ -49,22 +48,6 @@ class Checkpoint:
         network = TGC(self.settings.network, len(self.labels))
         network.load_state_dict(self.network)
         return network.eval()
-
-
-def save(checkpoint: Checkpoint, path: Path) -> None:
-    """Write the checkpoint whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    stored = {
-        "settings": msgspec.json.encode(checkpoint.settings).decode(),
-        "labels": list(checkpoint.labels),
-        "epoch": checkpoint.epoch,
-        "network": checkpoint.network,
-        "training": checkpoint.training,
-        "code_version": checkpoint.code_version,
-        "data_sha256": checkpoint.data_sha256,
-    }
-    with whole_file(path) as partial:
-        torch.save(stored, partial)
 
 
 def load(path: Path) -> Checkpoint:

@@ -34,11 +34,12 @@ from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_sink import TouchSink
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from daemon.pipeline import Pipeline
-from daemon.setup.destinations import description_of, open_live_page, parser_for
+from daemon.setup.destinations import description_of, open_live_page
 from daemon.setup.parts import load_model
 from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
+from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import SensorState
 from drivers.pad.watch import PadWatch
 from drivers.robot.link import RobotLink
@@ -93,7 +94,7 @@ class Soak:
             settings = Settings(live=LiveSettings(port=free.getsockname()[1]))
         assert settings.live is not None
         model = load_model(settings)
-        self._parser = parser_for(settings.sensor)
+        self._parser = parser_of(settings.sensor.described)
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
         self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)

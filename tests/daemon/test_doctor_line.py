@@ -14,10 +14,10 @@ from rigs.sensor_rig import Encode, as_8x8, noise, silence
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
-from daemon.setup.destinations import parser_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.pad.port import open_port
+from drivers.pad.protocol import parser_of
 from drivers.recording import Stream, ideal_clock_ms
 
 
@@ -40,7 +40,7 @@ def protocol_of(encode: Encode, start_s: float) -> Check:
     counts = resting(60.0)
     port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode, speed=10.0)
     with port, open_port(port.path, 512_000) as opened:
-        unheard = listen(opened, parser_for(SETTINGS.sensor), 1.0, start_s=start_s)
+        unheard = listen(opened, parser_of(SETTINGS.sensor.described), 1.0, start_s=start_s)
         return check_protocol(unheard, SETTINGS.sensor, opened)
 
 
@@ -57,7 +57,7 @@ def test_another_baud_rate_is_found_by_trying() -> None:
     with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), only_at_115200, speed=4.0) as port:
         slave.append(port.path)
         with open_port(port.path, 512_000) as opened:
-            unheard = listen(opened, parser_for(SETTINGS.sensor), 1.0, start_s=0.4)
+            unheard = listen(opened, parser_of(SETTINGS.sensor.described), 1.0, start_s=0.4)
             check = check_protocol(unheard, SETTINGS.sensor, opened)
     assert check.advice == "set sensor.baud: 115200"
 
@@ -66,9 +66,9 @@ def test_a_pad_unplugged_while_it_is_listened_to_is_told() -> None:
     counts = resting(4.0)
     port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid)
     with port, open_port(port.path, 512_000) as opened:
-        first = listen(opened, parser_for(SETTINGS.sensor), 0.3)
+        first = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
         port.stop()
-        after = listen(opened, parser_for(SETTINGS.sensor), 0.3)
+        after = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
     assert len(first.frames) > 5
     assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened).found
 

@@ -20,10 +20,11 @@ from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
 from daemon.playback.stream import with_quiet
-from daemon.setup.destinations import encoder_for, parser_for
+from daemon.setup.destinations import encoder_for
 from docs.studies.hand import simulate
 from docs.studies.sessions.plan import SessionSettings, sessions
 from docs.studies.sessions.score import SessionScore, judge, score
+from drivers.pad.protocol import parser_of
 from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
@@ -134,7 +135,7 @@ def test_events_are_identical_however_the_bytes_were_cut(size: int | None, class
     sensor = SensorSettings()
     data = b"".join(map(encoder_for(sensor), stream.counts, stream.sensor_ms.tolist()))
     chance = random.Random(1)
-    parser = parser_for(sensor)
+    parser = parser_of(sensor.described)
     events: list[Event] = []
     pipeline = Pipeline(Settings().pipeline, classifier, events.append)
     position = 0

@@ -13,10 +13,10 @@ from rigs.sensor_rig import Encode
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard, listen
-from daemon.setup.destinations import parser_for
 from docs.studies.hand import simulate
 from drivers.frame import Counts
 from drivers.pad.port import open_port
+from drivers.pad.protocol import parser_of
 from drivers.recording import Stream
 
 SETTINGS = Settings()
@@ -38,7 +38,7 @@ def heard(
         FaultyPort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
         open_port(port.path, 512_000) as opened,
     ):
-        return listen(opened, parser_for(SETTINGS.sensor), almost_all_s)
+        return listen(opened, parser_of(SETTINGS.sensor.described), almost_all_s)
 
 
 def the(name: str, checks: Iterator[Check]) -> Check:

@@ -1,6 +1,7 @@
 """A stand-in robot that records its calls, and a link that records its states."""
 
 import shutil
+import signal
 import threading
 import time
 from collections.abc import Iterator
@@ -31,6 +32,14 @@ class Robot(LoopbackRobot):
     def __init__(self, **options: Any) -> None:
         self.calls = CallLog()
         super().__init__(port=free_port(), on_call=self.calls.add, **options)
+
+    def hang(self) -> None:
+        """Stop answering while the connections stay."""
+        self._signal(signal.SIGSTOP)
+
+    def resume(self) -> None:
+        """Answer again, first what was asked meanwhile."""
+        self._signal(signal.SIGCONT)
 
 
 LOGIN = Login("nao", "s3cret-token")

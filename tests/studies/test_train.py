@@ -12,7 +12,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from docs.studies.training.train import CHECKPOINT_NAME, Training, train
+from docs.studies.training.train import CHECKPOINT_NAME, Training, save, train
 from drivers.recording import Recording, ideal_clock_ms
 from model.settings import NetworkSettings, TrainSettings
 from model.training import checkpoint
@@ -84,7 +84,7 @@ def test_the_network_is_the_mean_of_those_set_aside(tmp_path: Path) -> None:
     training = Training(recordings(), msgspec.structs.replace(SETTINGS, averaged_epochs=(2, 3)), DEVICE)
     training.run_epoch()
     training.run_epoch()
-    checkpoint.save(training.snapshot(), tmp_path / CHECKPOINT_NAME)
+    save(training.snapshot(), tmp_path / CHECKPOINT_NAME)
     second = {name: value.clone() for name, value in training.average.state_dict().items()}
     resumed = Training(recordings(), training.settings, DEVICE)
     resumed.resume(checkpoint.load(tmp_path / CHECKPOINT_NAME))
@@ -123,7 +123,7 @@ def test_an_interrupted_training_ends_in_the_same_network(
     interrupted = Training(recordings(), SETTINGS, DEVICE)
     for _ in range(epochs_before):
         interrupted.run_epoch()
-    checkpoint.save(interrupted.snapshot(), tmp_path / CHECKPOINT_NAME)
+    save(interrupted.snapshot(), tmp_path / CHECKPOINT_NAME)
     torch.manual_seed(99)
     torch.rand(5)
     resumed = train(recordings(), SETTINGS, tmp_path, DEVICE)

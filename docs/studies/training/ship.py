@@ -12,7 +12,7 @@ from docs.studies.checks import evaluate
 from docs.studies.training import calibrate, haart
 from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
 from docs.studies.training.studies import Folders
-from docs.studies.training.train import CHECKPOINT_NAME, train_studies
+from docs.studies.training.train import CHECKPOINT_NAME, save, train_studies
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording
 from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
@@ -63,7 +63,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         written.append(path)
         if shipped:
             beside = path.with_suffix(".pt")
-            checkpoint.save(replace(saved, training={}), beside)
+            save(replace(saved, training={}), beside)
             written.append(beside)
     return written
 

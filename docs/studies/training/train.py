@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from torch import Tensor
@@ -15,6 +16,7 @@ from tqdm import tqdm
 from docs.studies.training import haart
 from docs.studies.training.studies import Folders
 from drivers.recording import NO_TOUCH, Recording
+from drivers.whole_file import whole_file
 from model.settings import TrainSettings
 from model.tgc import TGC
 from model.training import checkpoint
@@ -23,6 +25,22 @@ from model.training.checkpoint import Checkpoint, CheckpointError, data_hash
 from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 
 CHECKPOINT_NAME = "checkpoint.pt"
+
+
+def save(checkpoint: Checkpoint, path: Path) -> None:
+    """Write the checkpoint whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stored = {
+        "settings": msgspec.json.encode(checkpoint.settings).decode(),
+        "labels": list(checkpoint.labels),
+        "epoch": checkpoint.epoch,
+        "network": checkpoint.network,
+        "training": checkpoint.training,
+        "code_version": checkpoint.code_version,
+        "data_sha256": checkpoint.data_sha256,
+    }
+    with whole_file(path) as partial:
+        torch.save(stored, partial)
 
 
 class Training:
@@ -177,7 +195,7 @@ def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path
     with tqdm(total=settings.epochs, initial=training.epoch, unit="epoch", desc=folder.name) as progress:
         while training.epoch < settings.epochs:
             loss = training.run_epoch()
-            checkpoint.save(training.snapshot(), path)
+            save(training.snapshot(), path)
             progress.set_postfix(loss=f"{loss:.3f}")
             progress.update()
     return training.snapshot()
