@@ -54,12 +54,9 @@ RESTLESS_KEPT = 0.999
 # What was measured while a hand left is forgotten after two quiet seconds, in which a body breathes once.
 LEAVING_FRAMES = 108
 
-# Pressure never swings below rest. Where a pad just did, by half a count a taxel, light contact is a
-# vibration that begins; two seconds later its noise is known. Mains hum appears as 4 Hz.
-SWING_COUNTS = 32.0
-SWING_FRAMES = 14
-NEW_VIBRATION_FRAMES = 108
-CALM_AGAIN_FRAMES = 540
+# A vibration that begins lifts all taxels alike, before it is known and taken out (drivers/pad/vibration.py).
+COMMON_COUNTS = 8.0
+COMMON_SHARE = 0.25
 
 # The end is checked nine times a second.
 END_STRIDE_FRAMES = 6
@@ -173,8 +170,6 @@ class TouchTracker:
         self._index = -1
         self._sensor_ms = 0.0
         self._sunken_frames = 0
-        self._swing_frames = 0
-        self._vibrates_since = self._last_swing = -CALM_AGAIN_FRAMES
         self._unsteady_index = 0
         self._restless = self._restless_since = 0.0
         self._watched_frames = 0
@@ -251,13 +246,13 @@ class TouchTracker:
         both = np.maximum(ABOVE_AND_BELOW * rise - self._baseline.noise_floor, 0)
         above = both[0]
         contact, sunken = _beyond_one_wire(both)
-        self._note_vibration(float(rise.sum()))
+        if self._light is None and contact >= self._onset_counts and _is_in_common(rise):
+            contact = 0.0
         if contact >= self._onset_counts or self._light is not None:
             return self._weigh_light(smooth, above, contact)
         self._restless = max(self._restless * RESTLESS_KEPT, contact)
         self._restless_since = max(self._restless_since, contact) if self._watched_frames else contact
-        vibrates = self._index - self._last_swing <= CALM_AGAIN_FRAMES
-        if self._watched_frames == LEAVING_FRAMES and not vibrates:
+        if self._watched_frames == LEAVING_FRAMES:
             self._restless = self._restless_since
         self._baseline.track(self._recent.last(1)[0])
         is_sunken = sunken >= self._settings.onset_threshold
@@ -286,22 +281,6 @@ class TouchTracker:
         self._held = _Held(self._index - GLANCE_FRAMES - ASK_FRAMES, self._index)
         return Onset(self._held.first)
 
-    def _note_vibration(self, rise: float) -> None:
-        """Note when the pad, all taxels together, first went below rest and came back, and when last."""
-        if rise <= -SWING_COUNTS:
-            self._swing_frames += 1
-            return
-        if 0 < self._swing_frames <= SWING_FRAMES:
-            if self._index - self._last_swing > CALM_AGAIN_FRAMES:
-                self._vibrates_since = self._index
-            self._last_swing = self._index
-        self._swing_frames = 0
-
-    @property
-    def _begins_to_vibrate(self) -> bool:
-        is_recent = self._index - self._last_swing <= SWING_FRAMES
-        return is_recent and self._index - self._vibrates_since <= NEW_VIBRATION_FRAMES
-
     @property
     def _is_time_to_look(self) -> bool:
         return self._index % END_STRIDE_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
@@ -326,9 +305,6 @@ class TouchTracker:
         movement = light.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
         is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
         may_breathe = waited > SURE_FRAMES and self._sight.is_there
-        if self._begins_to_vibrate and not is_firm:
-            self._calibrate()
-            return None
         is_sure = is_firm or (movement >= SURE_MOVEMENT and not may_breathe)
         if is_sure or self._is_light_touch(waited, movement):
             self._light = None
@@ -456,6 +432,12 @@ class TouchTracker:
 def _median(a: Taxels, b: Taxels, c: Taxels) -> Taxels:
     median: Taxels = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
     return median
+
+
+def _is_in_common(rise: Taxels) -> bool:
+    """Whether all taxels are above rest alike, as no hand lifts them."""
+    lifted = np.sort(rise)
+    return bool(lifted[TAXELS // 2] >= COMMON_SHARE * lifted[-1] and lifted[-1] <= COMMON_COUNTS)
 
 
 def _beyond_one_wire(above: NDArray[np.float32]) -> list[float]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+from drivers.pad.vibration import Vibration
 from drivers.recording import Recording, ideal_clock_ms
 
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
@@ -77,6 +78,7 @@ class Ring:
         self._phase_ms = 0.0
         self._in_step = IN_STEP_FRAMES
         self._late: Frame | None = None
+        self._vibration = Vibration()
         if before is not None:
             vars(self).update(vars(before), _history=deque(before._history, maxlen=capacity))
         self._max_gap_ms = settings.max_gap_s * 1000.0
@@ -167,6 +169,9 @@ class Ring:
     def _lay(
         self, at_ms: float, host_s: float, pressure: NDArray[np.float32], *, bridged: bool, restarted: bool
     ) -> GridFrame:
+        if restarted:
+            self._vibration = Vibration()
+        pressure = self._vibration.take_out(pressure)
         pressure.flags.writeable = False
         laid = GridFrame(self._next_index, float(at_ms), host_s, pressure, bridged, restarted)
         self._history.append(laid)

@@ -1,0 +1,171 @@
+"""Takes out of the grid's frames what vibrates on all taxels at once: mains hum, a motor.
+
+A hand changes some taxels, each by another amount; hum changes all alike, and a motor by hardly different
+weights. Sampled at 54 Hz each is one sine, hum one of 4 Hz. Where all taxels follow one, its frequency, phase
+and each taxel's weight are learned, and it is subtracted from every frame, also under a hand, which is seen
+apart from it on the taxels that the hand does not touch. A pad that does not vibrate is left as it is.
+"""
+
+import cmath
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.frame import FRAME_RATE_HZ
+
+Counts = NDArray[np.float32]
+
+# Looked at six times a second, over the last two thirds of a second.
+STRIDE_FRAMES = 9
+LOOK_FRAMES = 36
+# A sine that explains this share of the pad's mean, with this amplitude in counts. In 802 recordings without
+# vibration a sine that all taxels follow explains at most 0.38; 18 frames after one began, 0.45 to 0.55.
+LEAST_COUNTS = 0.5
+LEAST_EXPLAINED = 0.5
+# Taxels follow it together: those at the lower sixteenth and quarter, as shares of that at the upper tenth.
+LOW, QUARTER, HIGH = 6, 16, 57
+LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
+# While the sine fills less than the window, it is found anew.
+NEW_LOOKS = 3
+# A fit that differs more, by amplitude or phase, comes from a hand; six in a row, from another vibration.
+LIKE, LIKE_RADIANS = (0.75, 1.35), 0.4
+WEAK = 0.4
+MISFITS = 6
+# How much of what a look shows is believed.
+LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
+# The taxels a third from the lightest: a hand seldom covers more.
+LIGHT = 19
+# The vibration has ended if taking it out leaves four times the variance, over this many frames.
+ENDED_FRAMES, ENDED = 18, 4.0
+
+AGO = np.arange(1 - LOOK_FRAMES, 1)
+HANN = np.hanning(LOOK_FRAMES + 2)[1:-1]
+SLOPE = AGO - AGO.mean()
+LEVEL_AND_SLOPE = np.stack([np.ones(LOOK_FRAMES), SLOPE])
+TURNS = 2 * np.pi * np.arange(3.0, 27.01, 0.25) / FRAME_RATE_HZ
+WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
+
+
+@dataclass
+class _Wave:
+    """A sine: its turn a frame in radians, its value at the newest frame in counts, and how taxels follow.
+
+    weights, rest: (64,), the sine's share in each taxel, and its counts without it. fitted: amplitude that a
+    fit to the light taxels shows, which is less than the true one where counts are cut off at 0.
+    """
+
+    turn: float
+    now: complex
+    weights: Counts
+    rest: Counts
+    fitted: float = 0.0
+    looks: int = 1
+    misfits: int = 0
+
+    def values(self, ago: NDArray[np.int_]) -> NDArray[np.float32]:
+        """Return its values in the frames `ago` of the newest."""
+        values: NDArray[np.float32] = (self.now * np.exp(1j * self.turn * ago)).real.astype(np.float32)
+        return values
+
+    def without(self, frames: Counts, values: NDArray[np.float32]) -> Counts:
+        """Return (T, 64) counts without the sine; a count of 0 may have been cut off, and stays."""
+        left: Counts = np.where(frames > 0, np.maximum(frames - values[:, None] * self.weights, 0), 0)
+        return left
+
+    def fit(self, frames: Counts) -> complex:
+        """Fit the sine to the light taxels."""
+        light = np.sort((frames - self.rest) / self.weights, axis=1)[:, LIGHT]
+        sine = self.turn * AGO
+        parts = np.stack([*LEVEL_AND_SLOPE, np.cos(sine), -np.sin(sine)], axis=1)
+        *_, real, imaginary = np.linalg.lstsq(parts, light, rcond=None)[0].tolist()
+        return complex(real, imaginary)
+
+
+class Vibration:
+    """Follows a pad's frames on the grid, and returns them without its vibration."""
+
+    def __init__(self) -> None:
+        self._newest: list[Counts] = []
+        self._blocks: deque[Counts] = deque(maxlen=LOOK_FRAMES // STRIDE_FRAMES)
+        self._wave: _Wave | None = None
+
+    def take_out(self, pressure: Counts) -> Counts:
+        """Take the next (8, 8) counts; return the same array unless the pad vibrates."""
+        self._newest.append(pressure)
+        wave = self._wave
+        if wave is not None:
+            wave.now *= cmath.exp(1j * wave.turn)
+        if len(self._newest) == STRIDE_FRAMES:
+            self._blocks.append(np.stack(self._newest).reshape(STRIDE_FRAMES, -1))
+            self._newest.clear()
+            if len(self._blocks) == self._blocks.maxlen:
+                self._look()
+        wave = self._wave
+        if wave is None:
+            return pressure
+        return wave.without(pressure.reshape(1, -1), wave.values(AGO[-1:])).reshape(pressure.shape)
+
+    def _look(self) -> None:
+        wave = self._wave
+        frames = np.concatenate(self._blocks)
+        found = _find(frames)
+        if found is not None and (wave is None or wave.looks < NEW_LOOKS):
+            new = _learn(frames, *found)
+            new.fitted = abs(new.fit(frames))
+            new.looks = 1 if wave is None else wave.looks + 1
+            self._wave = new if abs(new.now) >= LEAST_COUNTS else None
+        elif wave is not None and not self._follow(wave, frames, is_untouched=found is not None):
+            self._wave = None
+
+    def _follow(self, wave: _Wave, frames: Counts, *, is_untouched: bool) -> bool:
+        """Adjust the sine to the last frames; return whether the pad still vibrates."""
+        newest = frames[-ENDED_FRAMES:]
+        left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
+        if left.mean(axis=1).var() > ENDED * newest.mean(axis=1).var():
+            return False
+        fit = wave.fit(frames)
+        size, off = abs(fit) / wave.fitted, cmath.phase(fit / wave.now)
+        if not (LIKE[0] < size < LIKE[1] and abs(off) < LIKE_RADIANS):
+            wave.misfits += is_untouched or size < WEAK
+            return wave.misfits < MISFITS
+        wave.misfits = 0
+        wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
+        wave.now *= cmath.exp(1j * PHASE_LEARNED * off)
+        if is_untouched:
+            new = _learn(frames, wave.turn, wave.now)
+            wave.weights += LEARNED * (new.weights - wave.weights)
+            wave.rest += LEARNED * (new.rest - wave.rest)
+            wave.now *= (abs(new.now) / abs(wave.now)) ** LEARNED
+            wave.fitted += LEARNED * (abs(fit) - wave.fitted)
+        return True
+
+
+def _find(frames: Counts) -> tuple[float, complex] | None:
+    """Return the turn and the newest value of the sine that all taxels follow, if there is one."""
+    common = frames.mean(axis=1, dtype=np.float64)
+    common -= common.mean()
+    common -= SLOPE * (SLOPE @ common / (SLOPE @ SLOPE))
+    found = WAVES @ common
+    at = int(np.abs(found).argmax())
+    now = complex(found[at])
+    explained = HANN.sum() * abs(now) ** 2 / 2
+    if abs(now) < LEAST_COUNTS or explained < LEAST_EXPLAINED * float(HANN @ common**2):
+        return None
+    following = np.sort((WAVES[at] @ (frames - frames.mean(axis=0)) / now).real)
+    is_common = following[LOW] >= LOW_SHARE * following[HIGH]
+    is_common &= following[QUARTER] >= QUARTER_SHARE * following[HIGH]
+    return (float(TURNS[at]), now) if is_common else None
+
+
+def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
+    """Learn from an untouched pad how each taxel follows, where the sine is above 0: no count is cut off."""
+    values = (now * np.exp(1j * turn * AGO)).real
+    above, upper = values[values > 0], frames[values > 0]
+    off = above - above.mean()
+    slopes = off @ upper / (off @ off)
+    scale = float(np.median(slopes))
+    weights = np.clip(slopes / scale, 0.3, 2.0)
+    rest = upper.mean(axis=0) - weights * scale * above.mean()
+    return _Wave(turn, now * scale, weights.astype(np.float32), rest.astype(np.float32))

@@ -1,0 +1,86 @@
+"""Mains hum and a motor are taken out of the grid's frames, and nothing else is."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+
+from drivers.frame import Counts, Frame
+from drivers.pad.grid import Ring, RingSettings
+from drivers.recording import ideal_clock_ms
+
+MOTOR_WEIGHTS = np.random.default_rng(3).uniform(0.5, 1.5, (8, 8)).astype(np.float32)
+
+
+def hum(frames: int, hz: float = 50.0, counts: float = 2.0) -> Scans:
+    wave = counts * np.sin(2 * np.pi * hz * np.arange(frames) / 54)
+    return np.broadcast_to(wave[:, None, None], (frames, 8, 8)).astype(np.float32)
+
+
+def motor(frames: int) -> Scans:
+    return MOTOR_WEIGHTS * hum(frames, 23.0)
+
+
+def hand_over_most(seconds: float) -> Scans:
+    """A hand that strokes over 42 taxels, up and down at 3 Hz."""
+    scans = nothing(seconds)
+    scans[:, 1:7, :7] = 40.0 + 25.0 * np.sin(2 * np.pi * 3.0 * np.arange(len(scans)) / 54)[:, None, None]
+    return scans
+
+
+def laid(counts: Counts) -> NDArray[np.float32]:
+    """Return the frames (T, 8, 8) that the grid makes of counts that come at 54 Hz."""
+    ring = Ring(RingSettings(), capacity=1)
+    stamps = ideal_clock_ms(len(counts)).tolist()
+    frames = [ring.push(Frame(n, ms, 0.0, counts[n]))[0] for n, ms in enumerate(stamps)]
+    return np.stack([frame.pressure for frame in frames])
+
+
+def off(pressure: Scans, vibration: Scans) -> tuple[float, float]:
+    """Return the mean error in counts that a vibration makes in the last frames, raw and on the grid."""
+    clean, shaken = MadePad().counts(pressure), MadePad().counts(pressure + vibration)
+    last = slice(-108, None)
+    raw = np.abs(shaken[last].astype(np.float32) - clean[last]).mean()
+    return float(raw), float(np.abs(laid(shaken)[last] - clean[last]).mean())
+
+
+@pytest.mark.parametrize("pressure", [nothing(20.0), pat(20.0), palm(20.0), hand_over_most(20.0)])
+def test_a_pad_that_does_not_vibrate_is_untouched(pressure: Scans) -> None:
+    counts = MadePad().counts(pressure)
+    assert np.array_equal(laid(counts), counts)
+
+
+def test_a_step_of_the_whole_pad_is_no_vibration() -> None:
+    steps = nothing(20.0)
+    steps[200:500] = 4.0
+    counts = MadePad().counts(steps)
+    assert np.array_equal(laid(counts), counts)
+
+
+@pytest.mark.parametrize("vibration", [hum(540), hum(540, 49.8), hum(540, counts=4.0), motor(540)])
+def test_what_the_whole_pad_does_is_taken_out(vibration: Scans) -> None:
+    raw, left = off(nothing(10.0), vibration)
+    assert left < 0.5 * raw
+
+
+@pytest.mark.parametrize("vibration", [hum(540), motor(540)])
+def test_a_hand_over_most_of_a_vibrating_pad_stays(vibration: Scans) -> None:
+    hand = np.concatenate([nothing(6.0), hand_over_most(4.0)])
+    raw, left = off(hand, vibration)
+    assert left < 0.5 * raw
+
+
+def test_a_vibration_that_ended_is_forgotten_in_a_second() -> None:
+    vibration = np.concatenate([hum(270), nothing(5.0)])
+    counts = MadePad().counts(vibration)
+    frames = laid(counts)
+    assert not np.array_equal(frames[200:270], counts[200:270])
+    assert np.array_equal(frames[324:], counts[324:])
+
+
+def test_after_a_gap_the_vibration_is_learned_anew() -> None:
+    counts = MadePad().counts(hum(324))
+    ring = Ring(RingSettings(), capacity=1)
+    stamps = ideal_clock_ms(324) + np.where(np.arange(324) < 300, 0, 5000)
+    frames = [ring.push(Frame(n, int(ms), 0.0, counts[n]))[-1] for n, ms in enumerate(stamps)]
+    assert np.array_equal(frames[-1].pressure, counts[-1])
