@@ -333,7 +333,7 @@ class TouchTracker:
         if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
             held.last = self._index
         elif self._index - held.last >= self._quiet_frames:
-            if not self._sight.sees_touch(self._recent.last(GLANCE_FRAMES)):
+            if not self._sight.sees_touch(self._recent.last(GLANCE_FRAMES), NO_TOUCH_STILL):
                 return self._end("released")
             held.last = self._index - self._quiet_frames + ASK_FRAMES
         if self._index - held.first >= self._longest_frames:
