@@ -21,7 +21,7 @@ Counts = NDArray[np.float32]
 STRIDE_FRAMES = 9
 LOOK_FRAMES = 36
 # A sine that explains this share of the pad's mean, with this amplitude in counts, as one does about 20 frames
-# after it began. Of 802 recordings of touches and rest one has such a sine: its whole pad shakes by 2 counts.
+# after it began. Of 802 recordings of touches and rest, one has such a sine: its pad shakes by 2 counts.
 LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
 # Taxels follow it together: those at the lower sixteenth and quarter, as shares of that at the upper tenth.
@@ -29,8 +29,8 @@ LOW, QUARTER, HIGH = 6, 16, 57
 LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
 # While the sine fills less than the window, it is found anew.
 NEW_LOOKS = 3
-# A fit that differs more, by amplitude or phase, comes from a hand or a step of the rest. Six that are weak, or
-# on an untouched pad, come from another vibration.
+# A fit that differs more, by amplitude or phase, comes from a hand or a step of the rest. Six that are weak,
+# or on an untouched pad, come from another vibration.
 LIKE, LIKE_RADIANS = (0.75, 1.35), 0.4
 WEAK = 0.4
 MISFITS = 6
