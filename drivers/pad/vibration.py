@@ -21,7 +21,7 @@ Counts = NDArray[np.float32]
 STRIDE_FRAMES = 9
 LOOK_FRAMES = 36
 # A sine that explains this share of the pad's mean, with this amplitude in counts, as one does about 20
-# frames after it began. Of 802 recordings of touches and rest, one has such a sine: its pad shakes by 2 counts.
+# frames after it began. One of 802 recordings of touches and rest has such a sine: its pad shakes.
 LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
 # Taxels follow it together: those at the lower sixteenth and quarter, as shares of that at the upper tenth.
