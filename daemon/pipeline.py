@@ -66,8 +66,8 @@ SHOWN_STRIDE_FRAMES = 3
 BEHIND_FRAMES = 27
 # So near a mark it catches up every frame: pads touched at once take half a frame's time for nine frames.
 NEAR_FRAMES = 2
-# Frames may wait only when no answer is due within this many, twice as long as they wait.
-WAIT_FRAMES = 8
+# Frames may wait only when no answer is due within this many, more than twice as many as wait together.
+WAIT_FRAMES = 10
 
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]

@@ -19,7 +19,7 @@ log = logging.getLogger(__name__)
 # Enough for a diagnosis: many frames of any geometry.
 RECENT_BYTES = 8192
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
-WAIT_S = 0.068
+WAIT_S = 0.0745
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
