@@ -108,15 +108,15 @@ Show: typing.TypeAlias = "View | PlainLines"
 def parser() -> argparse.ArgumentParser:
     """Return what the command line takes."""
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
-    parser.add_argument("--plain", action="store_true", help="lines instead of a picture")
+    parser.add_argument("--plain", action="store_true", help="write lines instead of a picture")
     parser.add_argument(
-        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also on a page for browsers, until Ctrl-C"
+        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve the live page, until Ctrl-C"
     )
     parser.add_argument(
         "--language",
         choices=typing.get_args(Language),
         default="en",
-        help="of names and of the robot's speech",
+        help="language of names and of the robot's speech",
     )
     return parser
 
@@ -197,11 +197,11 @@ def _play(
 
     forward: Callable[[Event], None] | None = None
     if qi_installed():
-        robot = closing.enter_context(LoopbackRobot(say_s=SPEECH_S, on_call=show_call))
+        robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
         settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
     else:
         # The stub lives in this process, so its link does too, fed with the daemon's events.
-        stub = closing.enter_context(StubRobot(say_s=SPEECH_S, on_call=show_call))
+        stub = closing.enter_context(StubRobot(show_call, SPEECH_S))
         link = RobotLink(
             RobotSettings(url=stub.url),
             open_session=stub.open_session,

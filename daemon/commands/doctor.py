@@ -25,8 +25,8 @@ def parser() -> argparse.ArgumentParser:
     """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd doctor",
-        description="Looks at the pad, the model, the robot and the service, and says what to do. Leave the "
-        "pad alone meanwhile. Exit code 0: nothing to do; 1: something; 2: a mistake in the call.",
+        description="Checks the pad, the model, the robot and the service, and says what to do. Leave the "
+        "pad alone meanwhile. Exit code 0: nothing to do; 1: something to do; 2: wrong options.",
     )
     add_settings(parser)
     parser.add_argument(
@@ -35,7 +35,7 @@ def parser() -> argparse.ArgumentParser:
         default=LISTEN_S,
         help="how long to listen to the pad (%(default)g)",
     )
-    parser.add_argument("--press", action="store_true", help="ask for a corner, to tell how the pad lies")
+    parser.add_argument("--press", action="store_true", help="ask for a press, to check the orientation")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
     return parser
 

@@ -35,8 +35,8 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("file", nargs="?", type=Path, default=Path("touchd.yaml"), help="(%(default)s)")
     parser.add_argument("--port", help="the pad's port or address, instead of looking for it")
-    parser.add_argument("--baud", type=int, help="instead of trying the usual ones")
-    parser.add_argument("--robot", metavar="URL", help="as in tcp://nao.local:9559, or none")
+    parser.add_argument("--baud", type=int, help="the pad's baud rate, instead of trying the usual ones")
+    parser.add_argument("--robot", metavar="URL", help="such as tcp://nao.local:9559, or none")
     return parser
 
 

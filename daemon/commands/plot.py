@@ -25,7 +25,7 @@ def parser() -> argparse.ArgumentParser:
         description="Draws recordings (pressure, touches, answers, mean pad), or the touches of one journal.",
     )
     add_arguments(parser)
-    parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; FILE's name with .png")
+    parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; by default FILE.png")
     add_settings(parser, port=False)
     parser.add_argument(
         "--touches",

@@ -26,32 +26,39 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd record",
         description="Makes recordings of the pad for training, one file each, never written over. What "
-        "FOLDER holds already is not asked for again, so the same command goes on after a pause or a crash. "
-        "What the options leave open is asked for.",
+        "FOLDER holds already is not recorded again: run the same command to go on after a pause or a crash. "
+        "touchd asks for what the options leave open.",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where the recordings go")
-    parser.add_argument("--participant", type=name, metavar="NAME", help="who touches")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings")
+    parser.add_argument("--participant", type=name, metavar="NAME", help="who touches the pad")
     parser.add_argument("--substrate", type=name, metavar="NAME", help="what is under the pad, as in foam")
     parser.add_argument("--cover", type=name, metavar="NAME", help="what is over the pad, as in fur")
     parser.add_argument(
-        "--gestures", type=_names, default=",".join(HOW), metavar="A,B,...", help="what is done (%(default)s)"
+        "--gestures",
+        type=_names,
+        default=",".join(HOW),
+        metavar="A,B,...",
+        help="which gestures (%(default)s)",
     )
     parser.add_argument(
-        "--rounds", type=within(int, 1, MOST_ROUNDS), default=1, help="how often each gesture (%(default)s)"
+        "--rounds",
+        type=within(int, 1, MOST_ROUNDS),
+        default=1,
+        help="how many of each gesture (%(default)s)",
     )
     parser.add_argument(
         "--seconds",
         type=within(float, SHORTEST_S, LONGEST_S),
         default=8.0,
-        help="length kept of each (%(default)g)",
+        help="length of each recording (%(default)g)",
     )
     parser.add_argument(
         "--countdown",
         type=within(float, SHORTEST_S, LONGEST_S),
         default=3.0,
-        help="how long the pad is left alone before (%(default)g)",
+        help="seconds of rest before each recording (%(default)g)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="another order of gestures (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="seed for the order of gestures (%(default)s)")
     parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
     parser.add_argument(
         "--from-journal",

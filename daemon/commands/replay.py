@@ -24,14 +24,16 @@ def parser() -> argparse.ArgumentParser:
         "as soon as it is opened: touchd run --port PATH",
     )
     add_arguments(parser)
-    parser.add_argument("--speed", type=_speed, default=1.0, metavar="1|N|max", help="pace; 1 is a pad's own")
+    parser.add_argument(
+        "--speed", type=_speed, default=1.0, metavar="1|N|max", help="1 is the pad's own speed"
+    )
     parser.add_argument(
         "--format",
         "--protocol",
         choices=[name for name, preset in PRESETS.items() if not preset.poll],
         help="instead of the configured one",
     )
-    add_settings(parser, "settings of the pad to be", port=False)
+    add_settings(parser, "configuration file of the pad to play", port=False)
     return parser
 
 

@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
         nargs="?",
         const="",
         metavar="[HOST:]PORT",
-        help="show the pad on a page for browsers too, at 127.0.0.1:8054 unless configured or said",
+        help="also serve the live page, at 127.0.0.1:8054 unless configured or given here",
     )
     return parser
 

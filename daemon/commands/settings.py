@@ -7,11 +7,13 @@ from daemon.config import Settings, load, only_pad
 
 
 def add_settings(
-    parser: argparse.ArgumentParser, config: str = "settings; defaults without it", port: bool = True
+    parser: argparse.ArgumentParser,
+    config: str = "settings; defaults without it",
+    port: bool = True,
 ) -> None:
     """Add --config, --pad and, if wanted, --port."""
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=config)
-    parser.add_argument("--pad", metavar="NAME", help="which pad, where the settings have several")
+    parser.add_argument("--pad", metavar="NAME", help="the pad to use, if several are configured")
     if port:
         parser.add_argument("--port", help="read this port instead of the configured one")
 

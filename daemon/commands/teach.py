@@ -32,13 +32,20 @@ def parser() -> argparse.ArgumentParser:
         description="Records every gesture twice, adapts the shipped model to them, says how well it did "
         "before and does after, and puts the new model into use. Interrupted, the same command goes on.",
     )
-    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where recordings and model go")
-    add_settings(parser, "settings, in which the model is set")
-    parser.add_argument("--participant", type=name, metavar="NAME", help="who touches; asked for without it")
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings and the model")
+    add_settings(parser, "settings, in which the new model is set")
     parser.add_argument(
-        "--rounds", type=int, choices=range(1, 11), default=ROUNDS, metavar="N", help="(%(default)s)"
+        "--participant", type=name, metavar="NAME", help="who touches; touchd asks without it"
     )
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="length kept of each (%(default)g)")
+    parser.add_argument(
+        "--rounds",
+        type=int,
+        choices=range(1, 11),
+        default=ROUNDS,
+        metavar="N",
+        help="of each gesture (%(default)s)",
+    )
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each recording (%(default)g)")
     return parser
 
 

@@ -23,9 +23,9 @@ def parser() -> argparse.ArgumentParser:
         "--haart",
         type=Path,
         metavar="FOLDER",
-        help="HAART's recordings, rehearsed so that nothing is forgotten for yours",
+        help="HAART's recordings, rehearsed so that the model does not forget them",
     )
-    parser.add_argument("--seed", type=int, default=0, help="other random choices (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
     return parser
 
 

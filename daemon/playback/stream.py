@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[DEMO_RECORDING],
         metavar="FILE",
-        help="a .csv or .csv.gz of recordings; the demo's without it",
+        help="recordings, .csv or .csv.gz; the demo's without it",
     )
     for key, example in (
         ("participant", "P3"),

@@ -6,6 +6,7 @@ import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 
@@ -63,8 +64,16 @@ class Pad:
         self.name = name
         self.settings = settings
         self.model = model
-        self._emit, self._viewers = emit, viewers
-        self._behind_frames = behind_frames
+        self._make_pipeline = partial(
+            Pipeline,
+            settings.pipeline,
+            model,
+            emit,
+            pad=name,
+            viewers=viewers,
+            behind_frames=behind_frames,
+            first_index=number,
+        )
         self.catch_up_s = math.inf
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
         self.watch: PadWatch = before.watch if before else PadWatch(name)
@@ -74,27 +83,11 @@ class Pad:
             self.sensor = before.sensor
         else:
             self.sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self.queue)
-        self.pipeline = Pipeline(
-            settings.pipeline,
-            model,
-            emit,
-            pad=name,
-            viewers=viewers,
-            behind_frames=behind_frames,
-            first_index=number,
-        )
+        self.pipeline = self._make_pipeline()
 
     def go_on_from(self, before: Pad) -> None:
         """Replace the same pad under the previous settings, between two touches."""
-        self.pipeline = Pipeline(
-            self.settings.pipeline,
-            self.model,
-            self._emit,
-            pad=self.name,
-            viewers=self._viewers,
-            behind_frames=self._behind_frames,
-            before=before.pipeline,
-        )
+        self.pipeline = self._make_pipeline(before=before.pipeline)
 
 
 class Parts:

@@ -112,7 +112,7 @@ def measure(seconds: float) -> Times:
         stop.set()
 
     calls: list[Call] = []
-    with LoopbackRobot(on_call=calls.append) as robot, _noted(rows):
+    with LoopbackRobot(calls.append) as robot, _noted(rows):
         settings = Settings(sensor=SensorSettings(port=ours.recv()), robot=RobotSettings(url=robot.url))
         service = Service(settings, Health(Notifier({})))
         favour_latency()

@@ -1,5 +1,6 @@
 """Bytes arrive but no frame does: what do they look like, and how would they be described?"""
 
+import json
 import math
 import re
 from collections import Counter, defaultdict
@@ -89,11 +90,7 @@ def as_yaml(described: PadFormat) -> str:
         if preset == described:
             return f"format: {name}"
     fields = msgspec.to_builtins(described)
-    return f"format: {{{', '.join(f'{key}: {_plain(value)}' for key, value in fields.items())}}}"
-
-
-def _plain(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else repr(value) if value == "" else f"{value!r}"
+    return f"format: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in fields.items())}}}"
 
 
 def _as_preset(guess: PadFormat) -> PadFormat:

@@ -1,12 +1,14 @@
 """A stand-in robot that records its calls, and a link that records its states."""
 
+import os
 import shutil
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 from rigs.call_log import CallLog
@@ -27,11 +29,36 @@ needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="open
 
 
 class Robot(LoopbackRobot):
-    """A robot that records its calls, and whose port nobody takes while it is off."""
+    """A robot that records its calls, dies, hangs and comes back; nobody takes its port while it is off.
 
-    def __init__(self, **options: Any) -> None:
+    call_s, say_s: what a call, and speech, takes, in seconds. without: services it lacks. login: with one,
+    the robot speaks TLS and asks for it, as NAOqi 2.9 does.
+    """
+
+    def __init__(
+        self,
+        *,
+        call_s: float = 0.0,
+        say_s: float = 0.0,
+        without: Sequence[str] = (),
+        login: Login | None = None,
+    ) -> None:
         self.calls = CallLog()
-        super().__init__(port=free_port(), on_call=self.calls.add, **options)
+        self._environment = {"FAKE_ROBOT_TOKEN": login.token} if login else {}
+        options = [f"--port={free_port()}", f"--call-s={call_s}", f"--say-s={say_s}"]
+        options += [f"--without={name}" for name in without]
+        if login is not None:
+            options += [f"--user={login.user}", "--token-env=FAKE_ROBOT_TOKEN"]
+        super().__init__(self.calls.add, options)
+
+    def start(self) -> None:
+        """Switch it on, also after kill()."""
+        with patch.dict(os.environ, self._environment):
+            super().start()
+
+    def kill(self) -> None:
+        """Switch it off at once."""
+        self.stop()
 
     def hang(self) -> None:
         """Stop answering while the connections stay."""
@@ -40,6 +67,10 @@ class Robot(LoopbackRobot):
     def resume(self) -> None:
         """Answer again, first what was asked meanwhile."""
         self._signal(signal.SIGCONT)
+
+    def _signal(self, number: signal.Signals) -> None:
+        assert self._process is not None
+        self._process.send_signal(number)
 
 
 LOGIN = Login("nao", "s3cret-token")
