@@ -45,22 +45,18 @@ class ProbabilityModel(typing.Protocol):
     @property
     def labels(self) -> tuple[str, ...]:
         """The gestures, in the order of the probabilities."""
-        ...
 
     @property
     def name(self) -> str:
         """What the model is called in events."""
-        ...
 
     def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
         """Return calibrated probabilities, shape (labels,), for counts of shape (T, 8, 8) at 54 Hz."""
-        ...
 
     def steps(
         self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
     ) -> list[tuple[NDArray[np.float64], State]]:
         """Return the same for several touches, from equally many new frames of each and their states."""
-        ...
 
 
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -33,20 +33,16 @@ class Sink(typing.Protocol):
 
     def start(self) -> None:
         """Begin to pass on what was put, and what will be."""
-        ...
 
     def put(self, event: Event) -> None:
         """Take an event; returns at once, whatever the destination is doing."""
-        ...
 
     @property
     def dropped(self) -> int:
         """Events that the destination was too slow for."""
-        ...
 
     def stop(self, timeout_s: float) -> None:
         """Pass on queued items within the time limit, then end; may be called without `start`."""
-        ...
 
 
 class EventFanout:

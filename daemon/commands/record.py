@@ -34,17 +34,10 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--substrate", type=name, metavar="NAME", help="what is under the pad, as in foam")
     parser.add_argument("--cover", type=name, metavar="NAME", help="what is over the pad, as in fur")
     parser.add_argument(
-        "--gestures",
-        type=_names,
-        default=",".join(HOW),
-        metavar="A,B,...",
-        help="which gestures (%(default)s)",
+        "--gestures", type=_names, default=",".join(HOW), metavar="A,B,...", help="which (%(default)s)"
     )
     parser.add_argument(
-        "--rounds",
-        type=within(int, 1, MOST_ROUNDS),
-        default=1,
-        help="how many of each gesture (%(default)s)",
+        "--rounds", type=within(int, 1, MOST_ROUNDS), default=1, help="of each gesture (%(default)s)"
     )
     parser.add_argument(
         "--seconds",

@@ -24,9 +24,7 @@ def parser() -> argparse.ArgumentParser:
         "as soon as it is opened: touchd run --port PATH",
     )
     add_arguments(parser)
-    parser.add_argument(
-        "--speed", type=_speed, default=1.0, metavar="1|N|max", help="1 is the pad's own speed"
-    )
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="1|N|max", help="1 is the pad's own")
     parser.add_argument(
         "--format",
         "--protocol",

@@ -7,9 +7,7 @@ from daemon.config import Settings, load, only_pad
 
 
 def add_settings(
-    parser: argparse.ArgumentParser,
-    config: str = "settings; defaults without it",
-    port: bool = True,
+    parser: argparse.ArgumentParser, config: str = "settings; defaults without it", port: bool = True
 ) -> None:
     """Add --config, --pad and, if wanted, --port."""
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=config)

@@ -16,6 +16,7 @@ from daemon.recorder.dialogue import HOW, Dialogue, Terms
 from daemon.recorder.session import Session, name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
+from drivers.numbers import within
 from drivers.whole_file import whole_file
 
 ROUNDS = 2
@@ -34,16 +35,9 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings and the model")
     add_settings(parser, "settings, in which the new model is set")
+    parser.add_argument("--participant", type=name, metavar="NAME", help="who touches; asked if missing")
     parser.add_argument(
-        "--participant", type=name, metavar="NAME", help="who touches; touchd asks without it"
-    )
-    parser.add_argument(
-        "--rounds",
-        type=int,
-        choices=range(1, 11),
-        default=ROUNDS,
-        metavar="N",
-        help="of each gesture (%(default)s)",
+        "--rounds", type=within(int, 1, 10), default=ROUNDS, metavar="N", help="of each gesture (%(default)s)"
     )
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of each recording (%(default)g)")
     return parser

@@ -50,25 +50,16 @@ class TouchPieces:
     def recordings(self) -> list[Recording]:
         """Return them as unlabelled recordings on one clock."""
         pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
-        frames = [frame for _, piece in pieces for frame in piece]
-        ms = clock_ms(frames)
-        made: list[Recording] = []
-        place = 0
-        for gesture, piece in pieces:
-            if piece:
-                made.append(
-                    Recording(
-                        UNLABELLED,
-                        UNLABELLED,
-                        UNLABELLED,
-                        gesture,
-                        np.stack([frame.pressure for frame in piece]),
-                        ms[place : place + len(piece)],
-                        "live",
-                    )
-                )
-                place += len(piece)
-        return made
+        who = (UNLABELLED, UNLABELLED, UNLABELLED)
+        clocks = np.split(
+            clock_ms([frame for _, piece in pieces for frame in piece]),
+            np.cumsum([len(self.before), len(self.touch)]),
+        )
+        return [
+            Recording(*who, gesture, np.stack([frame.pressure for frame in piece]), ms, "live")
+            for (gesture, piece), ms in zip(pieces, clocks, strict=True)
+            if piece
+        ]
 
 
 def cut(felt: FeltTouch) -> TouchPieces:

@@ -32,9 +32,6 @@ COLOURS: Mapping[str, str] = {
 OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
 
 
-LANES = ("early", "revised", "final", "later")
-
-
 class PlotError(TouchdError):
     """A picture cannot be made; the message says what to do."""
 
@@ -90,19 +87,6 @@ def draw_answer(
         fontstyle="italic" if wrong else "normal",
         annotation_clip=False,
     )
-
-
-def lane_of(answer: Prediction) -> int:
-    """Return the number of an answer's lane."""
-    return LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
-
-
-def draw_lanes(axes: Axes) -> None:
-    """Draw a line for each tick, without a frame."""
-    axes.grid(axis="y", color=PALE, linewidth=0.8)
-    axes.set_axisbelow(True)
-    bare(axes)
-    axes.tick_params(length=0)
 
 
 def bare(axes: Axes, *keep: str) -> None:

@@ -14,6 +14,20 @@ OLD_HEAT = ("black", "blue", "magenta", "red", "bright_red", "bright_yellow", "b
 SHADES = 64
 # Without colours.
 CHARACTERS = " ·:-=+*#%@"
+# With many colours, and with sixteen.
+COLOURS = {
+    "ink": ("#f3f5f8", "bright_white"),
+    "muted": ("#aab4c2", "white"),
+    "faint": ("#5d6877", "white"),
+    "accent": ("#7cc4ff", "bright_cyan"),
+    "changed": ("#ffb65c", "bright_yellow"),
+    "robot": ("#9be7c4", "bright_green"),
+    "bad": ("#ff9a9a", "bright_red"),
+    "accent_flag": ("#f3f5f8 on #17364f", "bright_white on blue"),
+    "changed_flag": ("#ffb65c on #3b2a12", "bright_yellow on black"),
+    "rail": ("#2b323d", "bright_black"),
+    "trace": ("#2f5d80", "blue"),
+}
 
 
 @dataclass(frozen=True)
@@ -39,46 +53,14 @@ def palette_for(console: Console) -> Palette:
     """Return the palette for a console's colour system."""
     match console.color_system:
         case "truecolor" | "256":
-            paper = "on #0c0f13"
-            colours = {
-                "ink": "#f3f5f8",
-                "muted": "#aab4c2",
-                "faint": "#5d6877",
-                "accent": "#7cc4ff",
-                "changed": "#ffb65c",
-                "robot": "#9be7c4",
-                "bad": "#ff9a9a",
-                "accent_flag": "#f3f5f8 on #17364f",
-                "changed_flag": "#ffb65c on #3b2a12",
-                "rail": "#2b323d",
-                "trace": "#2f5d80",
-            }
-            heat = _between(HEAT)
+            paper, column, heat = "on #0c0f13", 0, _between(HEAT)
         case None:
-            paper = ""
-            colours = dict.fromkeys(Palette.__annotations__, "")
-            heat = ()
+            paper, column, heat = "", 2, ()
         case _:
-            paper = "on black"
-            colours = {
-                "ink": "bright_white",
-                "muted": "white",
-                "faint": "white",
-                "accent": "bright_cyan",
-                "changed": "bright_yellow",
-                "robot": "bright_green",
-                "bad": "bright_red",
-                "accent_flag": "bright_white on blue",
-                "changed_flag": "bright_yellow on black",
-                "rail": "bright_black",
-                "trace": "blue",
-            }
-            heat = OLD_HEAT
-    paper_style = Style.parse(paper)
-    names = [name for name in Palette.__annotations__ if name not in ("paper", "heat")]
-    return Palette(
-        paper=paper_style, heat=heat, **{name: paper_style + Style.parse(colours[name]) for name in names}
-    )
+            paper, column, heat = "on black", 1, OLD_HEAT
+    on_paper = Style.parse(paper)
+    styles = {name: on_paper + Style.parse((*both, "")[column]) for name, both in COLOURS.items()}
+    return Palette(paper=on_paper, heat=heat, **styles)
 
 
 @cache

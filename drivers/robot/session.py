@@ -44,19 +44,15 @@ class RobotSession(Protocol):
 
     def connect(self) -> None:
         """Connect and log in; raises RobotLost."""
-        ...
 
     def connected(self) -> bool:
         """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
-        ...
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
         """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
-        ...
 
     def close(self) -> None:
         """Give the connection up, at once and whatever state it is in."""
-        ...
 
 
 # Takes the URL, the login, the limits, and an event that says no call may take longer than HURRY_S any more.
