@@ -11,8 +11,8 @@ from typing import Any
 
 import msgspec
 import pytest
-from rigs.made_events import PREDICTION
-from rigs.peers import broker, frame, needs_mosquitto, subscribed, touch
+from rigs.made_events import PREDICTION, touch
+from rigs.peers import broker, frame, needs_mosquitto, subscribed
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port

@@ -8,7 +8,8 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from rigs.peers import LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto, touch
+from rigs.made_events import touch
+from rigs.peers import LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto
 from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.bridge import Bridge

@@ -11,17 +11,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from rigs.made_events import touch
 from rigs.programs import ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from daemon.events import Event, SensorEvent, TouchBegan, decode, encode
+from daemon.events import Event, SensorEvent, decode, encode
 from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
 from daemon.sinks import JournalSink, LinesSink
-
-
-def touch(number: int) -> TouchBegan:
-    return TouchBegan(touch=number, time="2026-11-20T10:00:00.000Z", sensor_ms=number)
 
 
 @pytest.fixture

@@ -15,13 +15,14 @@ import pytest
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
+from rigs.made_events import touch
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from daemon.config import JournalSettings, SensorSettings, Settings, load
 from daemon.decide import Decision, DecisionSettings
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode, encode
+from daemon.events import Event, Prediction, SensorEvent, TouchEnded, decode, encode
 from daemon.kept.journal import Journal, JournalError
 from daemon.kept.touch_store import TouchStore, kept_touches
 from daemon.kept.touches import read_journal, read_since
@@ -40,10 +41,6 @@ from drivers.robot.settings import RobotSettings, read_login
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)
 EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)
-
-
-def touch(number: int, second: int = 0) -> TouchBegan:
-    return TouchBegan(touch=number, time=f"2026-11-20T10:00:{second:02}.000Z", sensor_ms=number)
 
 
 @pytest.fixture

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 from rigs.formats import encode_fabric_grid
-from rigs.peers import RosbridgePeer, touch
+from rigs.made_events import touch
+from rigs.peers import RosbridgePeer
 from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
 from rigs.wait import wait_for

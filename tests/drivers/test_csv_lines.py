@@ -16,12 +16,6 @@ def lines(numbers: Sequence[int]) -> bytes:
     return b"half a line\n" + b"".join(line(number) for number in numbers)
 
 
-def test_the_first_line_may_be_half_and_is_skipped() -> None:
-    parser = CsvLines()
-    assert_are(parser.feed(line(0)[2:] + line(1) + line(2), 0.0), [1, 2])
-    assert parser.counts.bad == 0
-
-
 def test_lines_without_a_clock_bear_their_arrival_on_the_host() -> None:
     parser = CsvLines()
     printed = encode_csv_line(counts_of(3), None)

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from drivers.frame import Counts, Frame
 from drivers.pad.diagnosis import as_yaml, propose
 from drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, encode_frame, encode_values, layout_of
-from drivers.pad.framing import ProtocolCounts
 from drivers.pad.parser import FrameParser
 from drivers.pad.protocol import parser_of
 
@@ -261,7 +260,3 @@ def test_an_unknown_pad_is_described_from_its_bytes(described: PadFormat) -> Non
 )
 def test_noise_is_no_pad(data: bytes) -> None:
     assert propose(data) is None
-
-
-def test_counts_of_a_new_parser_are_zero() -> None:
-    assert all(parser_of(described).counts == ProtocolCounts() for described in FORMATS.values())

@@ -1,8 +1,6 @@
 """From bytes on a serial port to lines on standard output: the spawned daemon, a pty, recordings."""
 
 import os
-import random
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,14 +15,12 @@ from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from daemon.pipeline import Pipeline
 from daemon.playback.rig import outline
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for
 from docs.studies.hand import simulate
 from docs.studies.sessions.plan import SessionSettings, sessions
 from docs.studies.sessions.score import SessionScore, judge, score
-from drivers.pad.protocol import parser_of
 from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
@@ -129,32 +125,6 @@ def test_damaged_frames_mark_the_touches_degraded(
     assert any(event.degraded for event in said if isinstance(event, Prediction))
 
 
-@pytest.mark.parametrize("size", [1, 7, 208, 210, 5000, None])
-def test_events_are_identical_however_the_bytes_were_cut(size: int | None, classifier: Classifier) -> None:
-    stream = beginning(stream_of(LENGTHS))
-    sensor = SensorSettings()
-    data = b"".join(map(encoder_for(sensor), stream.counts, stream.sensor_ms.tolist()))
-    chance = random.Random(1)
-    parser = parser_of(sensor.described)
-    events: list[Event] = []
-    pipeline = Pipeline(Settings().pipeline, classifier, events.append)
-    position = 0
-    while position < len(data):
-        step = size or chance.randrange(1, 500)
-        for frame in parser.feed(data[position : position + step], host_s=time.monotonic()):
-            pipeline.on_frame(frame)
-        position += step
-    pipeline.flush()
-    assert len(touches(events)) > 2
-    assert [untimed(event) for event in events] == [untimed(event) for event in answers(stream, classifier)]
-
-
-def untimed(event: Event) -> dict[str, object]:
-    """An event without what the host's clock gives it."""
-    fields: dict[str, object] = msgspec.to_builtins(event)
-    return {name: value for name, value in fields.items() if name not in ("time", "latency_ms", "age_ms")}
-
-
 @pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
@@ -173,10 +143,6 @@ def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., lis
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == []
     assert not [event for event in said if isinstance(event, TouchBegan | Prediction)]
-
-
-def test_a_minute_without_a_touch_says_nothing(classifier: Classifier) -> None:
-    assert answers(splice(simulate([("notouch", 60.0)], seed=6)), classifier) == []
 
 
 def four_seconds_of(recording: Recording) -> Recording:

@@ -1,6 +1,6 @@
 """Events made up for tests."""
 
-from daemon.events import Prediction
+from daemon.events import Prediction, TouchBegan
 
 TIME = "2026-11-20T10:00:01.000Z"
 # Change a field with msgspec.structs.replace.
@@ -19,3 +19,7 @@ PREDICTION = Prediction(
     model="touchd-1",
     time=TIME,
 )
+
+
+def touch(number: int, second: int = 0) -> TouchBegan:
+    return TouchBegan(touch=number, time=f"2026-11-20T10:00:{second:02}.000Z", sensor_ms=number)

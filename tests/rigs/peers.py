@@ -21,7 +21,6 @@ from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
-from daemon.events import TouchBegan
 from drivers.frame import Frame
 
 PAD = "pad"
@@ -38,10 +37,6 @@ _lsl_file = Path(tempfile.gettempdir()) / "touchd-tests-lsl.cfg"
 _lsl_file.write_text(LSL_ON_LOOPBACK)
 os.environ["LSLAPICFG"] = str(_lsl_file)
 os.environ["CYCLONEDDS_URI"] = DDS_ON_LOOPBACK
-
-
-def touch(number: int) -> TouchBegan:
-    return TouchBegan(touch=number, time="2026-11-20T10:00:00.000Z", sensor_ms=number)
 
 
 def frame(number: int, host_s: float | None = None) -> Frame:

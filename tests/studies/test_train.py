@@ -183,24 +183,6 @@ def test_the_folder_of_another_training_is_refused(
     assert finished[1].read_bytes() == before
 
 
-class Evil:
-    """What a pickle can do to whoever opens it."""
-
-    def __init__(self, mark: Path) -> None:
-        self.mark = mark
-
-    def __reduce__(self) -> tuple[object, tuple[Path]]:
-        return Path.touch, (self.mark,)
-
-
-def test_a_checkpoint_cannot_run_code(tmp_path: Path) -> None:
-    path, mark = tmp_path / CHECKPOINT_NAME, tmp_path / "ran"
-    torch.save({"settings": Evil(mark)}, path)
-    with pytest.raises(CheckpointError, match="not a checkpoint of touchd"):
-        checkpoint.load(path)
-    assert not mark.exists()
-
-
 @pytest.mark.parametrize("content", [b"", b"not a checkpoint", b"PK\x03\x04" + bytes(100)])
 def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / CHECKPOINT_NAME
