@@ -13,6 +13,7 @@ from serial.tools.list_ports import comports
 
 from daemon.config import DEFAULT_PORT, ConfigError, load
 from daemon.doctor.line import USUAL_BAUDS
+from daemon.doctor.listening import listen
 from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
 from drivers.pad.diagnosis import as_yaml, propose
@@ -122,11 +123,8 @@ def _heard(opened: Line, first_byte_s: float) -> bytes:
 def _answering(opened: Line) -> PadFormat | None:
     """Return the preset whose query the pad answers, if any."""
     for described in (preset for preset in PRESETS.values() if preset.poll):
-        parser = parser_of(described)
-        until_s = time.monotonic() + ANSWER_S
-        while time.monotonic() < until_s:
-            parser.feed(read_waiting(opened, parser), time.monotonic())
-        if parser.counts.frames > 1 and not parser.counts.bad:
+        heard = listen(opened, parser_of(described), ANSWER_S, start_s=ANSWER_S)
+        if len(heard.frames) > 1 and not heard.damaged:
             return described
     return None
 

@@ -1,7 +1,5 @@
 """Checks of the pad: rest, noise, taxels, orientation."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,7 +47,9 @@ def check_rest(heard: Heard, settings: Settings) -> Check:
 
 def check_quiet(heard: Heard, settings: Settings) -> Check:
     """Report whether the daemon would have felt a touch."""
-    touches = _touches(heard.frames, settings)
+    ring, tracker = Ring(settings.ring, 1), TouchTracker(settings.touch)
+    laid = (laid for frame in heard.frames for laid in ring.push(frame))
+    touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}
     if touches == 0:
         return Check("quiet", "ok", "no touch was felt while the pad was left alone", "", figures)
@@ -57,17 +57,8 @@ def check_quiet(heard: Heard, settings: Settings) -> Check:
         "if you did not touch it: look for a loose wire with touchd run --view, "
         "or raise touch.onset_threshold"
     )
-    return Check("quiet", "to do", f"{_times(touches)} felt while listening", advice, figures)
-
-
-def _touches(frames: Sequence[Frame], settings: Settings) -> int:
-    ring = Ring(settings.ring, 1)
-    tracker = TouchTracker(settings.touch)
-    return sum(isinstance(tracker.update(laid), Onset) for frame in frames for laid in ring.push(frame))
-
-
-def _times(touches: int) -> str:
-    return "a touch was" if touches == 1 else f"{touches} touches were"
+    times = "a touch was" if touches == 1 else f"{touches} touches were"
+    return Check("quiet", "to do", f"{times} felt while listening", advice, figures)
 
 
 def check_noise(heard: Heard) -> Check:

@@ -22,6 +22,13 @@ class ReportedTouch(msgspec.Struct):
     predictions: list[Prediction] = []
     ended: TouchEnded | None = None
 
+    def add(self, event: Prediction | TouchEnded) -> None:
+        """Add an answer, or the end."""
+        if isinstance(event, Prediction):
+            self.predictions.append(event)
+        else:
+            self.ended = event
+
 
 def gather(events: Iterable[Event]) -> list[ReportedTouch]:
     """Return the touches among events, in order; events of no touch are left out."""
@@ -34,12 +41,8 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
                 touches.append(latest[event.pad])
             case Prediction() | TouchEnded():
                 touch = latest.get(event.pad)
-                if touch is None or touch.began.touch != event.touch:
-                    continue
-                if isinstance(event, Prediction):
-                    touch.predictions.append(event)
-                else:
-                    touch.ended = event
+                if touch is not None and touch.began.touch == event.touch:
+                    touch.add(event)
     return touches
 
 

@@ -53,8 +53,11 @@ class Memory:
             case TouchBegan():
                 self._action = None
                 self._touches.append(ReportedTouch(event))
-            case Prediction() | TouchEnded():
-                self._add(event)
+            case Prediction() | TouchEnded() if self._touches:
+                touch = self._touches[-1]
+                if touch.began.touch == event.touch:
+                    touch.add(event)
+                    del touch.predictions[:-PREDICTIONS]
 
     def state(self, page: str, pad: str, pads: tuple[str, ...]) -> PageState:
         """Return the whole state. page: stamp of the page's files. pad: the name of this pad."""
@@ -78,12 +81,3 @@ class Memory:
             robot=self._robot if settings.robot else None,
             touches=tuple(self._touches),
         )
-
-    def _add(self, event: Prediction | TouchEnded) -> None:
-        if not self._touches or self._touches[-1].began.touch != event.touch:
-            return
-        felt = self._touches[-1]
-        if isinstance(event, TouchEnded):
-            felt.ended = event
-        else:
-            felt.predictions = [*felt.predictions, event][-PREDICTIONS:]

@@ -82,14 +82,12 @@ def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Trace:
     pipeline.flush()
     touches = gather(events)
     began_at = [at for at, event in zip(told_at, events, strict=False) if isinstance(event, TouchBegan)]
-    starts_s = [_start_s(stream, time_s, at, touch) for at, touch in zip(began_at, touches, strict=True)]
+    # A touch began a little before it was noticed.
+    starts_s = [
+        float(time_s[at]) - (int(stream.sensor_ms[at]) - touch.began.sensor_ms) / 1000
+        for at, touch in zip(began_at, touches, strict=True)
+    ]
     return Trace(stream, time_s, _rise(stream, restarts), touches, starts_s)
-
-
-def _start_s(stream: Stream, time_s: NDArray[np.float64], noticed_at: int, touch: ReportedTouch) -> float:
-    """Return when a touch began, a little before it was noticed."""
-    noticed_ms = int(stream.sensor_ms[noticed_at])
-    return float(time_s[noticed_at]) - (noticed_ms - touch.began.sensor_ms) / 1000
 
 
 def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -35,11 +35,6 @@ class FrameParser(ABC):
         return str(self.format)
 
     @property
-    def pending_bytes(self) -> int:
-        """Bytes kept until more arrive."""
-        return len(self._buffer)
-
-    @property
     def poll(self) -> bytes:
         """What to ask the pad for a frame with; empty for a pad that sends by itself."""
         return bytes.fromhex(self.format.poll)

@@ -65,7 +65,7 @@ def feed(parser: FrameParser, data: bytes, cuts: Sequence[int] = ()) -> list[Fra
     frames: list[Frame] = []
     for start, stop in pairwise(edges):
         frames += parser.feed(data[start:stop], 1.0)
-        assert parser.pending_bytes <= 2 * longest(parser.format)
+        assert len(parser._buffer) <= 2 * longest(parser.format)
     return frames
 
 
@@ -143,7 +143,7 @@ def test_an_endless_line_of_anything_is_not_kept(described: PadFormat) -> None:
         parser = parser_of(described)
         for _ in range(20):
             parser.feed(flood, 1.0)
-            assert parser.pending_bytes <= 2 * longest(described)
+            assert len(parser._buffer) <= 2 * longest(described)
 
 
 @every_format
