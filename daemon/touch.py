@@ -300,7 +300,9 @@ class TouchTracker:
         if contact >= self._onset_counts:
             light.last, light.touched = self._index, above > 0
         light.highest = max(light.highest, contact)
-        moved = np.maximum(np.abs(smooth - light.before) - self._baseline.noise_floor, 0)
+        off = smooth - light.before
+        off -= np.sort(off)[TAXELS // 2]
+        moved = np.maximum(np.abs(off) - self._baseline.noise_floor, 0)
         light.moved = max(light.moved, float(moved.sum()))
         movement = light.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
         is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)

@@ -199,6 +199,11 @@ def with_hum(scans: Scans) -> Scans:
     return scans + hum[:, None, None].astype(np.float32)
 
 
+def with_hum_upwards(scans: Scans) -> Scans:
+    """The same, rising first."""
+    return 2 * scans - with_hum(scans)
+
+
 def with_motor(scans: Scans) -> Scans:
     motor = 2 * np.sin(2 * np.pi * 23 * np.arange(len(scans)) / 54)
     return scans + motor[:, None, None].astype(np.float32)
@@ -374,13 +379,20 @@ def test_light_contact_needs_the_network_to_see_a_touch() -> None:
     assert isinstance(sees_one.feel(2.0, wobble)[0], Onset)
 
 
-@pytest.mark.parametrize("vibrating", [with_hum, with_motor])
+@pytest.mark.parametrize("vibrating", [with_hum, with_hum_upwards, with_motor])
 @pytest.mark.parametrize("still_s", [1.0, 1.1])
 def test_a_vibration_that_begins_is_no_touch(
     pad: TrackedPad, vibrating: Callable[[Scans], Scans], still_s: float
 ) -> None:
     assert pad.feel(still_s, vibrating(nothing(10.0))) == []
     assert isinstance(pad.feel(vibrating(palm(0.5, counts=40.0)))[0], Onset)
+
+
+@pytest.mark.parametrize("vibrating", [with_hum, with_hum_upwards])
+def test_a_taxel_that_vibrates_by_more_is_no_touch(vibrating: Callable[[Scans], Scans]) -> None:
+    scans = vibrating(nothing(4.0))
+    scans[:, 0, 0] *= 4.5
+    assert TrackedPad(no_touch=lambda window: 0.9).feel(2.0, scans) == []
 
 
 def test_a_pad_that_became_noisy_is_disturbed(pad: TrackedPad) -> None:
