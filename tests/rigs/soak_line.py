@@ -57,7 +57,8 @@ def line(stream: Stream, settings: SensorSettings) -> Iterator[bytes]:
 @contextmanager
 def pad() -> Iterator[Iterator[bytes]]:
     """Start the pad and give its bytes, in pieces as a serial port would; ends it with the block."""
-    with subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE) as process:
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None
         fd = process.stdout.fileno()
         try:
