@@ -8,10 +8,11 @@ from rich.console import Console
 
 from daemon.kept.touch_store import KeptTouch, folder_of, kept_touches
 from daemon.kept.touches import read_since
-from daemon.recorder.label_dialogue import KEYS, OVER, UNDER, WHO, LabelDialogue
-from daemon.recorder.labelling import LabelFolder, Setting, find
+from daemon.recorder.label_dialogue import KEYS, LabelDialogue
+from daemon.recorder.labelling import LabelFolder, find
+from daemon.recorder.session import Setting
 from daemon.recorder.touch_picture import Offered, list_touches
-from daemon.terminal.ask import ask_name
+from daemon.terminal.ask import ask_setting
 from drivers.frame import DEFAULT_PAD
 from drivers.recording import RecordingError
 
@@ -59,11 +60,7 @@ def label(console: Console, options: argparse.Namespace) -> None:
     frameless = said.keys() - {(touch.time, touch.number) for touch in kept}
     _tell(console, offered, len(kept), sum(said[key].ended is not None for key in frameless))
     if offered:
-        setting = Setting(
-            options.participant or ask_name(console, WHO),
-            options.substrate or ask_name(console, UNDER, "none"),
-            options.cover or ask_name(console, OVER, "none"),
-        )
+        setting = ask_setting(console, options, past=True)
         # The latest first, as people remember it best.
         LabelDialogue(console, folder, options.gestures, setting).run(offered[::-1])
 

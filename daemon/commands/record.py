@@ -12,7 +12,7 @@ from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import HOW, Dialogue, Terms
 from daemon.recorder.session import Session, name
-from daemon.terminal.ask import Stopped, ask_name
+from daemon.terminal.ask import Stopped, ask_setting
 from drivers.numbers import within
 
 WIDTH = 80
@@ -92,20 +92,9 @@ def _record(console: Console, options: argparse.Namespace) -> None:
     with PadReader(settings) as pad:
         prepare(options.folder)
         terms = Terms(options.seconds, options.countdown, options.licence)
-        Dialogue(console, pad, settings, _session(console, options), terms).run()
-
-
-def _session(console: Console, options: argparse.Namespace) -> Session:
-    """Return the session that the options describe, asking for what they leave open; raises Stopped."""
-    return Session(
-        folder=options.folder,
-        participant=options.participant or ask_name(console, "Who touches the pad?"),
-        substrate=options.substrate or ask_name(console, "What is under the pad?", "none"),
-        cover=options.cover or ask_name(console, "What is over the pad?", "none"),
-        gestures=options.gestures,
-        rounds=options.rounds,
-        seed=options.seed,
-    )
+        setting = ask_setting(console, options)
+        session = Session(options.folder, setting, options.gestures, options.rounds, options.seed)
+        Dialogue(console, pad, settings, session, terms).run()
 
 
 def _names(text: str) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from daemon.config import ConfigError, Settings, load
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import HOW, Dialogue, Terms
-from daemon.recorder.session import Session, name
+from daemon.recorder.session import Session, Setting, name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
 from drivers.numbers import within
@@ -79,7 +79,7 @@ def with_model(text: str, model: Path) -> str:
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the recordings that are not there yet; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
-    session = Session(options.folder, participant, "none", "none", tuple(HOW), options.rounds, 0)
+    session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, 0)
     if all(take.path.exists() for take in session.takes()):
         return
     with PadReader(settings) as pad:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daemon.config import Settings
+from daemon.recorder.session import Setting
 from daemon.touch import Onset, Release, TouchTracker
 from drivers.frame import Frame
 from drivers.pad.framing import CLOCK_MODULUS
@@ -36,10 +37,10 @@ class Capture:
     frames: tuple[Frame, ...]
     touched_share: float
 
-    def recording(self, participant: str, substrate: str, cover: str, gesture: str) -> Recording:
+    def recording(self, setting: Setting, gesture: str) -> Recording:
         """Return the frames as a recording, on the pad's own clock."""
         counts = np.stack([frame.pressure for frame in self.frames])
-        return Recording(participant, substrate, cover, gesture, counts, clock_ms(self.frames), "live")
+        return Recording(*setting, gesture, counts, clock_ms(self.frames), "live")
 
 
 class PadReader:

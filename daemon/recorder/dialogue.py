@@ -17,7 +17,6 @@ from daemon.recorder.session import Session, Take
 from daemon.setup.destinations import description_of
 from daemon.terminal.ask import ask
 from drivers.pad.pace import pace_of
-from drivers.recording import Recording
 
 # As in HAART: of ten seconds of a repeated gesture, keep the middle eight.
 EDGE_S = 1.0
@@ -96,7 +95,8 @@ class Dialogue:
                 continue
             choice = self._choose(capture, take)
             if choice == "keep":
-                keep(take.path, [self._recording(take, capture)], self._provenance(take, capture))
+                recording = capture.recording(self._session.setting, take.gesture)
+                keep(take.path, [recording], self._provenance(take, capture))
                 self._say(f"  kept {take.path.name}", "green")
 
     def _capture(self, take: Take) -> Capture:
@@ -142,10 +142,6 @@ class Dialogue:
             question = "  Enter to do it again, k to keep it all the same, s to skip, q to stop: "
             choices = {"": "redo", "k": "keep", "s": "skip"}
         return choices[ask(self._console, question, choices)]
-
-    def _recording(self, take: Take, capture: Capture) -> Recording:
-        session = self._session
-        return capture.recording(session.participant, session.substrate, session.cover, take.gesture)
 
     def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
         return {

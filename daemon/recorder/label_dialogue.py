@@ -5,14 +5,14 @@ from collections.abc import Sequence
 from rich.console import Console
 
 from daemon.kept.touch_store import KeptTouch, read_frames
-from daemon.recorder.labelling import LabelFolder, Setting
+from daemon.recorder.labelling import LabelFolder
+from daemon.recorder.session import Setting
 from daemon.recorder.touch_picture import Offered, draw
-from daemon.terminal.ask import ask, ask_name
+from daemon.terminal.ask import ask, ask_setting
 from drivers.recording import RecordingError
 
 # Digits first, then letters; l, q, u and w are commands.
 KEYS = "123456789abcdefghijkmnoprstvxyz"
-WHO, UNDER, OVER = "Who touched the pad?", "What was under the pad?", "What was over the pad?"
 
 
 class LabelDialogue:
@@ -52,7 +52,7 @@ class LabelDialogue:
             elif answer == "u":
                 self._say("  this is the first: there is nothing to undo", "yellow")
             elif answer == "w":
-                self._setting = self._ask_setting()
+                self._setting = ask_setting(self._console, None, self._setting, past=True)
             else:
                 self._decide(offered.kept, answer)
                 asked.append(place)
@@ -87,14 +87,6 @@ class LabelDialogue:
         self._say(keys, "bold")
         question = "A key and Enter; only Enter: right, l later, w who or what, u undo, q quit: "
         return ask(self._console, question, (*self._gestures, "", "l", "w", "u"))
-
-    def _ask_setting(self) -> Setting:
-        usual = self._setting
-        return Setting(
-            participant=ask_name(self._console, WHO, usual.participant),
-            substrate=ask_name(self._console, UNDER, usual.substrate),
-            cover=ask_name(self._console, OVER, usual.cover),
-        )
 
     def _say(self, text: str, style: str = "") -> None:
         self._console.print(text, style=style, markup=False)

@@ -7,7 +7,7 @@ records the progress, also after a crash.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -16,18 +16,10 @@ import numpy as np
 from daemon.events import timestamp
 from daemon.kept.recording_file import SUFFIX, keep, prepare
 from daemon.kept.touch_store import KeptFrames, KeptTouch, read_frames
+from daemon.recorder.session import Setting
 from drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
 
 RIGHT = ".right"
-
-
-@dataclass(frozen=True)
-class Setting:
-    """Who touched what. substrate: under the pad. cover: over it."""
-
-    participant: str
-    substrate: str
-    cover: str
 
 
 class LabelFolder:
@@ -57,10 +49,9 @@ class LabelFolder:
         """
         if already := self.labelled().get(kept.path.name):
             raise RecordingError(f"{already}: is there already; delete it to label touch {kept.number} anew")
-        names = (setting.participant, setting.substrate, setting.cover, gesture)
-        path = self.path / f"{'_'.join(names)}_{kept.path.name}"
+        path = self.path / f"{'_'.join(setting)}_{gesture}_{kept.path.name}"
         recording = _whole(read_frames(kept)) if gesture == NO_TOUCH else read_frames(kept).touch
-        recording = Recording(*names, recording.counts, recording.sensor_ms, recording.framing)
+        recording = Recording(*setting, gesture, recording.counts, recording.sensor_ms, recording.framing)
         keep(path, [recording], self._provenance(kept))
         return path
 

@@ -9,6 +9,7 @@ import random
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from daemon.kept.recording_file import SUFFIX
 
@@ -26,17 +27,23 @@ class Take:
     path: Path
 
 
+class Setting(NamedTuple):
+    """Who touches what. substrate: under the pad. cover: over it."""
+
+    participant: str = ""
+    substrate: str = "none"
+    cover: str = "none"
+
+
 @dataclass(frozen=True)
 class Session:
     """Who does which gestures on what, in how many rounds, each in a random order.
 
-    The order depends only on seed, participant and condition.
+    The order depends only on seed and setting.
     """
 
     folder: Path
-    participant: str
-    substrate: str
-    cover: str
+    setting: Setting
     gestures: tuple[str, ...]
     rounds: int
     seed: int
@@ -44,18 +51,14 @@ class Session:
     def takes(self) -> list[Take]:
         """Return all recordings of the session in order."""
         return [
-            Take(gesture, number, self.folder / f"{self._setting}_{gesture}_{number}{SUFFIX}")
+            Take(gesture, number, self.folder / f"{'_'.join(self.setting)}_{gesture}_{number}{SUFFIX}")
             for number in range(1, self.rounds + 1)
             for gesture in self._shuffled(number)
         ]
 
-    @property
-    def _setting(self) -> str:
-        return f"{self.participant}_{self.substrate}_{self.cover}"
-
     def _shuffled(self, number: int) -> list[str]:
         gestures = sorted(self.gestures)
-        random.Random(f"{self.seed} {self._setting} {number}").shuffle(gestures)
+        random.Random(f"{self.seed} {'_'.join(self.setting)} {number}").shuffle(gestures)
         return gestures
 
 

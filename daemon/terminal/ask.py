@@ -7,7 +7,9 @@ from collections.abc import Collection
 from rich.console import Console
 from rich.text import Text
 
-from daemon.recorder.session import NAME_RULE, is_name
+from daemon.recorder.session import NAME_RULE, Setting, is_name
+
+USUAL = Setting()
 
 
 class Stopped(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
@@ -34,6 +36,15 @@ def ask_name(console: Console, question: str, default: str = "") -> str:
         if is_name(answer):
             return answer
         console.print(f"  {NAME_RULE}", style="yellow")
+
+
+def ask_setting(console: Console, given: object, usual: Setting = USUAL, past: bool = False) -> Setting:
+    """Return who touches what: as the options say, asking for what they leave open; raises Stopped."""
+    touches, is_ = ("touched", "was") if past else ("touches", "is")
+    questions = (f"Who {touches} the pad?", f"What {is_} under the pad?", f"What {is_} over the pad?")
+    options = [getattr(given, name, None) for name in Setting._fields]
+    asked = zip(options, questions, usual, strict=True)
+    return Setting(*(option or ask_name(console, question, default) for option, question, default in asked))
 
 
 def _line(console: Console, question: str) -> str:

@@ -10,7 +10,7 @@ import pytest
 from daemon import cli
 from daemon.kept.recording_file import keep, prepare
 from daemon.recorder.capture import Capture, complaints
-from daemon.recorder.session import Session
+from daemon.recorder.session import Session, Setting
 from docs.studies.hand import simulate
 from drivers.frame import Frame
 from drivers.recording import Recording, RecordingError, read_recordings
@@ -22,7 +22,7 @@ def recording() -> Recording:
 
 
 def session(folder: Path, **changes: object) -> Session:
-    usual = Session(folder, "anna", "foam", "fur", ("notouch", "pat", "rub", "stroke"), 3, 0)
+    usual = Session(folder, Setting("anna", "foam", "fur"), ("notouch", "pat", "rub", "stroke"), 3, 0)
     return replace(usual, **changes)  # type: ignore[arg-type]
 
 
@@ -32,7 +32,11 @@ def test_seed_and_person_alone_decide_the_order(tmp_path: Path) -> None:
     assert order[:4] != order[4:8] or order[4:8] != order[8:]
     again = session(tmp_path, gestures=("stroke", "rub", "pat", "notouch")).takes()
     assert [take.gesture for take in again] == order
-    for change in ({"seed": 1}, {"participant": "ben"}, {"cover": "none"}):
+    for change in (
+        {"seed": 1},
+        {"setting": Setting("ben", "foam", "fur")},
+        {"setting": Setting("anna", "foam")},
+    ):
         assert [take.gesture for take in session(tmp_path, **change).takes()] != order
     assert len({take.path for take in again}) == 12
 

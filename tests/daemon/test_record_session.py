@@ -15,7 +15,7 @@ from daemon import cli
 from daemon.config import SensorSettings, Settings
 from daemon.kept.recording_file import keep
 from daemon.recorder.capture import PadLost, PadReader
-from daemon.recorder.session import Session
+from daemon.recorder.session import Session, Setting
 from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
@@ -72,7 +72,7 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, port: FakeP
         terminal.answer("an na", "a name has letters", "Who touches the pad?")
         terminal.answer("anna", "What is over the pad? [none] ")
         terminal.answer("")
-        order = [take.gesture for take in Session(tmp_path, "anna", "foam", "none", GESTURES, 1, 0).takes()]
+        order = [take.gesture for take in Session(tmp_path, Setting("anna", "foam"), GESTURES, 1, 0).takes()]
         for gesture in order:
             terminal.until(f"of 3: {gesture}")
             terminal.until("Enter to begin")
