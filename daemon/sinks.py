@@ -241,10 +241,7 @@ class RobotSink:
                 pad=event.pad,
                 feel=msgspec.structs.asdict(event.feel) if event.feel else {},
             )
-            if event.told:
-                self._link.publish(message)
-            else:
-                self._link.settle(message)
+            self._link.publish(message, is_told=event.told)
         elif isinstance(event, SensorEvent):
             self._link.set_status("up" if event.state == "disturbed" else event.state, event.pad)
 

@@ -1,7 +1,8 @@
 """Journals and recordings as MCAP, which Foxglove shows; needs the extra `mcap`."""
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import IO, Any
 
 import msgspec
@@ -41,26 +42,24 @@ LABEL = {
 
 def write_events(events: Iterable[Event], file: IO[bytes]) -> None:
     """Write each event to /touchd/PAD/TYPE at its own time."""
-    with _Mcap(file) as mcap:
+    with _messages(file) as add:
         for event in events:
             kind = type(event)
             tag = str(kind.__struct_config__.tag)
             topic = f"/touchd/{tag}" if isinstance(event, RobotEvent) else f"/touchd/{event.pad}/{tag}"
             # Without references, which not every reader follows.
             schema = msgspec.json.schema(kind)["$defs"][kind.__name__]
-            mcap.add(
-                topic, f"touchd.{kind.__name__}", schema, round(epoch_s(event.time) * 1e9), encode(event)
-            )
+            add(topic, f"touchd.{kind.__name__}", schema, round(epoch_s(event.time) * 1e9), encode(event))
 
 
 def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
     """Write frames to /touchd/pressure and labels to /touchd/recording, one recording after another."""
-    with _Mcap(file) as mcap:
+    with _messages(file) as add:
         start_ms = 0
         for recording in map(realign, recordings):
             clock_ms = (recording.sensor_ms - recording.sensor_ms[0] + start_ms).tolist()
             label = dict(zip(LABEL["properties"], (*set_up(recording), recording.gesture), strict=True))
-            mcap.add(
+            add(
                 "/touchd/recording",
                 "touchd.Recording",
                 LABEL,
@@ -69,7 +68,7 @@ def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
             )
             for ms, counts in zip(clock_ms, recording.counts, strict=True):
                 data = msgspec.json.encode(_image(counts, ms))
-                mcap.add("/touchd/pressure", "foxglove.RawImage", RAW_IMAGE, ms * NS_PER_MS, data)
+                add("/touchd/pressure", "foxglove.RawImage", RAW_IMAGE, ms * NS_PER_MS, data)
             start_ms = clock_ms[-1] + PAUSE_MS
 
 
@@ -85,23 +84,20 @@ def _image(counts: Counts, ms: int) -> dict[str, Any]:
     }
 
 
-class _Mcap:
-    """An MCAP file with a channel for each topic."""
+@contextmanager
+def _messages(file: IO[bytes]) -> Iterator[Callable[[str, str, dict[str, Any], int, bytes], None]]:
+    """Give what adds a message of JSON by topic, schema's name, schema and time in ns; a channel a topic."""
+    writer = Writer(file)
+    channels: dict[str, int] = {}
 
-    def __init__(self, file: IO[bytes]) -> None:
-        self._writer = Writer(file)
-        self._channels: dict[str, int] = {}
+    def add(topic: str, name: str, schema: dict[str, Any], time_ns: int, data: bytes) -> None:
+        if topic not in channels:
+            number = writer.register_schema(name, "jsonschema", msgspec.json.encode(schema))
+            channels[topic] = writer.register_channel(topic, "json", number)
+        writer.add_message(channels[topic], time_ns, data, time_ns)
 
-    def __enter__(self) -> "_Mcap":
-        self._writer.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._writer.finish()  # type: ignore[no-untyped-call]
-
-    def add(self, topic: str, name: str, schema: dict[str, Any], time_ns: int, data: bytes) -> None:
-        """Add a message of JSON."""
-        if topic not in self._channels:
-            number = self._writer.register_schema(name, "jsonschema", msgspec.json.encode(schema))
-            self._channels[topic] = self._writer.register_channel(topic, "json", number)
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+    writer.start()
+    try:
+        yield add
+    finally:
+        writer.finish()  # type: ignore[no-untyped-call]

@@ -86,16 +86,10 @@ class RobotLink:
         for worker in self._workers():
             worker.start()
 
-    def publish(self, message: RobotMessage) -> None:
-        """Tell the robot one answer. Never waits for the robot; call it from one thread."""
-        self._events.put(message)
-        self._act(message, is_told=True)
-
-    def settle(self, message: RobotMessage) -> None:
-        """Act on an answer at which the robot is told nothing new. Never waits; from the same thread."""
-        self._act(message, is_told=False)
-
-    def _act(self, message: RobotMessage, *, is_told: bool) -> None:
+    def publish(self, message: RobotMessage, *, is_told: bool = True) -> None:
+        """Act on an answer, and tell the robot if `is_told`. Never waits; call it from one thread."""
+        if is_told:
+            self._events.put(message)
         reaction = self._reactions[message.pad].choose(message, time.monotonic(), is_told=is_told)
         if reaction is not None and self._actions is not None:
             self._actions.put(reaction)
