@@ -10,21 +10,15 @@ SECOND_STUDY_VARIABLE = "TOUCHD_SECOND_STUDY"
 
 def add_haart_argument(parser: argparse.ArgumentParser) -> None:
     """Add --haart FOLDER, by default the environment's TOUCHD_HAART, else ./haart."""
-    parser.add_argument(
-        "--haart",
-        type=Path,
-        default=Path(os.environ.get(HAART_VARIABLE, "haart")),
-        metavar="FOLDER",
-        help=f"folder of the HAART recordings (${HAART_VARIABLE}, else haart); `data` fetches them",
-    )
+    _add(parser, "haart", HAART_VARIABLE, "the HAART recordings; `data` fetches them")
 
 
 def add_second_study_argument(parser: argparse.ArgumentParser) -> None:
     """Add --second-study FOLDER, by default the environment's TOUCHD_SECOND_STUDY, else ./second-study."""
-    parser.add_argument(
-        "--second-study",
-        type=Path,
-        default=Path(os.environ.get(SECOND_STUDY_VARIABLE, "second-study")),
-        metavar="FOLDER",
-        help=f"folder of the second study's robot-pad.csv (${SECOND_STUDY_VARIABLE}, else second-study)",
-    )
+    _add(parser, "second-study", SECOND_STUDY_VARIABLE, "the second study's robot-pad.csv")
+
+
+def _add(parser: argparse.ArgumentParser, name: str, variable: str, what: str) -> None:
+    default = Path(os.environ.get(variable, name))
+    what = f"folder of {what} (default: ${variable}, else {name})"
+    parser.add_argument(f"--{name}", type=Path, default=default, metavar="FOLDER", help=what)
