@@ -24,6 +24,8 @@ LOOK_FRAMES = 36
 # frames after it began. One of 802 recordings of touches and rest has such a sine: its pad shakes.
 LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
+# A calm pad's mean varies by less, which spares it the search.
+LEAST_VARIANCE = LEAST_COUNTS**2 / 4
 # Taxels follow it together: those at the lower sixteenth and quarter, as shares of that at the upper tenth.
 LOW, QUARTER, HIGH = 6, 16, 57
 LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
@@ -90,6 +92,7 @@ class Vibration:
     def __init__(self) -> None:
         self._newest: list[Counts] = []
         self._blocks: deque[Counts] = deque(maxlen=LOOK_FRAMES // STRIDE_FRAMES)
+        self._means: deque[NDArray[np.float64]] = deque(maxlen=LOOK_FRAMES // STRIDE_FRAMES)
         self._wave: _Wave | None = None
 
     def take_out(self, pressure: Counts) -> Counts:
@@ -99,7 +102,9 @@ class Vibration:
         if wave is not None:
             wave.now *= cmath.exp(1j * wave.turn)
         if len(self._newest) == STRIDE_FRAMES:
-            self._blocks.append(np.stack(self._newest).reshape(STRIDE_FRAMES, -1))
+            block = np.array(self._newest).reshape(STRIDE_FRAMES, -1)
+            self._blocks.append(block)
+            self._means.append(np.add.reduce(block, axis=1, dtype=np.float64) / block.shape[1])
             self._newest.clear()
             if len(self._blocks) == self._blocks.maxlen:
                 self._look()
@@ -110,8 +115,12 @@ class Vibration:
 
     def _look(self) -> None:
         wave = self._wave
+        common = np.concatenate(self._means)
+        common -= np.add.reduce(common) / LOOK_FRAMES
+        if wave is None and common @ common < LOOK_FRAMES * LEAST_VARIANCE:
+            return
         frames = np.concatenate(self._blocks)
-        found = _find(frames)
+        found = _find(frames, common)
         if found is not None and (wave is None or wave.looks < NEW_LOOKS):
             new = _learn(frames, *found)
             new.fitted = abs(new.fit(frames))
@@ -143,11 +152,12 @@ class Vibration:
         return True
 
 
-def _find(frames: Counts) -> tuple[float, complex] | None:
-    """Return the turn and the newest value of the sine that all taxels follow, if there is one."""
-    common = frames.mean(axis=1, dtype=np.float64)
-    common -= common.mean()
-    common -= SLOPE * (SLOPE @ common / (SLOPE @ SLOPE))
+def _find(frames: Counts, common: NDArray[np.float64]) -> tuple[float, complex] | None:
+    """Return the turn and the newest value of the sine that all taxels follow, if there is one.
+
+    common: (T,), the taxels' mean, without its own.
+    """
+    common = common - SLOPE * (SLOPE @ common / (SLOPE @ SLOPE))
     found = WAVES @ common
     at = int(np.abs(found).argmax())
     now = complex(found[at])
