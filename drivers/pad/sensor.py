@@ -20,6 +20,8 @@ log = logging.getLogger(__name__)
 RECENT_BYTES = 8192
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
 WAIT_S = 0.0745
+# Half of what Linux keeps of a port's bytes until they are read: where as much has come, more is on its way.
+MANY_BYTES = 2048
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -111,7 +113,8 @@ class Sensor:
                     frame_s = looked_s = now_s
                     recent = b""
                     # A frame without a clock is stamped on arrival; a polled pad waits to be asked.
-                    if self.may_wait and self._protocol.has_clock and not self._protocol.poll:
+                    may_wait = self.may_wait and self._protocol.has_clock and not self._protocol.poll
+                    if may_wait and len(data) < MANY_BYTES:
                         time.sleep(WAIT_S)
             if now_s - byte_s > self._reopen_after_s:
                 return
