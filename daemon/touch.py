@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from daemon.events import EndReason
 from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
-from daemon.pad.sight import DOUBT, NoTouch, Sight
+from daemon.pad.sight import ASK_FRAMES, DOUBT, NoTouch, Sight
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from drivers.pad.grid import GridFrame
 
@@ -75,9 +75,8 @@ CALM_FRAMES = 90
 LEFT_ANYHOW_FRAMES = 200
 # A pad whose rest the network takes for a touch is untouched when it moves hardly more than it did at rest.
 RESTFUL = 1.1
-# The network is asked three times a second: while nothing touches the pad, about its last two thirds of a
-# second, for some touches are in no single taxel above the noise; else about its last second.
-ASK_FRAMES = 18
+# The network is asked while nothing touches the pad about its last two thirds of a second, for some touches
+# are in no single taxel above the noise; else about its last second.
 GLANCE_FRAMES = 36
 ABOVE_AND_BELOW = np.array([[1], [-1]], np.float32)
 # The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.

@@ -6,11 +6,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from daemon.pad.baseline import Taxels
 from drivers.frame import COLUMNS, ROWS
 
 NoTouch = Callable[[NDArray[np.float32]], float]
 Frames = NDArray[np.float32]
-Taxels = NDArray[np.float32]
 
 # The network sees a touch when its mean no-touch probability over three looks is below the first, and none
 # when it is above the second.
@@ -23,9 +23,10 @@ REST_SHARE = 0.6
 KNOWN_REST = 0.2
 # The no-touch probability at rest rises over ten looks and falls more slowly, as a touch may go unnoticed.
 RISES, FALLS = 0.1, 0.05
+# The network is asked three times a second.
+ASK_FRAMES = 18
 # A pad at rest is not looked at again while its newest frames read as those in which no touch was seen: their
 # means, summed over the pad, and each taxel's highest differ by no more. HAART's do nine times in ten.
-NEW_FRAMES = 18
 SAME_COUNTS = 13.0
 SAME_HIGHEST_COUNTS = 2.0
 
@@ -104,7 +105,7 @@ class Sight:
         if self._none is None:
             return None
         seen, mean, highest = self._none
-        new = frames[-NEW_FRAMES:]
+        new = frames[-ASK_FRAMES:]
         is_same = float(np.abs(new.mean(axis=0) - mean).sum()) <= SAME_COUNTS
         return seen if is_same and (new.max(axis=0) <= highest + SAME_HIGHEST_COUNTS).all() else None
 

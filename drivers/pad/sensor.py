@@ -41,7 +41,8 @@ class Sensor:
     The port is reopened whenever it fails, after first_retry_s and then ever longer up to longest_retry_s.
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
     too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
-    may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread.
+    may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread. Those of
+    a pad that has no clock, is polled or sends much are read at once all the same.
     """
 
     def __init__(
