@@ -200,17 +200,14 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def bridges(self) -> dict[str, Section | None]:
-        """The sections for bridges by their names."""
         return {"mqtt": self.mqtt, "lsl": self.lsl, "ros2": self.ros2, "rosbridge": self.rosbridge}
 
     @property
     def vocabulary(self) -> Vocabulary:
-        """What gestures are called."""
         return vocabulary(self.language, self.words)
 
     @property
     def pipeline(self) -> PipelineSettings:
-        """The pipeline's settings."""
         return PipelineSettings(
             ring=self.ring, touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm
         )

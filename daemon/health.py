@@ -48,7 +48,6 @@ class Notifier:
                 return
 
     def close(self) -> None:
-        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -118,7 +117,6 @@ class Health:
         self._frames = 0
 
     def end(self, touches: int, dropped: int) -> None:
-        """Log the totals."""
         frames = self._frames_in_all + self._frames
         log.info("%d frames, %d touches, %d frames dropped in all", frames, touches, dropped)
 

@@ -167,7 +167,6 @@ class Pipeline:
 
     @property
     def has_touch(self) -> bool:
-        """Whether a touch goes on."""
         return self._touch is not None
 
     @property
@@ -195,7 +194,6 @@ class Pipeline:
             yield from self._hear(self._touch)
 
     def on_frame(self, frame: Frame) -> None:
-        """Take the sensor's next frame."""
         work_off([self.take(frame)])
 
     def take(self, frame: Frame) -> Work:

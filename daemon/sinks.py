@@ -58,7 +58,6 @@ class EventFanout:
         self.standing: dict[tuple[type[Event], str], Event] = {}
 
     def emit(self, event: Event) -> None:
-        """Hand an event over."""
         self.touches += isinstance(event, TouchBegan)
         if isinstance(event, SensorEvent | RobotEvent):
             self.standing[type(event), getattr(event, "pad", "")] = event
@@ -80,16 +79,13 @@ class QueuedSink(ABC, Generic[Item]):
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
 
     def start(self) -> None:
-        """Begin to pass on what was put, and what will be."""
         self._thread.start()
 
     @property
     def dropped(self) -> int:
-        """Items that the destination was too slow for."""
         return self._items.dropped
 
     def put(self, item: Item) -> None:
-        """Queue an item; never blocks."""
         self._items.put(item)
 
     def stop(self, timeout_s: float) -> None:
@@ -183,7 +179,6 @@ class LogHandler(logging.Handler):
         self._sink = sink
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Hand over one line."""
         self._sink.put(self.format(record))
 
 
@@ -195,11 +190,9 @@ class JournalSink(QueuedSink[Event]):
         self.journal = journal
 
     def write(self, item: Event) -> None:
-        """Append one line."""
         self.journal.append(encode(item))
 
     def stop(self, timeout_s: float) -> None:
-        """Write what is queued and close the file."""
         super().stop(timeout_s)
         # A disk that hangs keeps the thread; the file is then left as it is.
         if not self._thread.is_alive():
@@ -219,7 +212,6 @@ class RobotSink:
         self._numbers = numbers
 
     def start(self) -> None:
-        """Begin to connect."""
         self._link.start()
 
     @property
@@ -246,5 +238,4 @@ class RobotSink:
             self._link.set_status("up" if event.state == "disturbed" else event.state, event.pad)
 
     def stop(self, timeout_s: float) -> None:
-        """Say goodbye to the robot."""
         self._link.stop(timeout_s)

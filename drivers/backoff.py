@@ -18,5 +18,4 @@ class Backoff:
         return pause_s * random.uniform(0.5, 1.0)
 
     def reset(self) -> None:
-        """Begin again with the first pause."""
         self._next_s = self._first_s

@@ -73,7 +73,6 @@ class DroppingQueue(Generic[Item]):
             return self._items.popleft() if self._items else None
 
     def take_all(self) -> list[Item]:
-        """Take everything that waits, oldest first."""
         with self._lock:
             items = list(self._items)
             self._items.clear()

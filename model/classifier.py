@@ -92,7 +92,6 @@ class Classifier:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The gestures in the order of the probabilities."""
         return self.metadata.labels
 
     @property
@@ -102,7 +101,6 @@ class Classifier:
 
     @property
     def name(self) -> str:
-        """The model's name, as events carry it."""
         return self.metadata.name
 
     def probabilities(self, frames: NDArray[np.generic]) -> NDArray[np.float64]:

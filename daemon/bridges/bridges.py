@@ -39,5 +39,4 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
 
 
 def _gestures(scene: SceneSettings, model: ProbabilityModel) -> tuple[str, ...]:
-    """Return the gestures that can be reported for a pad."""
     return tuple(scene.gestures or (label for label in model.labels if label != NO_TOUCH))

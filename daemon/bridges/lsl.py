@@ -31,7 +31,6 @@ class LslBridge(Bridge):
         super().__init__("lsl", pad, math.inf)
 
     def open(self) -> None:
-        """Announce both streams."""
         # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
         self._ahead_s = _ahead_of(time.monotonic)
         self._markers = pylsl.StreamOutlet(
@@ -44,14 +43,12 @@ class LslBridge(Bridge):
         self._peer_is_there.set()
 
     def write(self, item: Event | Frame) -> None:
-        """Push one sample."""
         if isinstance(item, Frame):
             self._pressure.push_sample(item.pressure.ravel().tolist(), item.host_s + self._ahead_s)
         else:
             self._markers.push_sample([marker_of(item)], epoch_s(item.time) + _ahead_of(time.time))
 
     def close(self) -> None:
-        """Remove both streams."""
         del self._markers, self._pressure
 
     def _info(self, name: str, kind: str, channels: int, rate_hz: float, form: str) -> pylsl.StreamInfo:

@@ -58,7 +58,6 @@ class MqttBridge(Bridge):
         super().__init__("mqtt", pad, settings.pressure_hz)
 
     def open(self) -> None:
-        """Begin to connect."""
         self._client.connect_async(self._settings.host, self._settings.port, KEEPALIVE_S)
         self._client.loop_start()
 
@@ -76,7 +75,6 @@ class MqttBridge(Bridge):
         self._await(self._client.publish(f"{self._topic}/event", encode(item), qos=1))
 
     def close(self) -> None:
-        """Leave the state as stopped."""
         if self._peer_is_there.is_set():
             self._state = "stopped"
             self._await(self._publish_state())

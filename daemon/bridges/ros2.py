@@ -35,7 +35,6 @@ class Ros2Bridge(Bridge):
         super().__init__("ros2", pad, math.inf)
 
     def open(self) -> None:
-        """Join the domain."""
         participant = DomainParticipant(self._settings.domain)
         publisher = Publisher(participant)
         # ROS 2 has its topics under rt.
@@ -50,7 +49,6 @@ class Ros2Bridge(Bridge):
         self._peer_is_there.set()
 
     def write(self, item: Event | Frame) -> None:
-        """Publish one message, or two."""
         if isinstance(item, Frame):
             self._pressure.write(image(item, self.pad))
             return
@@ -59,5 +57,4 @@ class Ros2Bridge(Bridge):
         self._event.write(String(encode(item).decode()))
 
     def close(self) -> None:
-        """Leave the domain."""
         del self._gesture, self._event, self._pressure

@@ -40,7 +40,6 @@ class RosbridgeBridge(Bridge):
         super().__init__("rosbridge", pad, settings.pressure_hz)
 
     def open(self) -> None:
-        """Begin to connect."""
         # The keeper thread logs failed attempts itself, once.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
         self._keeper.start()
@@ -57,7 +56,6 @@ class RosbridgeBridge(Bridge):
             pass
 
     def close(self) -> None:
-        """Close the connection."""
         self._ending.set()
         if (connection := self._connection) is not None:
             connection.close()

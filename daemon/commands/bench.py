@@ -71,7 +71,6 @@ Received = tuple[Event, float, float]
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd bench", description="Measures the real daemon on a fake pad at 54 Hz."
     )

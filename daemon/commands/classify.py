@@ -17,7 +17,6 @@ from drivers.recording import Stream
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd classify",
         description="Sends recordings through the daemon's pipeline, with notouch before, between and after.",

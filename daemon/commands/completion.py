@@ -11,7 +11,6 @@ from daemon.terminal.own_name import PROGRAM, own_name
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd completion",
         description="Writes a completion script to standard output. "

@@ -20,7 +20,6 @@ class ConvertError(TouchdError):
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd convert",
         description="Writes a journal or a recording as CSV (for pandas) or as MCAP (for Foxglove).",

@@ -85,7 +85,6 @@ class PlainLines:
         """Do nothing: lines cannot show a moving pad."""
 
     def doing(self, text: str) -> None:
-        """Write what the hand does next."""
         self.note(text)
 
     def note(self, text: str) -> None:
@@ -106,7 +105,6 @@ Show: typing.TypeAlias = "View | PlainLines"
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
     parser.add_argument("--plain", action="store_true", help="write lines instead of a picture")
     parser.add_argument(

@@ -22,7 +22,6 @@ SHORTEST_S, LONGEST_S = 1.0, 600.0
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd doctor",
         description="Checks the pad, the model, the robot and the service, and says what to do. Leave the "

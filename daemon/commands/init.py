@@ -29,7 +29,6 @@ ENOUGH_BYTES = 8192
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd init",
         description="Looks for a pad on this computer's ports, tries the robot, and writes a configuration.",

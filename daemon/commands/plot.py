@@ -19,7 +19,6 @@ MOST_TOUCHES = 100
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd plot",
         description="Draws recordings (pressure, touches, answers, mean pad), or the touches of one journal.",

@@ -22,7 +22,6 @@ SHORTEST_S, LONGEST_S = 1.0, 60.0
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd record",
         description="Makes recordings of the pad for training, one file each, never written over. What "

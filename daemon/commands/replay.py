@@ -17,7 +17,6 @@ from drivers.pad.format import PRESETS
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd replay",
         description="Plays recordings through a fake serial port, with notouch before, between and after, "

@@ -27,7 +27,6 @@ LOG_STOP_S = 0.4
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd run",
         description="Reads the pad, tells the robot, and writes events to standard output: in words to a "

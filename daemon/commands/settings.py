@@ -9,7 +9,6 @@ from daemon.config import Settings, load, only_pad
 def add_settings(
     parser: argparse.ArgumentParser, config: str = "settings; defaults without it", port: bool = True
 ) -> None:
-    """Add --config, --pad and, if wanted, --port."""
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=config)
     parser.add_argument("--pad", metavar="NAME", help="the pad to use, if several are configured")
     if port:

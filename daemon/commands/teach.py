@@ -27,7 +27,6 @@ COUNTDOWN_S = 2.0
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd teach",
         description="Records every gesture twice, adapts the shipped model to them, says how well it did "

@@ -7,7 +7,6 @@ from pathlib import Path
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd train",
         description="Adapts the shipped model to recordings of your own, in about a minute, and says how "

@@ -32,7 +32,6 @@ class TouchSink(QueuedSink[FeltTouch]):
         self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
 
     def take(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
-        """Take a pad's next frame."""
         if pad in self._stores:
             self._pads[pad].take(frame)
 
@@ -50,7 +49,6 @@ class TouchSink(QueuedSink[FeltTouch]):
                 self._pads.pop(item.pad, None)
 
     def write(self, item: FeltTouch) -> None:
-        """Write one touch."""
         self._stores[item.began.pad].add(item)
 
 

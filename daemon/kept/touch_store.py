@@ -112,7 +112,6 @@ def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
 
 
 def file_name(time: str, number: int, count: int) -> str:
-    """Return the name of the file with the frames of a touch."""
     return f"{time.replace(':', '-')}-{number}-{count}{SUFFIX}"
 
 

@@ -23,7 +23,6 @@ class ReportedTouch(msgspec.Struct):
     ended: TouchEnded | None = None
 
     def add(self, event: Prediction | TouchEnded) -> None:
-        """Add an answer, or the end."""
         if isinstance(event, Prediction):
             self.predictions.append(event)
         else:

@@ -45,6 +45,5 @@ class Door:
         self.kind: type[ServerConnection] = Counted
 
     def shut(self) -> None:
-        """Close all connections."""
         for connection in list(self._inside):
             connection.transport.abort()

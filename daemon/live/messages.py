@@ -58,5 +58,4 @@ def encode_frame(frame: Frame, pad: int = 0) -> bytes:
 
 
 def encode_message(message: msgspec.Struct) -> str:
-    """Return an event, a state or a status as JSON."""
     return msgspec.json.encode(message).decode()

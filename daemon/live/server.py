@@ -68,7 +68,6 @@ class LiveServer:
         return self._items.dropped
 
     def start(self) -> None:
-        """Start serving."""
         urls = urls_of(self._settings, self.listening.getsockname()[1])
         log.info("live page: %s", " ".join(urls))
         self._thread.start()
@@ -82,11 +81,9 @@ class LiveServer:
 
     @property
     def is_watched(self) -> bool:
-        """Whether there are viewers."""
         return bool(self._viewers)
 
     def put_live(self, prediction: LivePrediction) -> None:
-        """Queue a live prediction."""
         self._items.put(prediction)
 
     def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:

@@ -34,7 +34,6 @@ class Viewers:
         return True
 
     def discard(self, viewer: ServerConnection) -> None:
-        """Remove a viewer."""
         self._all.discard(viewer)
         self._behind.discard(viewer)
 

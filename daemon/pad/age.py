@@ -26,7 +26,6 @@ class Age:
         self._host_s = 0.0
 
     def update(self, frame: GridFrame) -> None:
-        """Take the next frame of the grid."""
         lag_s = frame.host_s - frame.sensor_ms / 1000.0
         later_s, passed_s = lag_s - self._lag_s, max(0.0, frame.host_s - self._host_s)
         self._lag_s, self._host_s = lag_s, frame.host_s

@@ -78,14 +78,12 @@ class LastSecond:
         return min(self._pushed, SECOND_FRAMES)
 
     def push(self, pressure: Taxels) -> None:
-        """Add the newest frame."""
         place = self._pushed % SECOND_FRAMES
         # Written twice, so that the newest frames always lie side by side.
         self._frames[place] = self._frames[place + SECOND_FRAMES] = pressure
         self._pushed += 1
 
     def clear(self) -> None:
-        """Forget all frames."""
         self._pushed = 0
 
     def last(self, frames: int) -> NDArray[np.float32]:

@@ -42,7 +42,6 @@ class Sight:
 
     @property
     def is_there(self) -> bool:
-        """Whether there is a network to ask."""
         return self._no_touch is not None
 
     @property
@@ -72,7 +71,6 @@ class Sight:
         self._looks.clear()
 
     def forget_looks(self) -> None:
-        """Forget earlier looks."""
         self._looks.clear()
 
     def is_below(self, no_touch: float, frames: Frames) -> bool:

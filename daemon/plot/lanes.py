@@ -14,7 +14,6 @@ LANES = ("early", "revised", "final", "later")
 
 
 def lane_of(answer: Prediction) -> int:
-    """Return the number of an answer's lane."""
     return LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
 
 

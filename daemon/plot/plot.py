@@ -45,7 +45,6 @@ def colour_of(gesture: str, gestures: Iterable[str]) -> str:
 
 
 def new_figure(height_inches: float) -> Figure:
-    """Return an empty figure."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")

@@ -46,7 +46,6 @@ class Trace:
     starts_s: list[float]
 
     def ends_s(self, number: int) -> float:
-        """Return when a touch ended."""
         ended = self.touches[number].ended
         return self.starts_s[number] + (ended.frames if ended else 0) / FRAME_RATE_HZ
 
@@ -102,7 +101,6 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def draw(felt: Trace, title: str) -> Figure:
-    """Return the picture of a stream."""
     gestures = sorted({span.gesture for span in felt.stream.spans} - {NO_TOUCH})
     rows = _rows(felt)
     longest_s = max(end_s - begin_s for begin_s, end_s in rows)

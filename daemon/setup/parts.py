@@ -167,12 +167,10 @@ class Parts:
 
     @property
     def models(self) -> dict[str, Classifier]:
-        """The model of each pad."""
         return {name: pad.model for name, pad in self.pads.items()}
 
     @property
     def sinks(self) -> tuple[Sink, ...]:
-        """All configured sinks."""
         one_each = (self.journal, self.robot, self.live, self.kept)
         return (*(sink for sink in one_each if sink is not None), *self.bridges.values())
 

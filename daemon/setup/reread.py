@@ -59,7 +59,6 @@ class Reloader:
 
 @contextmanager
 def rereading(asked: threading.Event, reloader: Reloader) -> Iterator[None]:
-    """Reload whenever `asked` is set."""
     ending = threading.Event()
 
     def wait() -> None:

@@ -7,7 +7,6 @@ from drivers.frame import FRAME_RATE_HZ
 
 
 def describe(event: Event, words: Vocabulary, language: Language = "en") -> str:
-    """Return the event as one line."""
     match event:
         case TouchBegan():
             return term(language, "begins", number=event.touch)

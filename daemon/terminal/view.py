@@ -62,7 +62,6 @@ class ShownTouch:
 
     @property
     def length_s(self) -> float:
-        """Its duration so far."""
         if self.ended is not None:
             return self.ended.frames / FRAME_RATE_HZ
         return self.trace[-1][0] if self.trace else 0.0
@@ -138,23 +137,19 @@ class View:
                 touch.trace.append((touch.length_s + min(step_s, 1.0), load))
 
     def put_live(self, prediction: LivePrediction) -> None:
-        """Show a live prediction at the next refresh."""
         if prediction.pad == self._shown_pad:
             with self._lock:
                 self._now = prediction
                 self._name_labels(prediction.probabilities)
 
     def note(self, text: str, is_bad: bool = False) -> None:
-        """Add a line to the notes."""
         with self._lock:
             self._notes.append((text, is_bad))
 
     def doing(self, text: str) -> None:
-        """Show what the hand does."""
         self._doing = text
 
     def put(self, event: Event) -> None:
-        """Show an event at the next refresh."""
         if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
             return
         with self._lock:
@@ -401,7 +396,6 @@ class ViewHandler(logging.Handler):
         self._view = view
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Show one line."""
         self._view.note(record.getMessage(), record.levelno >= logging.WARNING)
 
 

@@ -26,7 +26,6 @@ LONGEST_S = 9999.0
 
 
 def parser() -> argparse.ArgumentParser:
-    """Return what the command line takes."""
     parser = argparse.ArgumentParser(
         prog="touchd fake-robot",
         description="Real qi services on 127.0.0.1; prints where it listens, then every call, as JSON lines.",

@@ -42,7 +42,6 @@ class Gate:
         threading.Thread(target=self._accept, name="loopback-gate", daemon=True).start()
 
     def close(self) -> None:
-        """Accept no more clients."""
         self._listener.close()
 
     def _accept(self) -> None:

@@ -81,13 +81,11 @@ class FakeMemory(_Service):
         self._note("raiseEvent", key, kept)
 
     def getData(self, key: str) -> object:  # noqa: N802
-        """Return a value."""
         if key not in self._data:
             raise self._refuse("getData", (key,), f"no data named {key}")
         return self._data[key]
 
     def removeData(self, key: str) -> None:  # noqa: N802
-        """Forget a value."""
         if self._data.pop(key, None) is None:
             raise self._refuse("removeData", (key,), f"no data named {key}")
         self._note("removeData", key)
@@ -99,7 +97,6 @@ class FakeTextToSpeech(_Service):
     name = "ALTextToSpeech"
 
     def say(self, text: str) -> None:
-        """Speak."""
         self._note("say", text)
 
 
@@ -115,7 +112,6 @@ class FakeBehaviorManager(_Service):
     name = "ALBehaviorManager"
 
     def runBehavior(self, behavior: str) -> None:  # noqa: N802
-        """Run a behaviour to its end."""
         if "/" not in behavior:
             raise self._refuse("runBehavior", (behavior,), f"no behavior named {behavior}")
         self._note("runBehavior", behavior)
@@ -127,7 +123,6 @@ class FakeLeds(_Service):
     name = "ALLeds"
 
     def fadeRGB(self, group: str, rgb: int, duration_s: float) -> None:  # noqa: N802
-        """Fade a group of lights to 0xRRGGBB."""
         self._note("fadeRGB", group, rgb, duration_s)
 
 

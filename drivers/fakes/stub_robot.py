@@ -36,7 +36,6 @@ class StubRobot:
         self.kill()
 
     def open_session(self, *_: object) -> RobotSession:
-        """Return a new session, as RobotLink asks for it."""
         return _StubSession(self)
 
     def asked(self, service: str, method: str, arguments: tuple[object, ...]) -> object:

@@ -39,7 +39,6 @@ class BinaryFrames(FrameParser):
         self._in_refused_run = False
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
-        """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
         self._buffer += data
         readings: list[Reading] = []
         while self._seek_header() and (taken := self._take(host_s)) is not None:
@@ -49,7 +48,6 @@ class BinaryFrames(FrameParser):
         return number_frames(readings, self.counts)
 
     def reset(self) -> None:
-        """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
         super().reset()
         self._claimed = 0
         self._in_refused_run = False
@@ -163,12 +161,10 @@ class Replies(FrameParser):
     _has_stray = False
 
     def ask(self, now_s: float) -> None:
-        """Note that the pad was polled now."""
         super().ask(now_s)
         self._has_stray = False
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
-        """Take bytes that arrived at `host_s` (monotonic seconds); return the frame they completed."""
         size = self.format.frame_bytes
         readings: list[Reading] = []
         if self._asked:

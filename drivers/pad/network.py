@@ -64,7 +64,6 @@ class NetworkPort:
             self._socket.sendto(data, self._sender)
 
     def reset_input_buffer(self) -> None:
-        """Drop what has arrived."""
         timeout_s = self._socket.gettimeout()
         self._socket.setblocking(False)
         try:

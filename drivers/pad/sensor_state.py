@@ -39,7 +39,6 @@ class Announcer:
         self._last_kind = ""
 
     def up(self, port: str) -> None:
-        """Frames arrive."""
         if self._is_up:
             return
         reason = f"frames arrive from {port}"

@@ -37,7 +37,6 @@ class TextFrames(FrameParser):
         self._lines_of_other_layout = 0
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
-        """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
         *blocks, self._buffer = self._end.split(self._buffer + data)
         readings: list[Reading] = []
         for block in blocks:
@@ -57,7 +56,6 @@ class TextFrames(FrameParser):
         return number_frames(readings, self.counts)
 
     def reset(self) -> None:
-        """Forget half a line and the clock after a reconnect; counts and frame numbers go on."""
         super().reset()
         self._skipping = True
         self._has_clock = None

@@ -25,7 +25,6 @@ class PadWatch:
         self._unsaid: dict[Kind, tuple[float, str]] = {}
 
     def update(self, frame: Frame) -> None:
-        """Take the next frame."""
         finding = self._health.update(frame)
         if finding is not None and finding.began:
             self._begin(finding, frame.host_s)

@@ -28,12 +28,10 @@ class EventDuty(Duty[RobotMessage]):
         self.status: dict[str, str] = dict.fromkeys(pads, "up")
 
     def begin(self, session: RobotSession) -> None:
-        """Tell the robot the status of every pad."""
         for pad, status in self.status.items():
             self._tell_status(session, pad, status)
 
     def handle(self, session: RobotSession, item: RobotMessage) -> None:
-        """Tell the robot one answer."""
         self._raise(session, self._name(item.pad, "Detail"), detail(item))
         self._raise(session, self._name(item.pad, "Gesture"), str(item.gesture))
         self._remove_at_s[item.pad] = time.monotonic() + self._limits.shown_s

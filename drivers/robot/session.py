@@ -99,7 +99,6 @@ class QiSession:
             self._session.setClientAuthenticatorFactory(_Authenticator(login))
 
     def connect(self) -> None:
-        """Connect and log in; raises RobotLost."""
         connecting = self._session.connect(self._url, _async=True)
         try:
             self._value(connecting, self._limits.connect_s, "connecting")
@@ -109,11 +108,9 @@ class QiSession:
             raise RobotLost(_with_advice(str(lost))) from lost
 
     def connected(self) -> bool:
-        """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
         return bool(self._session.isConnected())
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
         if service not in self._proxies:
             found = self._session.service(service, _async=True)
             self._proxies[service] = self._value(found, self._limits.service_s, f"looking for {service}")
@@ -124,7 +121,6 @@ class QiSession:
         return self._value(answer, limit_s, f"{service}.{method}")
 
     def close(self) -> None:
-        """Give the connection up, at once and whatever state it is in."""
         self._proxies.clear()
         self._session.close(_async=True).wait(round(1000 * HURRY_S))
 

@@ -94,7 +94,6 @@ class RobotWorker(Generic[Item]):
         return replace(self._counts, queued=self._queued, dropped=self._queue.dropped)
 
     def start(self) -> None:
-        """Begin to connect; returns at once."""
         self._thread.start()
 
     def put(self, item: Item) -> None:
@@ -113,7 +112,6 @@ class RobotWorker(Generic[Item]):
         self._wake.set()
 
     def join(self, timeout_s: float) -> bool:
-        """Wait for the worker's end; returns whether it has ended."""
         if self._thread.ident is not None:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()

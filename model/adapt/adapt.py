@@ -44,7 +44,6 @@ class Pretrained:
 
     @classmethod
     def shipped(cls) -> "Pretrained":
-        """Return the shipped network."""
         return cls.of(checkpoint.load(SHIPPED_MODEL.with_suffix(".pt")), SHIPPED_MODEL)
 
 

@@ -37,7 +37,6 @@ class CropFeatures:
     gestures: tuple[str, ...]
 
     def of(self, recordings: Sequence[int]) -> "CropFeatures":
-        """Return those of some recordings."""
         chosen = torch.tensor(recordings, dtype=torch.long)
         return CropFeatures(
             self.values[chosen], self.within[chosen], tuple(self.gestures[i] for i in recordings)

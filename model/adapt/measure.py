@@ -185,5 +185,4 @@ def _by(names: NDArray[np.str_], values: NDArray[np.generic]) -> list[Any]:
 
 
 def _mean(strata: Sequence[Floats]) -> float:
-    """Return the mean of the strata's means."""
     return float(np.mean([stratum.mean() for stratum in strata]))
