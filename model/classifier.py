@@ -12,7 +12,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from drivers.errors import TouchdError
+from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 
 SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
@@ -200,16 +200,13 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    try:
+    advice = "check `model` in the configuration"
+    with os_errors_as(ModelError, f"{path}: the model cannot be read", advice):
         if path.is_fifo() or path.is_char_device():
-            raise ModelError(f"{path}: is no file; check `model` in the configuration")
+            raise ModelError(f"{path}: is no file; {advice}")
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
         content = path.read_bytes()
-    except OSError as error:
-        raise ModelError(
-            f"{path}: the model cannot be read ({error.strerror}); check `model` in the configuration"
-        ) from error
     try:
         return onnxruntime.InferenceSession(
             content,

@@ -16,6 +16,7 @@ from daemon.doctor.line import USUAL_BAUDS
 from daemon.doctor.listening import listen
 from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
+from drivers.errors import os_errors_as
 from drivers.pad.diagnosis import as_yaml, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, open_port, read_waiting
@@ -56,12 +57,8 @@ def main(arguments: Sequence[str]) -> int:
     described_as = as_yaml(described or PRESETS["fabric-grid"])
     text = f"sensor:\n  port: {json.dumps(port)}\n  baud: {baud}\n  {described_as}\n"
     text += f"robot: {f'{{url: {json.dumps(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
-    try:
+    with os_errors_as(ConfigError, f"{options.file}: cannot be written", "give another path"):
         options.file.write_text(text)
-    except OSError as error:
-        raise ConfigError(
-            f"{options.file}: cannot be written ({error.strerror}); give another path"
-        ) from error
     settings = load(options.file)
     console.print(
         f"pad: {described}, at {port}"

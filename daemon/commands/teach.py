@@ -16,6 +16,7 @@ from daemon.recorder.dialogue import HOW, Dialogue, Terms
 from daemon.recorder.session import Session, Setting, name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
+from drivers.errors import os_errors_as
 from drivers.numbers import within
 from drivers.whole_file import whole_file
 
@@ -98,12 +99,12 @@ def _put_into_use(console: Console, config: Path | None, model: Path) -> None:
         return
     if ask(console, f"Enter to use it from now on (in {config}), n to leave things as they are: ", ("", "n")):
         return
-    try:
-        with whole_file(config) as new:
-            new.write_text(with_model(config.read_text(encoding="utf-8"), model.resolve()), encoding="utf-8")
-            load(new)
-    except OSError as error:
-        raise ConfigError(f"{config}: cannot be written ({error.strerror}); try with sudo") from error
+    with (
+        os_errors_as(ConfigError, f"{config}: cannot be written", "try with sudo"),
+        whole_file(config) as new,
+    ):
+        new.write_text(with_model(config.read_text(encoding="utf-8"), model.resolve()), encoding="utf-8")
+        load(new)
     console.print(
         f"Set. A running service takes it over with: sudo systemctl reload touchd\n"
         f"By hand: {own_name()} run -c {config}",

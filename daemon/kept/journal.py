@@ -6,7 +6,7 @@ import logging
 import os
 from pathlib import Path
 
-from drivers.errors import TouchdError
+from drivers.errors import TouchdError, os_errors_as
 
 log = logging.getLogger(__name__)
 
@@ -35,19 +35,12 @@ class Journal:
         self._path = path
         self._max_bytes = max_bytes
         self._keep = keep
-        self._fd: int
         self._failing = False
         self.lost = 0
-        try:
-            if before is not None and before.is_on(path):
-                # The duplicate shares the lock.
-                self._fd = os.dup(before._fd)
-            else:
-                self._fd = _open(path)
-        except OSError as error:
-            raise JournalError(
-                f"journal {path}: cannot be written ({error.strerror}); give another journal.path, or null"
-            ) from error
+        advice = "give another journal.path, or null"
+        with os_errors_as(JournalError, f"journal {path}: cannot be written", advice):
+            # The duplicate shares the lock.
+            self._fd: int = os.dup(before._fd) if before and before.is_on(path) else _open(path)
 
     def append(self, line: bytes) -> None:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""

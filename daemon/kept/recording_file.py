@@ -4,6 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from drivers.errors import os_errors_as
 from drivers.recording import Recording, RecordingError, write_recordings
 from drivers.whole_file import whole_file
 
@@ -14,7 +15,7 @@ def prepare(folder: Path) -> None:
     """Make the folder, and see that recordings can be kept in it; raises RecordingError where they cannot."""
     probe = folder / f".touchd-probe-{os.getpid()}"
     linked = probe.with_suffix(".linked")
-    try:
+    with os_errors_as(RecordingError, f"{folder}: recordings cannot be kept there", "name another folder"):
         folder.mkdir(parents=True, exist_ok=True)
         try:
             probe.touch()
@@ -22,10 +23,6 @@ def prepare(folder: Path) -> None:
         finally:
             probe.unlink(missing_ok=True)
             linked.unlink(missing_ok=True)
-    except OSError as error:
-        raise RecordingError(
-            f"{folder}: recordings cannot be kept there ({error.strerror}); name another folder"
-        ) from error
 
 
 def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from daemon.kept.recording_file import SUFFIX, keep, prepare
 from daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
+from drivers.errors import os_errors_as
 from drivers.frame import DEFAULT_PAD
 from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
 from drivers.whole_file import PARTIAL
@@ -58,12 +59,8 @@ class TouchStore:
         self._sensor = sensor
         self._failing = False
         self.lost = 0
-        try:
+        with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
             self._make_folder()
-        except OSError as error:
-            raise RecordingError(
-                f"{folder}: cannot be made ({error.strerror}); give another journal.path"
-            ) from error
         prepare(folder)
         for partial in folder.glob(f"{PARTIAL}*"):
             partial.unlink(missing_ok=True)
@@ -120,15 +117,12 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
 
     Raises RecordingError when it cannot be read.
     """
-    try:
-        names = os.listdir(folder)
-    except FileNotFoundError:
-        return []
-    except OSError as error:
-        raise RecordingError(
-            f"{folder}: cannot be read ({error.strerror}); what the service keeps takes sudo"
-        ) from error
     kept: list[KeptTouch] = []
+    with os_errors_as(RecordingError, f"{folder}: cannot be read", "what the service keeps takes sudo"):
+        try:
+            names = os.listdir(folder)
+        except FileNotFoundError:
+            return []
     for name in names:
         if parts := NAME.fullmatch(name):
             time = ":".join(parts.group(1, 2, 3))

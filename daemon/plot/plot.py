@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Prediction
-from drivers.errors import TouchdError
+from drivers.errors import TouchdError, os_errors_as
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -54,10 +54,8 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure in the format of its suffix; raises PlotError."""
     if path.suffix not in FORMATS:
         raise PlotError(f"{path}: a picture's name ends with {', '.join(FORMATS)}; give one with -o")
-    try:
+    with os_errors_as(PlotError, f"{path}: cannot be written", "name another file with -o"):
         figure.savefig(path, dpi=DOTS_PER_INCH)
-    except OSError as error:
-        raise PlotError(f"{path}: cannot be written ({error.strerror}); name another file with -o") from error
 
 
 def draw_answer(

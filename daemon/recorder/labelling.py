@@ -17,6 +17,7 @@ from daemon.events import timestamp
 from daemon.kept.recording_file import SUFFIX, keep, prepare
 from daemon.kept.touch_store import KeptFrames, KeptTouch, read_frames
 from daemon.recorder.session import Setting
+from drivers.errors import os_errors_as
 from drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
 
 RIGHT = ".right"
@@ -58,11 +59,9 @@ class LabelFolder:
     def find_right(self, kept: KeptTouch) -> None:
         """Mark the answer to a touch as right."""
         mark = self.path / RIGHT / kept.path.name
-        try:
+        with os_errors_as(RecordingError, f"{mark}: cannot be written"):
             mark.parent.mkdir(exist_ok=True)
             mark.touch()
-        except OSError as error:
-            raise RecordingError(f"{mark}: cannot be written ({error.strerror})") from error
 
     def undo(self, kept: KeptTouch) -> None:
         """Undo the label of a kept touch: delete its recording or its mark."""

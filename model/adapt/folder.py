@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
 
-from drivers.errors import TouchdError
+from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.grid import on_grid
 from drivers.recording import (
@@ -74,12 +74,10 @@ def find(folder: Path, name: str, hint: str = "`python -m docs.studies data` fet
 
 def _files(folder: Path) -> list[Path]:
     """Return the recording files, not those that a session was writing when it was cut off."""
-    try:
+    if folder.is_file():
+        raise ExtraError(f"{folder}: is a file; name the folder that it is in")
+    with os_errors_as(ExtraError, f"{folder}: cannot be read", "check the path"):
         found = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
-    except NotADirectoryError as error:
-        raise ExtraError(f"{folder}: is a file; name the folder that it is in") from error
-    except OSError as error:
-        raise ExtraError(f"{folder}: cannot be read ({error.strerror}); check the path") from error
     files = [path for path in found if not path.name.startswith(".")]
     if not files:
         raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")

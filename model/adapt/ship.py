@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 import torch
 
-from drivers.errors import TouchdError
+from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import FRAME_RATE_HZ
 from drivers.whole_file import whole_file
 from model.adapt.adapt import Adapted, Pretrained, adapt, learnable, prepare
@@ -86,11 +86,11 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
     )
     # The exporter logs at length about a library that is not installed.
     logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
-    try:
-        with whole_file(output, replace=False) as partial:
-            export(network.eval(), metadata, partial)
-    except OSError as error:
-        raise OutputError(f"{output}: cannot be written ({error.strerror})") from error
+    with (
+        os_errors_as(OutputError, f"{output}: cannot be written"),
+        whole_file(output, replace=False) as partial,
+    ):
+        export(network.eval(), metadata, partial)
 
 
 def _named(name: str, head: torch.nn.Sequential) -> dict[str, torch.Tensor]:
