@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import FRAME_RATE_HZ
+from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
 Counts = NDArray[np.float32]
 
@@ -43,11 +43,16 @@ LIGHT = 19
 # The vibration has ended if taking it out leaves four times the variance, over this many frames.
 ENDED_FRAMES, ENDED = 18, 4.0
 
+# A sine's values above 0 vary by a tenth of its amplitude's square, but may be equal where it takes two to
+# four frames. How the taxels follow is then learned from all values.
+LEAST_SPREAD = 0.03
+
 AGO = np.arange(1 - LOOK_FRAMES, 1)
 HANN = np.hanning(LOOK_FRAMES + 2)[1:-1]
 SLOPE = AGO - AGO.mean()
 LEVEL_AND_SLOPE = np.stack([np.ones(LOOK_FRAMES), SLOPE])
-TURNS = 2 * np.pi * np.arange(3.0, 27.01, 0.25) / FRAME_RATE_HZ
+# The first and the last are those of no vibration: it is slower or faster, and looks like another one here.
+TURNS = 2 * np.pi * np.arange(2.75, 25.26, 0.25) / FRAME_RATE_HZ
 WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
 
 
@@ -74,8 +79,9 @@ class _Wave:
 
     def without(self, frames: Counts, values: NDArray[np.float32]) -> Counts:
         """Return (T, 64) counts without the sine; a count of 0 may have been cut off, and stays."""
-        left: Counts = np.where(frames > 0, np.maximum(frames - values[:, None] * self.weights, 0), 0)
-        return left
+        left = np.minimum(np.maximum(frames - values[:, None] * self.weights, 0), MAX_COUNT)
+        kept: Counts = np.where(frames > 0, left, 0)
+        return kept
 
     def fit(self, frames: Counts) -> complex:
         """Fit the sine to the light taxels."""
@@ -160,6 +166,8 @@ def _find(frames: Counts, common: NDArray[np.float64]) -> tuple[float, complex] 
     common = common - SLOPE * (SLOPE @ common / (SLOPE @ SLOPE))
     found = WAVES @ common
     at = int(np.abs(found).argmax())
+    if at in (0, len(TURNS) - 1):
+        return None
     now = complex(found[at])
     explained = HANN.sum() * abs(now) ** 2 / 2
     if abs(now) < LEAST_COUNTS or explained < LEAST_EXPLAINED * float(HANN @ common**2):
@@ -174,6 +182,8 @@ def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
     """Learn from an untouched pad how each taxel follows, where the sine is above 0: no count is cut off."""
     values = (now * np.exp(1j * turn * AGO)).real
     above, upper = values[values > 0], frames[values > 0]
+    if above.var() < LEAST_SPREAD * abs(now) ** 2:
+        above, upper = values, frames
     off = above - above.mean()
     slopes = off @ upper / (off @ off)
     scale = float(np.median(slopes))

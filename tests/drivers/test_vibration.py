@@ -63,6 +63,26 @@ def test_what_the_whole_pad_does_is_taken_out(vibration: Scans) -> None:
     assert left < 0.5 * raw
 
 
+@pytest.mark.parametrize("hz", [18.0, 180.0])
+def test_a_sine_of_few_values_is_taken_out(hz: float) -> None:
+    raw, left = off(nothing(10.0), hum(540, hz))
+    assert left < 0.7 * raw
+
+
+@pytest.mark.parametrize("hz", [2.0, 26.0, 81.2])
+def test_a_vibration_too_slow_or_fast_stays(hz: float) -> None:
+    counts = MadePad().counts(hum(540, hz, 30.0))
+    assert np.array_equal(laid(counts), counts)
+
+
+def test_a_saturated_taxel_under_hum_stays_in_range() -> None:
+    pressed = nothing(10.0)
+    pressed[270:, 3:5, 3:5] = 1023.0
+    frames = laid(MadePad().counts(pressed + hum(540)))
+    assert frames.min() >= 0
+    assert frames.max() == 1023
+
+
 @pytest.mark.parametrize("vibration", [hum(540), motor(540)])
 def test_a_hand_over_most_of_a_vibrating_pad_stays(vibration: Scans) -> None:
     hand = np.concatenate([nothing(6.0), hand_over_most(4.0)])
