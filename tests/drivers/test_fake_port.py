@@ -97,32 +97,6 @@ def test_a_looped_stream_goes_on_and_so_does_its_clock() -> None:
     np.testing.assert_array_equal(frames[5].pressure, frames[0].pressure)
 
 
-@pytest.mark.parametrize("chunk_bytes", [1, 7, 64])
-def test_bytes_may_be_written_in_small_pieces(chunk_bytes: int) -> None:
-    stream = stream_of(5)
-    assert played(stream, Faults(chunk_bytes=chunk_bytes)) == encoded(stream)
-
-
-@pytest.mark.parametrize(
-    ("faults", "intact"),
-    [
-        (Faults(flip_bit_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
-        (Faults(drop_frame_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
-        (Faults(cut_frame_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
-        (Faults(flip_bit_every=5, cut_frame_every=5), [0, 1, 2, 3, 5, 6, 7, 8, 10, 11]),
-        (Faults(repeat_frame_every=5), list(range(12))),
-        (Faults(garbage_every=5), list(range(12))),
-    ],
-)
-def test_each_fault_is_reproducible_and_costs_what_it_says(faults: Faults, intact: list[int]) -> None:
-    stream = stream_of(12)
-    data = played(stream, faults)
-    assert data != encoded(stream)
-    assert data == played(stream, faults)
-    frames = FabricGrid().feed(data, 0.0)
-    assert [frame.sensor_ms for frame in frames] == stream.sensor_ms[intact].tolist()
-
-
 def test_nothing_is_sent_before_somebody_reads() -> None:
     stream = stream_of(3)
     with FakePort(stream, encode_fabric_grid, speed=100.0) as port:

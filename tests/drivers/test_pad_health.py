@@ -1,24 +1,25 @@
-"""A pad that breaks is noticed by its values, told once when it begins and once when it ends."""
+"""A broken pad is recognised by its values; its log has one line when it begins and one when it ends."""
 
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.haart_folder import needs_haart
-from rigs.wait import WITHIN_S
+from rigs.patient_port import playing
+from rigs.running_daemon import run_daemon
 
-from drivers.fakes.fake_port import FakePort
+from daemon.config import SensorSettings, Settings
+from daemon.events import SensorEvent
 from drivers.frame import Counts, Frame
 from drivers.pad.health import Finding, PadHealth
-from drivers.pad.sensor import FrameQueue, Sensor
-from drivers.pad.watch import PadWatch
-from drivers.recording import Selection, Span, Stream, ideal_clock_ms, read_recordings, realign, splice
+from drivers.pad.watch import LASTS_S, SAME_TROUBLE_S, PadWatch
+from drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 
 RATE_HZ = 54
+DEAD_ROW = "row 7 of the pad stands still: a broken wire?"
 Damage = Callable[[Counts], None]
 
 
@@ -30,15 +31,26 @@ def sound_pad(seconds: int) -> Counts:
     return np.clip(counts, 0, 1023).astype(np.uint16)
 
 
-def findings_in(counts: Counts) -> list[tuple[int, Finding]]:
-    """What is found in the frames, with the second it is told."""
+def frames_of(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[Frame]:
+    clock_ms = ideal_clock_ms(len(counts)).tolist() if clock_ms is None else clock_ms
+    return [Frame(0, ms, ms / 1000, pressure) for ms, pressure in zip(clock_ms, counts, strict=True)]
+
+
+def findings_in(frames: list[Frame]) -> list[tuple[float, Finding]]:
+    """Return each finding with its second on the pad's clock."""
     health = PadHealth()
-    clock_ms = ideal_clock_ms(len(counts)).tolist()
-    frames = [
-        Frame(i, ms, 0.0, pressure) for i, (ms, pressure) in enumerate(zip(clock_ms, counts, strict=True))
-    ]
-    found = [(frame.sensor_ms // 1000, health.update(frame)) for frame in frames]
-    return [(second, finding) for second, finding in found if finding is not None]
+    return [(frame.sensor_ms / 1000, found) for frame in frames if (found := health.update(frame))]
+
+
+def logged(frames: list[Frame], caplog: pytest.LogCaptureFixture) -> list[tuple[int, str, str]]:
+    """Return each log line's second, level and message."""
+    caplog.set_level(logging.INFO)
+    watch, lines = PadWatch(), list[tuple[int, str, str]]()
+    for frame in frames:
+        caplog.clear()
+        watch.update(frame)
+        lines += [(frame.sensor_ms // 1000, record.levelname, record.message) for record in caplog.records]
+    return lines
 
 
 def stuck_taxel(counts: Counts) -> None:
@@ -61,32 +73,12 @@ def saturated(counts: Counts) -> None:
     counts[:, 2:6, 2:7] = 1023
 
 
-def through_the_port(counts: Counts) -> list[Frame]:
-    """Return the frames that the sensor reads of a pad with these counts."""
-    stream = Stream(counts, ideal_clock_ms(len(counts)), (Span(0, len(counts), "notouch"),))
-    queue = FrameQueue(len(counts) + 1)
-    frames: list[Frame] = []
-    with FakePort(stream, encode_fabric_grid, speed=None) as port:
-        sensor = Sensor(port.path, 512000, FabricGrid(), queue)
-        sensor.start()
-        while len(frames) < len(counts):
-            item = queue.get(WITHIN_S)
-            assert item is not None
-            if isinstance(item, Frame):
-                frames.append(item)
-        sensor.stop()
-    return frames
-
-
-def assert_logged(frames: list[Frame], what: str, caplog: pytest.LogCaptureFixture) -> None:
-    """A person is warned once when it begins and told once when it is over."""
-    caplog.set_level(logging.INFO)
-    caplog.clear()
-    watch = PadWatch()
-    for frame in frames:
-        watch.update(frame)
-    lines = [(record.levelname, record.message) for record in caplog.records]
-    assert lines == [("WARNING", what), ("INFO", f"no longer: {what}")]
+def pad_with_dead_row(seconds: int, *broken: tuple[int, int]) -> Counts:
+    """A pad whose seventh row is dead from each of these seconds to the other."""
+    counts = sound_pad(seconds)
+    for begin_s, end_s in broken:
+        dead_row(counts[begin_s * RATE_HZ : end_s * RATE_HZ])
+    return counts
 
 
 @pytest.mark.parametrize(
@@ -99,40 +91,38 @@ def assert_logged(frames: list[Frame], what: str, caplog: pytest.LogCaptureFixtu
         (saturated, "saturated", "a quarter of the pad or more is at its limit"),
     ],
 )
-def test_a_broken_pad_and_its_repair_are_told_once(
+def test_a_broken_pad_and_its_repair_are_reported_once(
     damage: Damage, kind: str, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     counts = sound_pad(30)
     damage(counts[5 * RATE_HZ : 20 * RATE_HZ])
-    frames = through_the_port(counts)
-    health = PadHealth()
-    told = [(frame, finding) for frame in frames if (finding := health.update(frame))]
-    (begun, begin), (ended, end) = told
+    frames = frames_of(counts)
+    (begun_s, begin), (ended_s, end) = findings_in(frames)
     assert (begin.kind, begin.began, end.kind, end.began) == (kind, True, kind, False)
     assert begin.what.startswith(what)
-    assert 5_000 < begun.sensor_ms < 18_000
-    assert 20_000 < ended.sensor_ms < 25_000
-    np.testing.assert_array_equal(frames[-1].pressure, counts[-1])
-    assert_logged(frames, begin.what, caplog)
+    assert 5 < begun_s < 18
+    assert 20 < ended_s < 25
+    lines = [line[1:] for line in logged(frames, caplog)]
+    assert lines == [("WARNING", begin.what), ("INFO", f"no longer: {begin.what}")]
 
 
 def test_a_heavy_still_hand_breaks_nothing() -> None:
     counts = sound_pad(20)
     counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
-    assert findings_in(counts) == []
+    assert findings_in(frames_of(counts)) == []
 
 
 def test_an_intermittent_contact_is_no_flood() -> None:
     counts = sound_pad(60)
     for second in range(5, 60, 2):
         stuck_taxel(counts[second * RATE_HZ : (second + 1) * RATE_HZ])
-    assert len(findings_in(counts)) <= 1
+    assert len(findings_in(frames_of(counts))) <= 1
 
 
 def test_several_broken_taxels_are_one_finding() -> None:
     counts = sound_pad(20)
     counts[:, [0, 2, 3, 5, 7], [1, 1, 6, 5, 0]] = 0
-    ((_, finding),) = findings_in(counts)
+    ((_, finding),) = findings_in(frames_of(counts))
     assert finding.what == (
         "the taxel at row 1 column 2, row 3 column 2, row 4 column 7, row 6 column 6 and 1 more stands still"
     )
@@ -141,33 +131,49 @@ def test_several_broken_taxels_are_one_finding() -> None:
 def test_a_pad_that_is_silent_at_rest_is_not_broken() -> None:
     counts = np.zeros((60 * RATE_HZ, 8, 8), np.uint16)
     counts[20 * RATE_HZ : 25 * RATE_HZ, 2:5, 2:5] = 200 + sound_pad(5)[:, 2:5, 2:5]
-    assert findings_in(counts) == []
+    assert findings_in(frames_of(counts)) == []
 
 
-def test_a_creeping_rest_and_its_return_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_creeping_rest_and_its_return_are_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     counts = sound_pad(300)
     creep = np.concatenate([np.zeros(80), np.linspace(0, 40, 100), np.zeros(120)])
     counts += np.repeat(creep, RATE_HZ).astype(np.uint16)[:, None, None]
-    frames = through_the_port(counts)
-    health = PadHealth()
-    told = [(frame.sensor_ms / 1000, finding) for frame in frames if (finding := health.update(frame))]
-    (begun_s, begin), (ended_s, end) = told
+    frames = frames_of(counts)
+    (begun_s, begin), (ended_s, end) = findings_in(frames)
     assert (begin.kind, begin.began, end.began) == ("drift", True, False)
     assert 80 < begun_s < 180 < ended_s < 270
-    np.testing.assert_array_equal(frames[-1].pressure, counts[-1])
-    assert_logged(frames, begin.what, caplog)
+    lines = [line[1:] for line in logged(frames, caplog)]
+    assert lines == [("WARNING", begin.what), ("INFO", f"no longer: {begin.what}")]
     assert "the level at rest rose by" in begin.what
 
 
-def test_a_clock_that_starts_again_does_no_harm() -> None:
-    health = PadHealth()
-    counts = sound_pad(20)
-    clock_ms = np.concatenate([ideal_clock_ms(540, 2**32 - 3000) % 2**32, ideal_clock_ms(540)]).tolist()
-    assert [
-        finding
-        for pressure, ms in zip(counts, clock_ms, strict=True)
-        if (finding := health.update(Frame(0, ms, 0.0, pressure)))
-    ] == []
+def test_a_restarting_clock_does_no_harm() -> None:
+    clock_ms = [*(ideal_clock_ms(540, 2**32 - 3000) % 2**32).tolist(), *ideal_clock_ms(540).tolist()]
+    assert findings_in(frames_of(sound_pad(20), clock_ms)) == []
+
+
+def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
+    counts = pad_with_dead_row(32, (4, 20))
+    with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
+        events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
+    lines = [line for line in log.splitlines() if "pad.watch" in line]
+    assert lines == [
+        f"WARNING drivers.pad.watch: {DEAD_ROW}",
+        f"INFO drivers.pad.watch: no longer: {DEAD_ROW}",
+    ]
+    assert {type(event) for event in events} <= {SensorEvent}
+
+
+def test_a_loose_wire_is_reported_once_in_ten_minutes(caplog: pytest.LogCaptureFixture) -> None:
+    counts = pad_with_dead_row(300, *((begin_s, begin_s + 12) for begin_s in range(5, 280, 30)))
+    lines = [line[1:] for line in logged(frames_of(counts), caplog)]
+    assert lines == [("WARNING", DEAD_ROW), ("INFO", f"no longer: {DEAD_ROW}")]
+
+
+def test_a_wire_that_breaks_again_is_reported_again(caplog: pytest.LogCaptureFixture) -> None:
+    first, again = logged(frames_of(pad_with_dead_row(150, (5, 20), (40, 150))), caplog)[::2]
+    assert (first[1:], again[1:]) == (("WARNING", DEAD_ROW), ("WARNING", DEAD_ROW))
+    assert 40 + LASTS_S < again[0] < 40 + LASTS_S + 15 < SAME_TROUBLE_S
 
 
 @needs_haart
@@ -176,4 +182,4 @@ def test_in_ten_minutes_of_real_touches_nothing_is_found_broken() -> None:
     recordings = [realign(recording) for recording in read_recordings(path, Selection(participants=("T9",)))]
     counts = splice(recordings).counts
     assert len(counts) > 10 * 60 * RATE_HZ
-    assert findings_in(counts) == []
+    assert findings_in(frames_of(counts)) == []

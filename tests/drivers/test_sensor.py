@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
+from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.line_faults import Faults, FaultyPort
 from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.wait import WITHIN_S
@@ -47,12 +47,6 @@ def test_every_intact_frame_of_a_lossy_line_arrives_once(faults: Faults, lost: l
         sensing(port.path) as queue,
     ):
         assert_played(next_frames(queue, len(intact)), stream, intact)
-
-
-def test_a_pad_that_prints_lines_is_read_too() -> None:
-    stream = stream_of(20)
-    with FakePort(stream, encode_csv_line, speed=20.0) as port, sensing(port.path, CsvLines()) as queue:
-        assert_played(next_frames(queue, 19), stream, range(1, 20))
 
 
 def test_a_frame_bears_the_time_its_last_byte_arrived() -> None:

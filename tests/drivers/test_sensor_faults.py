@@ -1,14 +1,13 @@
 """Whatever a lab does to the pad's cable: it is said once, and right frames come again when it is over."""
 
 import logging
-import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import serial
-from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
+from rigs.formats import FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import (
     Encode,
     Switch,
@@ -21,13 +20,11 @@ from rigs.sensor_rig import (
     silence,
     stream_of,
 )
-from rigs.wait import WITHIN_S
 
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
-from drivers.pad import sensor as sensor_module
 from drivers.pad import sensor_state
-from drivers.pad.sensor import FrameQueue, Sensor, SensorError, SensorState
+from drivers.pad.sensor import FrameQueue, SensorState
 from drivers.pad.sensor_state import Announcer
 from drivers.recording import Stream
 
@@ -81,14 +78,6 @@ def test_bytes_without_frames_are_recognised(
         time.sleep(0.6)
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "WARNING", "INFO")
-
-
-def test_a_10x10_pad_is_recognised_under_other_settings() -> None:
-    with FakePort(stream_of(), encode_fabric_grid) as port:
-        with sensing(port.path, FabricGrid(8, 8, 0)) as queue:
-            assert "looks like fabric-grid 10x10, configured fabric-grid 8x8" in next_state(queue).reason
-        with sensing(port.path, CsvLines()) as queue:
-            assert "looks like fabric-grid 10x10, configured csv 10x10" in next_state(queue).reason
 
 
 def test_a_replugged_pad_is_found_by_its_link(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -188,20 +177,6 @@ def test_states_on_the_way_back_are_not_told(caplog: pytest.LogCaptureFixture) -
         announcer.down(kind, kind)
     assert [state.reason for state in states] == ["missing", "busy"]
     assert [record.message for record in caplog.records] == ["missing", "busy"]
-
-
-def test_retries_never_become_rarer_than_the_cap(monkeypatch: pytest.MonkeyPatch) -> None:
-    looked = threading.Semaphore(0)
-
-    def not_there(port: str, baud: int) -> None:
-        looked.release()
-        raise SensorError("missing", "not there")
-
-    monkeypatch.setattr(sensor_module, "open_port", not_there)
-    sensor = Sensor("pad", 512000, FabricGrid(), FrameQueue(), first_retry_s=0.001, longest_retry_s=0.004)
-    sensor.start()
-    assert all(looked.acquire(timeout=WITHIN_S) for _ in range(50))
-    sensor.stop()
 
 
 @pytest.mark.parametrize("rate_hz", [43.2, 64.8])
