@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from rigs.expectations import GESTURES, expected
 from rigs.made_events import PREDICTION
-from rigs.programs import ran
+from rigs.programs import TOUCHD, Program, ran
 from rigs.wait import WITHIN_S
 
 from daemon import cli
@@ -31,10 +30,6 @@ from drivers.robot.session import qi_installed
 from model.classifier import Classifier
 
 Refusal = Callable[..., str]
-
-
-def touchd(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return ran([sys.executable, "-m", "daemon", *arguments])
 
 
 @pytest.fixture
@@ -148,13 +143,13 @@ def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -
 
 
 def test_classify_writes_the_events_as_json_lines() -> None:
-    done = touchd("classify", str(GESTURES))
+    done = ran([*TOUCHD, "classify", GESTURES])
     assert done.returncode == 0, done.stderr
     assert outline(decode(line) for line in done.stdout.splitlines()) == expected(GESTURES)
 
 
 def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
-    done = touchd("classify", str(GESTURES), "--gesture", "rub", "--gesture", "pat")
+    done = ran([*TOUCHD, "classify", GESTURES, "--gesture", "rub", "--gesture", "pat"])
     events = [decode(line) for line in done.stdout.splitlines()]
     began = [event.sensor_ms for event in events if isinstance(event, TouchBegan)]
     rub, pat = read_recordings(GESTURES, Selection(gestures=("rub", "pat")))
@@ -166,30 +161,17 @@ def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
 
 
 def test_a_reader_may_leave_classify_early() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "daemon", "classify", str(GESTURES)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        assert process.stderr is not None
+    with Program(*TOUCHD, "classify", GESTURES, stderr=subprocess.PIPE) as process:
         process.stdout.close()
-        assert process.stderr.read() == b""
+        assert process.stderr is not None
+        assert process.stderr.read() == ""
         assert process.wait(WITHIN_S) == 0
 
 
 def test_replay_and_run_work_together_as_two_commands(tmp_path: Path) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "daemon", "replay", str(GESTURES), "--gesture", "rub", "--speed", "8"],
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as replay:
-        assert replay.stdout is not None
+    with Program(*TOUCHD, "replay", GESTURES, "--gesture", "rub", "--speed", "8") as replay:
         port = replay.stdout.readline().strip()
-        with subprocess.Popen(
-            [sys.executable, "-m", "daemon", "run", "--port", port], stdout=subprocess.PIPE, text=True
-        ) as run:
-            assert run.stdout is not None
+        with Program(*TOUCHD, "run", "--port", port) as run:
             for line in run.stdout:
                 if json.loads(line)["type"] == "touch_ended":
                     break

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from rigs.doctor_rig import SETTINGS, systemd_says
-from rigs.robots import Robot, needs_qi
+from rigs.robots import Robot
 
 from daemon.config import Settings
 from daemon.doctor.machine import check_model, check_robot, check_service
@@ -21,7 +21,6 @@ def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPat
     assert "cannot be read" in missing.found
 
 
-@needs_qi
 def test_the_robot_is_asked_for_its_version() -> None:
     with Robot() as robot:
         check = check_robot(Settings(robot=RobotSettings(url=robot.url)))

@@ -1,23 +1,19 @@
 """The examples that the pages show do what they say."""
 
-import subprocess
 import sys
 from pathlib import Path
 
-from rigs.robots import Robot, linked, message, needs_qi
+from rigs.programs import Program
+from rigs.robots import Robot, linked, message
 from rigs.wait import wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
 
-@needs_qi
 def test_the_python_example_hears_a_stroke_and_answers() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
-        with subprocess.Popen(
-            [sys.executable, EXAMPLES / "react_to_touch.py", robot.url], stdout=subprocess.PIPE, text=True
-        ) as example:
-            assert example.stdout is not None
+        with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
             link.publish(message("stroke", touch=3))
             assert example.stdout.readline() == "touch 3: stroke (81%, early)\n"
             wait_for(lambda: robot.calls.said() == ["That is nice."])

@@ -3,10 +3,8 @@
 import json
 import signal
 import socket
-import subprocess
-import sys
 
-from rigs.programs import ran
+from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import link_threads, message, needs_qi
 from rigs.wait import WITHIN_S
 
@@ -21,10 +19,7 @@ pytestmark = needs_qi
 
 
 def test_it_prints_its_address_and_every_call() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
+    with Program(*TOUCHD, "fake-robot", "--port", "0") as process:
         url = json.loads(process.stdout.readline())["listening"]
         assert url.startswith("tcp://127.0.0.1:")
         link = RobotLink(RobotSettings(url=url), actions={DEFAULT_PAD: (SAY,)})
@@ -41,7 +36,7 @@ def test_it_prints_its_address_and_every_call() -> None:
 
 def test_a_port_that_is_taken_is_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        done = ran([sys.executable, "-m", "daemon", "fake-robot", "--port", str(taken.getsockname()[1])])
+        done = ran([*TOUCHD, "fake-robot", "--port", str(taken.getsockname()[1])])
     assert done.returncode == 2
     assert done.stderr.startswith("touchd: cannot listen on port")
     assert len(done.stderr.splitlines()) == 1

@@ -3,7 +3,6 @@
 import os
 import pty
 import subprocess
-import sys
 import termios
 import tty
 from collections.abc import Callable
@@ -11,7 +10,8 @@ from pathlib import Path
 
 import pytest
 from rigs.expectations import RECORDINGS, stream_of
-from rigs.robots import Robot, needs_qi
+from rigs.programs import TOUCHD, Program
+from rigs.robots import Robot
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
@@ -108,7 +108,6 @@ def test_the_end_of_input_means_no_robot(tmp_path: Path) -> None:
     assert load(path).robot is None
 
 
-@needs_qi
 def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,12 +122,10 @@ def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
             assert robot.url in terminal.until(" doctor -c")
             assert terminal.process.wait(WITHIN_S) == 0
         assert load(path).robot is not None
-        run = [sys.executable, "-m", "daemon", "run", "-c", str(path)]
-        with subprocess.Popen(run, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as daemon:
-            assert daemon.stdout is not None
+        with Program(*TOUCHD, "run", "-c", path, stderr=subprocess.DEVNULL) as daemon:
             robot.calls.wait_for_raise("TouchGesture/Status", "up")
             daemon.terminate()
-            first, *_ = [decode(line) for line in daemon.stdout if b"sensor" in line]
+            first, *_ = [decode(line) for line in daemon.stdout if "sensor" in line]
             assert isinstance(first, SensorEvent)
             assert daemon.wait(WITHIN_S) == 0
     assert (tmp_path / "state/touchd/events.jsonl").stat().st_size > 0

@@ -3,8 +3,6 @@
 import json
 import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 import urllib.request
@@ -16,6 +14,7 @@ import msgspec
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.live_rig import HANDSHAKE, SERVED, Served, frames_among, live_daemon, serving
+from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import WITHIN_S
@@ -235,9 +234,7 @@ def test_sighup_opens_and_closes_the_page_and_costs_no_touch(tmp_path: Path) -> 
 
 
 def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
-    command = [sys.executable, "-m", "daemon", "demo", "--plain", "--live", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as demo:
-        assert demo.stdout is not None
+    with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         # Its daemon is ready, and the page there, once the pad is.
         assert any(line.startswith("pad up") for line in demo.stdout)

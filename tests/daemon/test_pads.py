@@ -3,8 +3,6 @@
 import itertools
 import json
 import re
-import subprocess
-import sys
 import threading
 from pathlib import Path
 from typing import TypeGuard
@@ -17,6 +15,7 @@ from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
+from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
@@ -232,10 +231,8 @@ def is_answer(event: Event) -> TypeGuard[Prediction]:
 def test_replay_plays_as_the_pad_that_is_named(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     path.write_text("sensors: {head: {port: a}, arm: {port: b, format: m1616}}")
-    command = [sys.executable, "-m", "daemon", "replay", str(GESTURES), "-c", str(path), "--pad", "arm"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as replay:
+    with Program(*TOUCHD, "replay", GESTURES, "-c", path, "--pad", "arm") as replay:
         try:
-            assert replay.stdout is not None
             with open_port(replay.stdout.readline().strip(), 115200) as opened:
                 parser = parser_of(PRESETS["m1616"])
                 while not parser.feed(read_waiting(opened, parser), 0.0):

@@ -22,7 +22,6 @@ from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings
 from drivers.frame import Frame
-from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 
 
@@ -95,7 +94,6 @@ def test_another_port_is_read_from_then_on(daemon: Daemon) -> None:
         assert other.path in states[-1].reason
 
 
-@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
     with Robot() as robot:
         daemon.configure(robot=RobotSettings(url=robot.url))

@@ -3,7 +3,6 @@
 import json
 import os
 import random
-import subprocess
 import sys
 import threading
 import time
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from rigs.made_events import touch
-from rigs.programs import ran
+from rigs.programs import Program, ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
@@ -189,9 +188,7 @@ while True:
 def test_a_journal_killed_at_any_point_holds_whole_lines(tmp_path: Path, times: int) -> None:
     path, chance = tmp_path / "events.jsonl", random.Random(1)
     for attempt in range(times):
-        command = [sys.executable, "-c", KILL_MID_WRITE, str(path)]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
+        with Program(sys.executable, "-c", KILL_MID_WRITE, path) as process:
             process.stdout.readline()
             while attempt == 0 and not path.with_name("events.jsonl.1").exists():
                 assert process.poll() is None

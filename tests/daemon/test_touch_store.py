@@ -2,7 +2,6 @@
 
 import os
 import random
-import subprocess
 import sys
 import tempfile
 import threading
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 from rigs.felt_touch import felt
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+from rigs.programs import Program
 from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
@@ -30,6 +30,7 @@ from drivers.frame import Counts, Frame
 from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
 
 PERIOD_MS = 1000 / 54
+TESTS = Path(__file__).parents[1]
 
 
 class StoreBench:
@@ -325,13 +326,9 @@ while True:
 def test_a_kill_while_writing_leaves_only_whole_files(tmp_path: Path) -> None:
     chance = random.Random(1)
     for attempt in range(3):
-        with subprocess.Popen(
-            [sys.executable, "-c", KILL_MID_WRITE, str(tmp_path), str(1000 * attempt)],
-            stdout=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
+        with Program(
+            sys.executable, "-c", KILL_MID_WRITE, tmp_path, str(1000 * attempt), cwd=TESTS
         ) as process:
-            assert process.stdout is not None
             process.stdout.readline()
             time.sleep(chance.uniform(0.0, 0.05))
             process.kill()

@@ -2,12 +2,10 @@
 
 import pytest
 from by_hand.publish_figures import STATES, in_state, publishes
-from rigs.robots import needs_qi
 
 LIMIT_S = 0.005
 
 
-@needs_qi
 @pytest.mark.slow
 @pytest.mark.parametrize("state", STATES)
 def test_no_publish_takes_five_milliseconds_of_ours(state: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rigs.robots import DETAIL, GESTURE, STATUS, Robot, linked, message, needs_qi
+from rigs.robots import DETAIL, GESTURE, STATUS, Robot, linked, message
 
 from drivers.fakes import fake_robot
 from drivers.robot.actions import Action, ActionRule, Leds
@@ -20,7 +20,6 @@ from drivers.robot.settings import RobotSettings
 # Starting a process takes longer than most of the tests that talk to it.
 @pytest.fixture(scope="module")
 def running_robot() -> Iterator[Robot]:
-    pytest.importorskip("qi")
     with Robot(say_s=0.05) as robot:
         yield robot
 
@@ -147,7 +146,6 @@ def test_a_reaction_is_carried_out_in_the_order_written(robot: Robot) -> None:
         ]
 
 
-@needs_qi
 def test_speech_that_takes_long_delays_no_event() -> None:
     with Robot(say_s=60) as robot, linked(robot, actions=(SAY,)) as (link, _):
         link.publish(message("stroke", 1))
@@ -157,7 +155,6 @@ def test_speech_that_takes_long_delays_no_event() -> None:
         assert len(robot.calls.said()) == 1
 
 
-@needs_qi
 def test_what_the_robot_cannot_do_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
     rule = ActionRule(do=(Action(behavior="nosuch"), Action(animated_say="no"), Action(say="{gesture}")))
     with Robot(without=["ALAnimatedSpeech"]) as robot, linked(robot, actions=(rule,)) as (link, states):

@@ -9,16 +9,7 @@ from pathlib import Path
 
 import pytest
 from rigs.programs import ran
-from rigs.robots import (
-    IMPATIENT,
-    LOGIN,
-    Robot,
-    link_threads,
-    linked,
-    needs_openssl,
-    needs_qi,
-    reach,
-)
+from rigs.robots import IMPATIENT, LOGIN, Robot, link_threads, linked, needs_qi_and_openssl, reach
 from rigs.wait import AT_ONCE_S
 
 from drivers.robot.actions import Action, ActionRule
@@ -27,7 +18,6 @@ from drivers.robot.limits import RobotLimits
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
-@needs_qi
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
 def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
     with Robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, actions=(SAY,)) as (link, states):
@@ -39,7 +29,6 @@ def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
         link.stop()
 
 
-@needs_qi
 def test_a_silent_listener_is_down_and_can_be_left() -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
@@ -50,16 +39,8 @@ def test_a_silent_listener_is_down_and_can_be_left() -> None:
 
 
 EXIT_STATES = (
-    "up",
-    "busy",
-    "refused",
-    "killed",
-    "hung",
-    "hung-connect",
-    "mute",
-    "tls",
-    "wrong-token",
-    "forgotten",
+    *("up", "busy", "refused", "killed", "hung", "hung-connect"),
+    *("mute", "tls", "wrong-token", "forgotten"),
 )
 
 
@@ -74,15 +55,13 @@ def _exits_cleanly(state: str) -> str:
     return "" if (done.returncode, done.stdout, done.stderr) == (0, "", "") else f"{state}: {done}"
 
 
-@needs_qi
-@needs_openssl
+@needs_qi_and_openssl
 @pytest.mark.parametrize("state", ["busy", "hung"])
 def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
     assert _exits_cleanly(state) == ""
 
 
-@needs_qi
-@needs_openssl
+@needs_qi_and_openssl
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("state", EXIT_STATES)

@@ -17,8 +17,6 @@ from rigs.robots import (
     States,
     linked,
     message,
-    needs_openssl,
-    needs_qi,
 )
 from rigs.wait import AT_ONCE_S
 
@@ -31,7 +29,6 @@ from drivers.robot.settings import RobotSettings
 SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
-@needs_qi
 def test_a_robot_that_comes_later_is_found() -> None:
     with Robot() as robot:
         robot.kill()
@@ -43,7 +40,6 @@ def test_a_robot_that_comes_later_is_found() -> None:
             robot.calls.wait_for_raise(GESTURE, "pat")
 
 
-@needs_qi
 def test_a_kill_during_a_call_is_survived() -> None:
     limits = RobotLimits(call_s=20)
     with Robot(call_s=0.2) as robot, linked(robot, limits=limits) as (link, states):
@@ -61,7 +57,6 @@ def test_a_kill_during_a_call_is_survived() -> None:
         assert link.counts.failed == 1
 
 
-@needs_qi
 def test_a_kill_while_all_is_quiet_is_noticed() -> None:
     with Robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (_, states):
         states.wait_for("up")
@@ -69,7 +64,6 @@ def test_a_kill_while_all_is_quiet_is_noticed() -> None:
         states.wait_for("up", "down", timeout_s=10)
 
 
-@needs_qi
 def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
@@ -81,7 +75,6 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
         robot.calls.wait_for_raise(GESTURE, "pat")
 
 
-@needs_qi
 def test_a_slow_robot_gets_everything_in_order() -> None:
     with Robot(call_s=0.03) as robot, linked(robot) as (link, states):
         gestures = [f"gesture {number}" for number in range(5)]
@@ -92,7 +85,6 @@ def test_a_slow_robot_gets_everything_in_order() -> None:
         states.wait_for("up")
 
 
-@needs_qi
 def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
     with Robot(call_s=0.4) as robot:
         with linked(robot, call_s=0.2) as (_, states):
@@ -103,7 +95,6 @@ def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
             states.wait_for("up")
 
 
-@needs_qi
 def test_a_returning_robot_gets_the_status_each_time() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
@@ -116,7 +107,6 @@ def test_a_returning_robot_gets_the_status_each_time() -> None:
         robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
 
 
-@needs_qi
 def test_late_news_is_dropped_and_fresh_news_told() -> None:
     limits = RobotLimits(stale_s=0.5)
     with Robot() as robot:
@@ -133,13 +123,11 @@ def test_late_news_is_dropped_and_fresh_news_told() -> None:
             assert (link.counts.queued, link.counts.stale) == (2, 1)
 
 
-@needs_qi
 def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
     with Robot(without=["ALMemory"]) as robot, linked(robot) as (_, states):
         assert "looking for ALMemory" in states.wait_for("down")
 
 
-@needs_qi
 def test_the_heartbeat_does_without_the_service_it_asks() -> None:
     limits = RobotLimits(heartbeat_s=0.02)
     with Robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
@@ -150,8 +138,6 @@ def test_the_heartbeat_does_without_the_service_it_asks() -> None:
         states.wait_for("up")
 
 
-@needs_qi
-@needs_openssl
 def test_the_right_login_lets_in_and_never_shows_the_token(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -169,8 +155,6 @@ def test_the_right_login_lets_in_and_never_shows_the_token(
             assert LOGIN.token not in repr([LOGIN, vars(link), states.told, caplog.text])
 
 
-@needs_qi
-@needs_openssl
 def test_a_wrong_login_gives_advice_without_the_token(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -182,8 +166,6 @@ def test_a_wrong_login_gives_advice_without_the_token(
     assert "wr0ng-token" not in repr(states.told) + caplog.text
 
 
-@needs_qi
-@needs_openssl
 @pytest.mark.parametrize("encrypted", [True, False])
 def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
     with Robot(login=LOGIN if encrypted else None) as robot:
@@ -192,7 +174,6 @@ def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
             assert "tcp:// or tcps://" in states.wait_for("down")
 
 
-@needs_qi
 def test_publishing_to_a_hung_robot_returns_at_once() -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
     with Robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):

@@ -22,7 +22,6 @@ from docs.studies.hand import simulate
 from docs.studies.sessions.plan import SessionSettings, sessions
 from docs.studies.sessions.score import SessionScore, judge, score
 from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
-from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
 
@@ -125,7 +124,6 @@ def test_damaged_frames_mark_the_touches_degraded(
     assert any(event.degraded for event in said if isinstance(event, Prediction))
 
 
-@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
         said = run(beginning(stream_of(LENGTHS)), robot=RobotSettings(url=robot.url))
@@ -135,7 +133,6 @@ def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[E
         assert robot.calls.raised("TouchGesture/Gesture") == told
 
 
-@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
         at_rest = splice(simulate([("notouch", 60.0)], seed=5))

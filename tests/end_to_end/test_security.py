@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 import yaml
 from rigs.expectations import LENGTHS, stream_of
+from rigs.programs import TOUCHD, Program
+from rigs.robots import needs_qi
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 
 from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoader
@@ -21,7 +23,6 @@ from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from docs.studies.training.recipe import MAX_BYTES, read_recipe
 from drivers.fakes.fake_port import FakePort
-from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 from model.settings import SettingsError
 
@@ -146,14 +147,12 @@ def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
     assert list(tmp_path.rglob("*")) == []
 
 
-@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+@needs_qi
 def test_the_daemon_listens_nowhere(tmp_path: Path) -> None:
-    fake_robot = [sys.executable, "-m", "daemon", "fake-robot", "--port", "0"]
     with (
-        subprocess.Popen(fake_robot, stdout=subprocess.PIPE) as robot,
+        Program(*TOUCHD, "fake-robot", "--port", "0") as robot,
         FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as pad,
     ):
-        assert robot.stdout is not None
         settings = Settings(
             sensor=SensorSettings(port=pad.path),
             robot=RobotSettings(url=json.loads(robot.stdout.readline())["listening"]),

@@ -13,6 +13,7 @@ import pytest
 from rigs.expectations import LENGTHS, expected
 from rigs.patient_port import PATIENT, playing
 from rigs.programs import ran
+from rigs.robots import needs_qi
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
@@ -24,7 +25,6 @@ from daemon.setup.destinations import encoder_for
 from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import splice
-from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
 
 UNITS = Path(__file__).parents[2] / "systemd"
@@ -189,7 +189,7 @@ def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, man
     assert daemon.stop() == 0
 
 
-@pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+@needs_qi
 def test_stalled_reader_and_dead_robot_cost_no_journal_line(spawn: Spawn, tmp_path: Path) -> None:
     with playing(LENGTHS, 50.0) as pad:
         settings = Settings(

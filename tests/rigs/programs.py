@@ -1,11 +1,14 @@
-"""Other programs, run to their end."""
+"""Programs in processes of their own: run to their end, or started."""
 
 import subprocess
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from rigs.wait import WITHIN_S
+
+TOUCHD = (sys.executable, "-m", "daemon")
 
 
 def ran(command: Sequence[str | Path], **options: Any) -> subprocess.CompletedProcess[str]:
@@ -13,3 +16,12 @@ def ran(command: Sequence[str | Path], **options: Any) -> subprocess.CompletedPr
     return subprocess.run(
         command, capture_output=True, text=True, **({"check": False, "timeout": WITHIN_S} | options)
     )
+
+
+class Program(subprocess.Popen[str]):
+    """A started program whose output can be read as text."""
+
+    stdout: IO[str]
+
+    def __init__(self, *command: str | Path, **options: Any) -> None:
+        super().__init__(command, stdout=subprocess.PIPE, text=True, **options)

@@ -25,14 +25,16 @@ from drivers.robot.session import Login, qi_installed
 from drivers.robot.settings import RobotSettings
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
-needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
+needs_qi_and_openssl = pytest.mark.skipif(
+    not (qi_installed() and shutil.which("openssl")), reason="qi or openssl is not installed"
+)
 
 
 class Robot(LoopbackRobot):
-    """A robot that records its calls, dies, hangs and comes back; nobody takes its port while it is off.
+    """A robot that records its calls, dies, hangs and comes back on the same port; skips the test without qi.
 
-    call_s, say_s: what a call, and speech, takes, in seconds. without: services it lacks. login: with one,
-    the robot speaks TLS and asks for it, as NAOqi 2.9 does.
+    call_s, say_s: duration of a call and of speech, in seconds. without: services it lacks. login: if set,
+    the robot uses TLS and asks for it, as NAOqi 2.9 does.
     """
 
     def __init__(
@@ -43,6 +45,8 @@ class Robot(LoopbackRobot):
         without: Sequence[str] = (),
         login: Login | None = None,
     ) -> None:
+        if not qi_installed() or (login and not shutil.which("openssl")):
+            pytest.skip("qi or openssl is not installed")
         self.calls = CallLog()
         self._environment = {"FAKE_ROBOT_TOKEN": login.token} if login else {}
         options = [f"--port={free_port()}", f"--call-s={call_s}", f"--say-s={say_s}"]
