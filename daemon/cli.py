@@ -124,13 +124,6 @@ def _complain(error: Exception) -> int:
 def _help() -> str:
     width = max(len(command.name) for command in COMMANDS)
     lines = [f"  touchd {command.name:<{width}}  {command.help}" for command in COMMANDS]
-    return "\n".join(
-        [
-            "touchd feels social touch on an 8x8 pressure pad and tells a Nao robot what it was, early.",
-            "",
-            *lines,
-            "",
-            f"{own_name()} COMMAND --help says more; --debug with any command shows the trace of an error.",
-            "",
-        ]
-    )
+    first = "touchd feels social touch on an 8x8 pressure pad and tells a Nao robot what it was, early."
+    last = f"{own_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
+    return "\n".join([first, "", *lines, "", last, ""])

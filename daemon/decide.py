@@ -135,7 +135,8 @@ class Decision:
             tell = beaten and best != self.told and may_tell and self._may_tell(stage, scene[best])
             stands = best if tell else self.told
         if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
-            return self._uncertain(scene, best, may_tell)
+            # A touch without a name is told, unless the model sees no touch at all.
+            return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell and best != NO_TOUCH)
         changed = stands != self._stands
         if stage != "ongoing" or tell:
             self._stands, self._answered = stands, scene
@@ -167,10 +168,6 @@ class Decision:
 
     def _may_tell(self, stage: Stage, confidence: float) -> bool:
         return stage == "final" or confidence >= self._settings.speak_above
-
-    def _uncertain(self, scene: dict[str, float], best: str, may_tell: bool) -> Answer:
-        """Report a touch without a name, unless the model sees no touch at all."""
-        return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell and best != NO_TOUCH)
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import NO_TOUCH, Answer, Decision, DecisionSettings, ProbabilityModel
+from daemon.decide import NO_TOUCH, Decision, DecisionSettings, ProbabilityModel
 from daemon.events import (
     UNCERTAIN,
     EndReason,
@@ -36,8 +36,8 @@ from daemon.touch import (
     TouchSettings,
     TouchTracker,
 )
-from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
-from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame, Ring, RingSettings
+from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from drivers.pad.grid import GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
 from model.classifier import State
 
@@ -373,17 +373,13 @@ class Pipeline:
         window: tuple[int, int],
         since_s: float,
     ) -> None:
-        """Decide on the model's answer; window: its length, and the touch's length at its end."""
+        """Decide on an answer of the model, and report it. window: its length, and the touch's at its end."""
         frames, length = window
         last = touch.first_index + length - 1
         age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
         answer = touch.decision.answer(stage, probabilities, may_tell=age_s <= self._stale_s)
-        if stage != "ongoing" or answer.told:
-            self._report(touch, answer, frames, length, since_s, age_s)
-
-    def _report(
-        self, touch: Touch, answer: Answer, frames: int, length: int, since_s: float, age_s: float
-    ) -> None:
+        if stage == "ongoing" and not answer.told:
+            return
         self._emit(
             Prediction(
                 touch=touch.number,
@@ -411,7 +407,7 @@ class Pipeline:
 
 def _as_sent(frame: GridFrame) -> int:
     """Return the sensor's clock at a point of the grid as the sensor sends it, (0 to 2^32 - 1) ms."""
-    return round(frame.sensor_ms) % CLOCK_WRAP_MS
+    return round(frame.sensor_ms) % CLOCK_MODULUS
 
 
 def _history_frames(settings: PipelineSettings) -> int:

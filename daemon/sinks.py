@@ -37,10 +37,6 @@ class Sink(typing.Protocol):
     def put(self, event: Event) -> None:
         """Take an event; returns at once, whatever the destination is doing."""
 
-    @property
-    def dropped(self) -> int:
-        """Events that the destination was too slow for."""
-
     def stop(self, timeout_s: float) -> None:
         """Pass on queued items within the time limit, then end; may be called without `start`."""
 
@@ -213,12 +209,6 @@ class RobotSink:
 
     def start(self) -> None:
         self._link.start()
-
-    @property
-    def dropped(self) -> int:
-        """Messages that the robot was too slow for, or not there for."""
-        counts = self._link.counts
-        return counts.dropped + counts.stale
 
     def put(self, event: Event) -> None:
         """Publish a prediction that is told, act on any; returns at once. Call it from one thread."""

@@ -8,6 +8,8 @@ ROWS = 8
 COLUMNS = 8
 MAX_COUNT = 1023
 FRAME_RATE_HZ = 54.0
+CLOCK_MODULUS = 2**32
+"""Where the sensor's clock in ms begins again at 0."""
 DEFAULT_PAD = "pad"
 """What the only pad is called where the configuration gives it no name."""
 

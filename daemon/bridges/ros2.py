@@ -1,20 +1,28 @@
-"""ROS 2 without a ROS installation: the messages that its nodes publish, over DDS."""
+"""ROS 2 without a ROS installation: the messages that its nodes publish, over DDS.
+
+cyclonedds reads the annotations at run time, so `from __future__ import annotations` must not stand here.
+"""
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TypeVar
 
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.annotations import final
+from cyclonedds.idl.types import int32, sequence, uint8, uint32
 from cyclonedds.pub import DataWriter, Publisher
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from daemon.bridges.bridge import Bridge
-from daemon.bridges.ros2_types import Image, String, image
+from daemon.bridges.bridge import Bridge, arrival_s
 from daemon.bridges.settings import Ros2Settings
 from daemon.events import Event, Prediction, encode
-from drivers.frame import Frame
+from drivers.frame import COLUMNS, ROWS, Frame
+
+BYTES_PER_TAXEL = 2
 
 # The defaults of rclpy and rclcpp. A reliable writer suits reliable and best-effort readers.
 QOS = Qos(
@@ -23,6 +31,61 @@ QOS = Qos(
     Policy.History.KeepLast(10),
     Policy.DataRepresentation(use_cdrv0_representation=True),
 )
+
+
+@dataclass
+@final
+class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
+    """A text: std_msgs/String."""
+
+    data: str
+
+
+@dataclass
+@final
+class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
+    """A time since 1970."""
+
+    sec: int32
+    nanosec: uint32
+
+
+@dataclass
+@final
+class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
+    """When, and on what."""
+
+    stamp: Time
+    frame_id: str
+
+
+@dataclass
+@final
+class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
+    """A picture: sensor_msgs/Image."""
+
+    header: Header
+    height: uint32
+    width: uint32
+    encoding: str
+    is_bigendian: uint8
+    step: uint32
+    data: sequence[uint8]  # type: ignore[type-arg]
+
+
+def image(frame: Frame, pad: str) -> Image:
+    """Return a frame as a mono16 picture, stamped with its time of arrival."""
+    seconds, nanoseconds = divmod(round(arrival_s(frame) * 1e9), 1_000_000_000)
+    return Image(
+        header=Header(Time(seconds, nanoseconds), pad),
+        height=ROWS,
+        width=COLUMNS,
+        encoding="mono16",
+        is_bigendian=0,
+        step=COLUMNS * BYTES_PER_TAXEL,
+        data=frame.pressure.astype("<u2").tobytes(),  # type: ignore[arg-type]
+    )
+
 
 Message = TypeVar("Message", String, Image)
 

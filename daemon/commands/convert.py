@@ -9,8 +9,9 @@ from typing import IO, Any
 
 import msgspec
 
-from daemon.events import Event, EventError, decode
-from daemon.kept.journal import MAX_LINE_BYTES, JournalError
+from daemon.events import Event, EventError
+from daemon.kept.journal import JournalError
+from daemon.kept.touches import read_lines
 from drivers.errors import TouchdError
 from drivers.recording import SUFFIXES, read_provenance, read_recordings, write_recordings
 
@@ -66,19 +67,11 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def read(path: Path) -> Iterator[Event]:
-    """Yield a journal's events, without a last line cut short by a power failure. Raises JournalError."""
-    try:
-        with path.open("rb") as file:
-            for number, line in enumerate(iter(lambda: file.readline(MAX_LINE_BYTES), b""), 1):
-                if line.endswith(b"\n"):
-                    try:
-                        yield decode(line)
-                    except EventError as error:
-                        raise JournalError(f"{path}, line {number}: {error}") from error
-                elif len(line) == MAX_LINE_BYTES:
-                    raise JournalError(f"{path}, line {number}: longer than any event; not a journal")
-    except OSError as error:
-        raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error
+    """Yield a journal's events. Raises JournalError."""
+    for number, event in enumerate(read_lines(path), 1):
+        if isinstance(event, EventError):
+            raise JournalError(f"{path}, line {number}: {event}")
+        yield event
 
 
 def _write_table(journal: Path, file: IO[str]) -> None:

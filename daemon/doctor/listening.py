@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import Counts, Frame
-from drivers.pad.framing import CLOCK_MODULUS
+from drivers.frame import CLOCK_MODULUS, Counts, Frame
 from drivers.pad.parser import FrameParser
 from drivers.pad.port import Line, SensorError, read_waiting
 

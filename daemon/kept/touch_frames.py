@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daemon.events import TouchBegan, TouchEnded
-from drivers.frame import Frame
-from drivers.pad.framing import CLOCK_MODULUS
+from drivers.frame import CLOCK_MODULUS, Frame
 from drivers.pad.pace import clock_ms, pace_of
 from drivers.recording import NO_TOUCH, UNLABELLED, Recording
 

@@ -1,7 +1,7 @@
 """Groups events by touch, from a pipeline or from a journal."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -10,6 +10,7 @@ import msgspec
 
 from daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
 from daemon.kept.journal import MAX_LINE_BYTES, JournalError
+from drivers.errors import os_errors_as
 
 # Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
 TAIL_BYTES = 4_000_000
@@ -45,27 +46,34 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
     return touches
 
 
+def read_lines(path: Path, last_bytes: int | None = None) -> Iterator[Event | EventError]:
+    """Yield what each line of a journal says, or why it is no event, without a last line cut short.
+
+    last_bytes: read only so much, from the first whole line on. Raises JournalError; FileNotFoundError is its
+    cause when there is no file.
+    """
+    reading = os_errors_as(JournalError, f"journal {path}: cannot be read", "check the path")
+    with reading, path.open("rb") as file:
+        if last_bytes is not None and os.fstat(file.fileno()).st_size > last_bytes:
+            file.seek(-last_bytes, os.SEEK_END)
+            file.readline()
+        while line := file.readline(MAX_LINE_BYTES):
+            if line.endswith(b"\n"):
+                try:
+                    yield decode(line)
+                except EventError as error:
+                    yield error
+            elif len(line) == MAX_LINE_BYTES:
+                yield EventError("longer than any event; not a journal")
+
+
 def read_journal(path: Path) -> list[ReportedTouch]:
     """Return the touches in the last part of a journal; raises JournalError when it is not a journal."""
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            file.seek(max(0, size - TAIL_BYTES))
-            lines = file.read(TAIL_BYTES).split(b"\n")
-    except OSError as error:
-        raise JournalError(f"journal {path}: cannot be read ({error.strerror}); check the path") from error
-    # Text before a part's first newline, or after the last newline, is not a whole line.
-    whole = lines[1 if size > TAIL_BYTES else 0 : -1]
-    events: list[Event] = []
-    wrong = ""
-    for line in whole:
-        try:
-            events.append(decode(line))
-        except EventError as error:
-            wrong = str(error)
-    if wrong and not events:
+    lines = list(read_lines(path, TAIL_BYTES))
+    events = _events(lines)
+    if lines and not events:
         raise JournalError(
-            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({wrong})"
+            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({lines[-1]})"
         )
     return gather(events)
 
@@ -79,18 +87,20 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     parts: list[list[Event]] = []
     for file in _newest_first(path):
         try:
-            events, reaches_back = _events_since(file, time)
-        except FileNotFoundError:
+            events = _events(read_lines(file))
+        except JournalError as error:
             # Rotated away meanwhile, or not there yet.
-            continue
-        except OSError as error:
-            raise JournalError(
-                f"journal {file}: cannot be read ({error.strerror}); check the path"
-            ) from error
-        parts.insert(0, events)
-        if reaches_back:
+            if isinstance(error.__cause__, FileNotFoundError):
+                continue
+            raise
+        parts.insert(0, [event for event in events if event.time >= time])
+        if len(parts[0]) < len(events):
             break
     return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
+
+
+def _events(lines: Iterable[Event | EventError]) -> list[Event]:
+    return [line for line in lines if not isinstance(line, EventError)]
 
 
 def _newest_first(path: Path) -> list[Path]:
@@ -100,18 +110,3 @@ def _newest_first(path: Path) -> list[Path]:
         found = sorted(int(number) for number in numbers if number.isascii() and number.isdecimal())
         return [path, *(path.with_name(f"{path.name}.{number}") for number in found)]
     return [path]
-
-
-def _events_since(path: Path, time: str) -> tuple[list[Event], bool]:
-    """Return a file's events of a time or later, and whether it has earlier ones too."""
-    events: list[Event] = []
-    reaches_back = False
-    with path.open("rb") as file:
-        while line := file.readline(MAX_LINE_BYTES):
-            with suppress(EventError):
-                event = decode(line)
-                if event.time >= time:
-                    events.append(event)
-                else:
-                    reaches_back = True
-    return events, reaches_back

@@ -3,8 +3,8 @@
 from collections import deque
 
 from daemon.touch import CALIBRATION_FRAMES
-from drivers.frame import FRAME_RATE_HZ, Frame
-from drivers.pad.grid import CLOCK_WRAP_MS, GridFrame
+from drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
+from drivers.pad.grid import GridFrame
 
 # A frame that arrives later than the one before by more than this, by the pad's clock, was held up.
 HELD_UP_S = 0.1
@@ -83,7 +83,7 @@ class Feeling:
     def _why(self) -> str:
         first, last = self._frames[0], self._frames[-1]
         steps = len(self._frames) - 1
-        step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_WRAP_MS) / steps
+        step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_MODULUS) / steps
         # Frames that were read together all arrived at once.
         rate_hz = steps / max(last.host_s - first.host_s, 0.001)
         if rate_hz > 1.0 / self._max_gap_s:

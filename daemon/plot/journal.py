@@ -6,8 +6,19 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from daemon.kept.touches import ReportedTouch
-from daemon.plot.lanes import LANES, draw_lanes, lane_of
-from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
+from daemon.plot.plot import (
+    INK,
+    LANES,
+    PALE,
+    QUIET_INK,
+    PlotError,
+    bare,
+    colour_of,
+    draw_answer,
+    draw_lanes,
+    lane_of,
+    new_figure,
+)
 from drivers.frame import FRAME_RATE_HZ
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Shared by the pictures of recordings and journals: colours, marks, saving."""
+"""Shared by the pictures of recordings and journals: colours, marks, lanes of answers, saving."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
 FORMATS = (".png", ".svg", ".pdf")
+# One for each mark, and one for what is answered later.
+LANES = ("early", "revised", "final", "later")
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
 # Okabe and Ito's colours, safe for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
 COLOURS: Mapping[str, str] = {
@@ -92,3 +94,15 @@ def bare(axes: Axes, *keep: str) -> None:
         spine.set_visible(side in keep)
         spine.set_color(QUIET_INK)
     axes.tick_params(colors=QUIET_INK, labelsize=8)
+
+
+def lane_of(answer: Prediction) -> int:
+    return LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
+
+
+def draw_lanes(axes: Axes) -> None:
+    """Draw a line for each tick, without a frame."""
+    axes.grid(axis="y", color=PALE, linewidth=0.8)
+    axes.set_axisbelow(True)
+    bare(axes)
+    axes.tick_params(length=0)

@@ -17,8 +17,19 @@ from daemon.decide import NO_TOUCH, ProbabilityModel
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.kept.touches import ReportedTouch, gather
 from daemon.pipeline import Pipeline
-from daemon.plot.lanes import LANES, draw_lanes, lane_of
-from daemon.plot.plot import INK, PALE, QUIET_INK, PlotError, bare, colour_of, draw_answer, new_figure
+from daemon.plot.plot import (
+    INK,
+    LANES,
+    PALE,
+    QUIET_INK,
+    PlotError,
+    bare,
+    colour_of,
+    draw_answer,
+    draw_lanes,
+    lane_of,
+    new_figure,
+)
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import UNLABELLED, Span, Stream
 

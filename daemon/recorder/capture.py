@@ -10,8 +10,7 @@ import numpy as np
 from daemon.config import Settings
 from daemon.recorder.session import Setting
 from daemon.touch import Onset, Release, TouchTracker
-from drivers.frame import Frame
-from drivers.pad.framing import CLOCK_MODULUS
+from drivers.frame import CLOCK_MODULUS, Frame
 from drivers.pad.grid import Ring
 from drivers.pad.health import PadHealth
 from drivers.pad.pace import clock_ms, pace_of

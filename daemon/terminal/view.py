@@ -75,7 +75,6 @@ class View:
     """
 
     name = "view"
-    dropped = 0
 
     def __init__(
         self,

@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 from drivers.frame import Counts, Frame
 
-CLOCK_MODULUS = 2**32
-
 
 @dataclass
 class ProtocolCounts:

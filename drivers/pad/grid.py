@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+from drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 from drivers.pad.vibration import Vibration
 from drivers.recording import Recording, ideal_clock_ms
 
@@ -27,7 +27,6 @@ PHASE_GAIN = 0.2
 IN_STEP_FRAMES = 27
 # Frames further apart than this have one missing between them, at 50 to 60 Hz.
 LOST_MS = 1.75 * PERIOD_MS
-CLOCK_WRAP_MS = 2**32
 # A clock that runs back by less is a frame that comes late; by more, the sensor has restarted.
 LATE_MS = 1000
 
@@ -93,10 +92,10 @@ class Ring:
         pressure.flags.writeable = False
         if self._sensor_ms is None:
             return [self._restart(frame, pressure)]
-        elapsed_ms = (frame.sensor_ms - self._sensor_ms) % CLOCK_WRAP_MS
-        if elapsed_ms > CLOCK_WRAP_MS - LATE_MS:
+        elapsed_ms = (frame.sensor_ms - self._sensor_ms) % CLOCK_MODULUS
+        if elapsed_ms > CLOCK_MODULUS - LATE_MS:
             late, self._late = self._late, frame
-            if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_WRAP_MS <= self._max_gap_ms:
+            if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_MODULUS <= self._max_gap_ms:
                 return []
             # Two that follow each other are no late frames: the clock itself ran back.
             self._sensor_ms = None
@@ -188,7 +187,7 @@ def on_grid(recording: Recording) -> Recording:
     ring = Ring(RingSettings(), capacity=1)
     stretches: list[list[NDArray[np.float32]]] = []
     for number, (scan, ms) in enumerate(zip(recording.counts, recording.sensor_ms.tolist(), strict=True)):
-        for laid in ring.push(Frame(number, ms % CLOCK_WRAP_MS, 0.0, scan.astype(np.uint16))):
+        for laid in ring.push(Frame(number, ms % CLOCK_MODULUS, 0.0, scan.astype(np.uint16))):
             if laid.restarted:
                 stretches.append([])
             stretches[-1].append(laid.pressure)

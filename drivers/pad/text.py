@@ -10,9 +10,9 @@ import re
 
 import numpy as np
 
-from drivers.frame import Frame
+from drivers.frame import CLOCK_MODULUS, Frame
 from drivers.pad.format import PadFormat
-from drivers.pad.framing import CLOCK_MODULUS, Reading, number_frames
+from drivers.pad.framing import Reading, number_frames
 from drivers.pad.parser import FrameParser
 
 # A number has at most ten digits (the clock); the rest is room for separators and alignment.

@@ -76,7 +76,7 @@ def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
     from cyclonedds.domain import DomainParticipant
 
-    from daemon.bridges.ros2_types import Image, String
+    from daemon.bridges.ros2 import Image, String
 
     peer = Ros2Peer(tmp_path)
     participant = DomainParticipant(peer.domain)
@@ -107,7 +107,7 @@ def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
     pytest.importorskip("cyclonedds")
     stores = pytest.importorskip("rosbags.typesys")
-    from daemon.bridges.ros2_types import String, image
+    from daemon.bridges.ros2 import String, image
 
     store = stores.get_typestore(stores.Stores.ROS2_JAZZY)
     public = store.types

@@ -12,8 +12,8 @@ from rigs.sensor_rig import next_frames, sensing
 
 from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts, Frame
-from drivers.pad.grid import CLOCK_WRAP_MS, PERIOD_MS, GridFrame, Ring, RingSettings, on_grid
+from drivers.frame import CLOCK_MODULUS, Counts, Frame
+from drivers.pad.grid import PERIOD_MS, GridFrame, Ring, RingSettings, on_grid
 from drivers.recording import Recording, Stream, ideal_clock_ms, read_recordings, write_recordings
 
 SWING_COUNTS = 200.0
@@ -35,7 +35,7 @@ def hand(at_ms: NDArray[np.float64]) -> NDArray[np.float64]:
 def push(ring: Ring, counts: Counts, sensor_ms: Iterable[int]) -> list[GridFrame]:
     laid: list[GridFrame] = []
     for number, (scan, ms) in enumerate(zip(counts, sensor_ms, strict=True)):
-        laid += ring.push(Frame(number, int(ms) % CLOCK_WRAP_MS, number / 54, scan))
+        laid += ring.push(Frame(number, int(ms) % CLOCK_MODULUS, number / 54, scan))
     return laid
 
 
@@ -165,7 +165,7 @@ def test_a_clock_gone_mad_yields_a_bounded_number_of_frames() -> None:
     ring = new_ring(capacity=50)
     zeros = np.zeros((8, 8), np.uint16)
     for number in range(2000):
-        laid = ring.push(Frame(number, int(rng.integers(0, CLOCK_WRAP_MS)), 0.0, zeros))
+        laid = ring.push(Frame(number, int(rng.integers(0, CLOCK_MODULUS)), 0.0, zeros))
         assert len(laid) <= 1
     for number, ms in enumerate(np.cumsum(rng.integers(0, 160, 2000))):
         assert len(ring.push(Frame(number, int(ms), 0.0, zeros))) <= 10

@@ -272,7 +272,7 @@ class Ros2Peer(Peer):
     def _start(self) -> None:
         from cyclonedds.domain import DomainParticipant
 
-        from daemon.bridges.ros2_types import String
+        from daemon.bridges.ros2 import String
 
         self._ending = threading.Event()
         self._participant = DomainParticipant(self.domain)
