@@ -1,6 +1,5 @@
 """A robot in this process, for a demonstration where qi cannot be installed."""
 
-import itertools
 from collections.abc import Callable
 
 from drivers.fakes.services import Call, fake_services
@@ -15,18 +14,15 @@ class StubRobot:
     def __init__(self, on_call: Callable[[Call], None] = lambda call: None, say_s: float = 0.0) -> None:
         self._on_call = on_call
         self._say_s = say_s
-        self._lives = itertools.count(1)
-        self._services: dict[str, object] = {}
-        self.life = 0
+        self.services: dict[str, object] = {}
 
     def start(self) -> None:
         """Switch the robot on; it has forgotten everything."""
-        self._services = fake_services(self._on_call, say_s=self._say_s)
-        self.life = next(self._lives)
+        self.services = fake_services(self._on_call, say_s=self._say_s)
 
     def kill(self) -> None:
         """Switch it off; may be called again."""
-        self.life = 0
+        self.services = {}
 
     def __enter__(self) -> "StubRobot":
         self.start()
@@ -38,33 +34,29 @@ class StubRobot:
     def open_session(self, *_: object) -> RobotSession:
         return _StubSession(self)
 
-    def asked(self, service: str, method: str, arguments: tuple[object, ...]) -> object:
-        """Return what a service answers; raises RobotRefused."""
+
+class _StubSession:
+    """One connection to a StubRobot, lost when that is switched off."""
+
+    def __init__(self, robot: StubRobot) -> None:
+        self._robot = robot
+        self._services: dict[str, object] = {}
+
+    def connect(self) -> None:
+        self._services = self._robot.services
+        if not self._services:
+            raise RobotLost("connecting: connection refused")
+
+    def connected(self) -> bool:
+        return bool(self._services) and self._services is self._robot.services
+
+    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+        if not self.connected():
+            raise RobotLost(f"{service}.{method}: connection lost")
         try:
             return getattr(self._services[service], method)(*arguments)
         except RuntimeError as error:
             raise RobotRefused(str(error)) from error
 
-
-class _StubSession:
-    """One connection to a StubRobot, lost with its life."""
-
-    def __init__(self, robot: StubRobot) -> None:
-        self._robot = robot
-        self._life = 0
-
-    def connect(self) -> None:
-        self._life = self._robot.life
-        if not self.connected():
-            raise RobotLost("connecting: connection refused")
-
-    def connected(self) -> bool:
-        return self._life == self._robot.life != 0
-
-    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        if not self.connected():
-            raise RobotLost(f"{service}.{method}: connection lost")
-        return self._robot.asked(service, method, arguments)
-
     def close(self) -> None:
-        self._life = 0
+        self._services = {}

@@ -6,6 +6,7 @@ The daemon never waits for the robot, whether that is there, hangs or refuses.
 import atexit
 import logging
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
@@ -17,7 +18,7 @@ from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reaction, ReactionDuty, Reactions
 from drivers.robot.session import OpenSession, QiSession, load_qi
 from drivers.robot.settings import RobotSettings, read_login
-from drivers.robot.worker import LinkState, RobotCounts, RobotWorker
+from drivers.robot.worker import LinkState, RobotWorker
 
 log = logging.getLogger(__name__)
 
@@ -75,7 +76,7 @@ class RobotLink:
             )
 
     @property
-    def counts(self) -> RobotCounts:
+    def counts(self) -> Counter[str]:
         """What became of the messages published."""
         return self._events.counts
 

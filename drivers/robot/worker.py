@@ -4,9 +4,9 @@ import logging
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
 from drivers.backoff import Backoff
@@ -43,26 +43,14 @@ class Duty(ABC, Generic[Item]):
         """Leave the robot tidy before the session is given up."""
 
 
-@dataclass(frozen=True)
-class RobotCounts:
-    """What became of the items since the start.
-
-    queued = sent + dropped (the queue was full) + stale (waited too long) + failed (refused, or the robot was
-    lost during the call; not repeated, since it may have been carried out) + those still waiting.
-    """
-
-    queued: int = 0
-    sent: int = 0
-    dropped: int = 0
-    stale: int = 0
-    failed: int = 0
-
-
 class RobotWorker(Generic[Item]):
     """Owns one session and nothing else touches it; `put` never waits for the robot.
 
     open_session: returns a new, unconnected session, given the event that says to hurry.
     on_state: called from the worker's thread when the robot comes or goes, with a reason when it goes.
+    counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
+    + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried
+    out) + those still waiting.
     """
 
     def __init__(
@@ -80,25 +68,22 @@ class RobotWorker(Generic[Item]):
         self._state: LinkState | None = None
         self._refused_before = False
         self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity)
-        self._queued = 0
-        # Counted by the worker's own thread alone.
-        self._counts = RobotCounts()
+        self._counts: Counter[str] = Counter()
         self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
         self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     @property
-    def counts(self) -> RobotCounts:
-        """What became of the items so far."""
-        return replace(self._counts, queued=self._queued, dropped=self._queue.dropped)
+    def counts(self) -> Counter[str]:
+        return self._counts + Counter(dropped=self._queue.dropped)
 
     def start(self) -> None:
         self._thread.start()
 
     def put(self, item: Item) -> None:
         """Queue an item and return at once; call it from one thread."""
-        self._queued += 1
+        self._counts["queued"] += 1
         self._queue.put((time.monotonic(), item))
         self._wake.set()
 
@@ -167,23 +152,22 @@ class RobotWorker(Generic[Item]):
         """Handle the oldest item that is not stale; returns whether the robot was asked anything."""
         oldest_s = time.monotonic() - self._limits.stale_s
         while (entry := self._queue.get(0)) is not None and entry[0] < oldest_s:
-            self._counts = replace(self._counts, stale=self._counts.stale + 1)
+            self._counts["stale"] += 1
         if entry is None:
             return False
         _, item = entry
         try:
             self._duty.handle(session, item)
         except RobotRefused as refused:
-            self._counts = replace(self._counts, failed=self._counts.failed + 1)
-            log.log(
-                logging.DEBUG if self._refused_before else logging.WARNING, "the robot refused %s", refused
-            )
+            self._counts["failed"] += 1
+            level = logging.DEBUG if self._refused_before else logging.WARNING
+            log.log(level, "the robot refused %s", refused)
             self._refused_before = True
         except RobotLost:
-            self._counts = replace(self._counts, failed=self._counts.failed + 1)
+            self._counts["failed"] += 1
             raise
         else:
-            self._counts = replace(self._counts, sent=self._counts.sent + 1)
+            self._counts["sent"] += 1
             self._refused_before = False
         return True
 

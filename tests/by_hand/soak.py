@@ -201,8 +201,8 @@ class Soak:
                 and self._store.lost + self._touch_sink.dropped == 0
                 and all(read_frames(touch).touch.counts.size for touch in kept)
             ),
-            "what became of each message to the robot is known": counts.queued
-            >= counts.sent + counts.dropped + counts.stale + counts.failed,
+            "what became of each message to the robot is known": counts["queued"]
+            >= counts["sent"] + counts["dropped"] + counts["stale"] + counts["failed"],
         }
         return {
             "malloc_mmap_threshold": os.environ.get("MALLOC_MMAP_THRESHOLD_", "glibc's own"),
@@ -218,7 +218,7 @@ class Soak:
             "hours": self.hours,
             "robot": {
                 "switched_on_or_off": self.robot_switched,
-                **{name: getattr(counts, name) for name in ("queued", "sent", "dropped", "stale", "failed")},
+                **{name: counts[name] for name in ("queued", "sent", "dropped", "stale", "failed")},
             },
             "live_page": {"messages_seen": self.viewer.seen, "frames_skipped": self._live_sink.dropped},
             "touches_kept": len(kept),
