@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
     file = shlex.quote(str(options.file))
-    console = Console(stderr=True, highlight=False, soft_wrap=True)
+    console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
     found = next((found for port in ports if (found := _listen(console, port, bauds)) is not None), None)
@@ -68,11 +68,9 @@ def main(arguments: Sequence[str]) -> int:
     is_well = described is not None
     if robot:
         check = check_robot(settings)
-        console.print(f"robot: {check.found} {check.advice}", markup=False)
+        console.print(f"robot: {check.found} {check.advice}")
         is_well &= check.verdict == "ok"
-    console.print(
-        f"wrote {file}; next: {own_name()} doctor -c {file}, then {own_name()} run -c {file}", markup=False
-    )
+    console.print(f"wrote {file}; next: {own_name()} doctor -c {file}, then {own_name()} run -c {file}")
     return 0 if is_well else 1
 
 
@@ -101,7 +99,7 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
                     return port, baud, described
                 first_byte_s = LISTEN_S if data else 0.0
     except (SensorError, OSError) as error:
-        console.print(str(error), style="yellow", markup=False)
+        console.print(str(error), style="yellow")
     return None
 
 

@@ -80,10 +80,10 @@ def _label_named(
     for touch, gesture in [(find(kept, name), gesture) for name, gesture in options.label]:
         already = there.get(touch.path.name)
         if already is not None and already.name.split("_")[3] == gesture:
-            console.print(f"{already.name} is there already", markup=False, soft_wrap=True)
+            console.print(f"{already.name} is there already", soft_wrap=True)
         else:
             path = folder.label(touch, setting, gesture)
-            console.print(f"kept {path.name}", markup=False, soft_wrap=True)
+            console.print(f"kept {path.name}", soft_wrap=True)
 
 
 def _tell(console: Console, offered: Sequence[Offered], kept: int, frameless: int) -> None:

@@ -72,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Make one recording after the other, until all are there or the person stops; returns 0."""
     options = parser().parse_args(arguments)
-    console = Console(width=WIDTH, highlight=False)
+    console = Console(width=WIDTH, highlight=False, markup=False)
     try:
         if options.from_journal:
             label(console, options)

@@ -51,7 +51,7 @@ def main(arguments: Sequence[str]) -> int:
     from model.adapt.report import report_lines
     from model.adapt.ship import adapt_folder, check_output
 
-    console = Console(width=WIDTH, highlight=False)
+    console = Console(width=WIDTH, highlight=False, markup=False)
     settings = settings_of(options)
     prepare(options.folder)
     output = _free_name(options.folder)
@@ -61,8 +61,8 @@ def main(arguments: Sequence[str]) -> int:
         console.print("\nLearning from them takes about a minute.")
         adapted = adapt_folder(options.folder, None, output, AdaptSettings())
         for line in report_lines(adapted):
-            console.print(line, markup=False)
-        console.print(f"\nThe new model is {output}", markup=False)
+            console.print(line)
+        console.print(f"\nThe new model is {output}")
         _put_into_use(console, options.config, output)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command goes on from here.")
@@ -95,7 +95,7 @@ def _free_name(folder: Path) -> Path:
 def _put_into_use(console: Console, config: Path | None, model: Path) -> None:
     """Set the model in the configuration, if the person wants it; raises Stopped."""
     if config is None:
-        console.print(f"To use it, set `model: {model.resolve()}` in touchd.yaml.", markup=False)
+        console.print(f"To use it, set `model: {model.resolve()}` in touchd.yaml.")
         return
     if ask(console, f"Enter to use it from now on (in {config}), n to leave things as they are: ", ("", "n")):
         return

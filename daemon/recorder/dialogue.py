@@ -57,6 +57,7 @@ class Dialogue:
         self, console: Console, pad: PadReader, settings: Settings, session: Session, terms: Terms
     ) -> None:
         self._console = console
+        self._say = console.print
         self._pad = pad
         self._settings = settings
         self._session = session
@@ -69,11 +70,11 @@ class Dialogue:
         for place, take in enumerate(takes, 1):
             if not take.path.exists():
                 how = HOW.get(take.gesture, f"{take.gesture}, again and again")
-                self._say(f"\n{place} of {len(takes)}: {take.gesture}", "bold")
+                self._say(f"\n{place} of {len(takes)}: {take.gesture}", style="bold")
                 self._say(f"  {how}, until the bar is full")
                 self._make(take)
         there = sum(take.path.exists() for take in takes)
-        self._say(f"\n{there} of {len(takes)} recordings are in {self._session.folder}", "bold")
+        self._say(f"\n{there} of {len(takes)} recordings are in {self._session.folder}", style="bold")
         if there < len(takes):
             self._say("The same command asks for the others again.")
 
@@ -90,14 +91,14 @@ class Dialogue:
             try:
                 capture = self._capture(take)
             except PadLost as lost:
-                self._say(f"  {lost}", "yellow")
+                self._say(f"  {lost}", style="yellow")
                 self._waits = True
                 continue
             choice = self._choose(capture, take)
             if choice == "keep":
                 recording = capture.recording(self._session.setting, take.gesture)
                 keep(take.path, [recording], self._provenance(take, capture))
-                self._say(f"  kept {take.path.name}", "green")
+                self._say(f"  kept {take.path.name}", style="green")
 
     def _capture(self, take: Take) -> Capture:
         """Count down while the pad rests, then record; raises PadLost."""
@@ -138,7 +139,7 @@ class Dialogue:
             choices: Mapping[str, Choice] = {"": "keep", "r": "redo", "s": "skip"}
         else:
             for complaint in found:
-                self._say(f"  {complaint}", "yellow")
+                self._say(f"  {complaint}", style="yellow")
             question = "  Enter to do it again, k to keep it all the same, s to skip, q to stop: "
             choices = {"": "redo", "k": "keep", "s": "skip"}
         return choices[ask(self._console, question, choices)]
@@ -153,6 +154,3 @@ class Dialogue:
             "round": f"{take.number} of {self._session.rounds}, seed {self._session.seed}",
             "licence": self._terms.licence,
         }
-
-    def _say(self, text: str, style: str = "") -> None:
-        self._console.print(text, style=style, markup=False)

@@ -22,6 +22,7 @@ class LabelDialogue:
         self, console: Console, folder: LabelFolder, gestures: Sequence[str], setting: Setting
     ) -> None:
         self._console = console
+        self._say = console.print
         self._folder = folder
         self._gestures = dict(zip(KEYS, gestures, strict=False))
         self._setting = setting
@@ -38,19 +39,19 @@ class LabelDialogue:
             try:
                 frames = read_frames(offered.kept)
             except RecordingError as error:
-                self._say(f"  {error}", "yellow")
+                self._say(f"  {error}", style="yellow")
                 place += 1
                 continue
             title = (
                 f"{place + 1} of {len(touches)}: touch {offered.kept.number}, taken for {offered.taken_for}"
             )
-            self._console.print()
-            self._console.print(draw(offered, frames, title, self._console))
+            self._say()
+            self._say(draw(offered, frames, title, self._console))
             answer = self._ask()
             if answer == "u" and asked:
                 place = self._undo(touches, asked)
             elif answer == "u":
-                self._say("  this is the first: there is nothing to undo", "yellow")
+                self._say("  this is the first: there is nothing to undo", style="yellow")
             elif answer == "w":
                 self._setting = ask_setting(self._console, None, self._setting, past=True)
             else:
@@ -60,33 +61,30 @@ class LabelDialogue:
 
     def _is_slip(self, asked: Sequence[int]) -> bool:
         """After the last touch, ask whether to undo its answer."""
-        self._say("\nThat was the last of them.", "bold")
+        self._say("\nThat was the last of them.", style="bold")
         return bool(asked) and ask(self._console, "Enter to end, u undo: ", ("", "u")) == "u"
 
     def _undo(self, touches: Sequence[Offered], asked: list[int]) -> int:
         """Undo the latest answer; returns the index of its touch."""
         place = asked.pop()
         self._folder.undo(touches[place].kept)
-        self._say("  undone", "green")
+        self._say("  undone", style="green")
         return place
 
     def _decide(self, kept: KeptTouch, answer: str) -> None:
         """Carry out an answer; "l" (later) does nothing, so the next session asks again."""
         if answer == "":
             self._folder.find_right(kept)
-            self._say("  right", "green")
+            self._say("  right", style="green")
         elif answer in self._gestures:
             path = self._folder.label(kept, self._setting, self._gestures[answer])
-            self._say(f"  kept {path.name}", "green")
+            self._say(f"  kept {path.name}", style="green")
 
     def _ask(self) -> str:
         setting = self._setting
         keys = "  ".join(f"{key} {gesture}" for key, gesture in self._gestures.items())
         substrate, cover = setting.substrate, setting.cover
         self._say(f"{setting.participant}, {substrate} under the pad, {cover} over it. It was:")
-        self._say(keys, "bold")
+        self._say(keys, style="bold")
         question = "A key and Enter; only Enter: right, l later, w who or what, u undo, q quit: "
         return ask(self._console, question, (*self._gestures, "", "l", "w", "u"))
-
-    def _say(self, text: str, style: str = "") -> None:
-        self._console.print(text, style=style, markup=False)

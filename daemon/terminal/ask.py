@@ -5,7 +5,6 @@ import termios
 from collections.abc import Collection
 
 from rich.console import Console
-from rich.text import Text
 
 from daemon.recorder.session import NAME_RULE, Setting, is_name
 
@@ -25,7 +24,7 @@ def ask(console: Console, question: str, answers: Collection[str]) -> str:
         if answer in answers:
             return answer
         named = ", ".join(answer or "Enter" for answer in (*answers, "q"))
-        console.print(f"  {answer!r} is none of {named}", style="yellow", markup=False)
+        console.print(f"  {answer!r} is none of {named}", style="yellow")
 
 
 def ask_name(console: Console, question: str, default: str = "") -> str:
@@ -51,7 +50,7 @@ def _line(console: Console, question: str) -> str:
     # Discard what was typed before the question appeared.
     if sys.stdin.isatty():
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
-    console.print(Text(question), end="")
+    console.print(question, end="")
     line = sys.stdin.readline()
     if not line:
         console.print()
