@@ -24,10 +24,12 @@ class ReportedTouch(msgspec.Struct):
     ended: TouchEnded | None = None
 
     def add(self, event: Prediction | TouchEnded) -> None:
-        if isinstance(event, Prediction):
-            self.predictions.append(event)
-        else:
-            self.ended = event
+        """Add an answer, or the end; those of another touch are left out."""
+        if event.touch == self.began.touch:
+            if isinstance(event, Prediction):
+                self.predictions.append(event)
+            else:
+                self.ended = event
 
 
 def gather(events: Iterable[Event]) -> list[ReportedTouch]:
@@ -39,10 +41,8 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
             case TouchBegan():
                 latest[event.pad] = ReportedTouch(event)
                 touches.append(latest[event.pad])
-            case Prediction() | TouchEnded():
-                touch = latest.get(event.pad)
-                if touch is not None and touch.began.touch == event.touch:
-                    touch.add(event)
+            case Prediction() | TouchEnded() if event.pad in latest:
+                latest[event.pad].add(event)
     return touches
 
 

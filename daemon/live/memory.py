@@ -54,10 +54,8 @@ class Memory:
                 self._action = None
                 self._touches.append(ReportedTouch(event))
             case Prediction() | TouchEnded() if self._touches:
-                touch = self._touches[-1]
-                if touch.began.touch == event.touch:
-                    touch.add(event)
-                    del touch.predictions[:-PREDICTIONS]
+                self._touches[-1].add(event)
+                del self._touches[-1].predictions[:-PREDICTIONS]
 
     def state(self, page: str, pad: str, pads: tuple[str, ...]) -> PageState:
         """Return the whole state. page: stamp of the page's files. pad: the name of this pad."""

@@ -110,10 +110,9 @@ class Parts:
         before: Parts | None = None,
     ) -> None:
         self.settings = settings
-        fields = Settings.__struct_fields__
         self.changed = [
             name
-            for name in fields
+            for name in Settings.__struct_fields__
             if before is None or getattr(before.settings, name) != getattr(settings, name)
         ]
         changed = set(self.changed)
@@ -135,34 +134,26 @@ class Parts:
             )
             for number, (name, pad) in enumerate(settings.pads.items())
         }
-        acts_alike = before is not None and settings.scene.actions == before.settings.scene.actions
-        if before is None or changed & {"robot", "sensors", "language", "words"} or not acts_alike:
+        self.robot: RobotSink | None = before.robot if before else None
+        acts_before = before.settings.scene.actions if before else None
+        if changed & {"robot", "sensors", "language", "words"} or settings.scene.actions != acts_before:
             link = link_to_robot(settings, emit)
             self.robot = RobotSink(link, numbers) if link else None
-        else:
-            self.robot = before.robot
-        if before is None or changed & {"journal", "sensor", "sensors"}:
+        self.kept: TouchSink | None = before.kept if before else None
+        if changed & {"journal", "sensor", "sensors"}:
             stores = open_touch_stores(settings)
             self.kept = TouchSink(stores) if stores else None
-        else:
-            self.kept = before.kept
         self.bridges: dict[Key, Bridge] = make_bridges(settings, models, before.bridges if before else {})
+        self.journal: JournalSink | None = before.journal if before else None
+        self.live: LiveServer | None = before.live if before else None
         with ExitStack() as undo:
-            self.journal: JournalSink | None
-            if before is None or "journal" in changed:
-                sink_before = before.journal if before else None
-                journal = open_journal(settings.journal, sink_before.journal if sink_before else None)
+            if "journal" in changed:
+                journal = open_journal(settings.journal, self.journal.journal if self.journal else None)
                 self.journal = JournalSink(journal) if journal else None
                 if journal:
                     undo.callback(journal.close)
-            else:
-                self.journal = before.journal
-            self.live: LiveServer | None
-            live_before = before.live if before else None
-            if before is None or "live" in changed or list(pads_before) != list(self.pads):
-                self.live = open_live_page(settings, models, live_before)
-            else:
-                self.live = live_before
+            if "live" in changed or list(pads_before) != list(self.pads):
+                self.live = open_live_page(settings, models, self.live)
             undo.pop_all()
 
     @property

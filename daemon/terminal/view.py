@@ -4,9 +4,9 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions
 from rich.live import Live
@@ -23,6 +23,7 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
+from daemon.kept.touches import ReportedTouch
 from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.bars import bars
 from daemon.terminal.big_words import big
@@ -51,14 +52,10 @@ LARGEST_SCALE = 8
 GAP = 2
 
 
-@dataclass
-class ShownTouch:
+class ShownTouch(ReportedTouch):
     """A touch so far. trace: (seconds since it began, sum of counts)."""
 
-    number: int
-    said: list[Prediction] = field(default_factory=list)
     trace: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LONGEST_TRACE))
-    ended: TouchEnded | None = None
 
     @property
     def length_s(self) -> float:
@@ -156,15 +153,14 @@ class View:
                 self._now = None
             match event:
                 case TouchBegan():
-                    felt = ShownTouch(event.touch)
+                    felt = ShownTouch(event)
                     felt.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
                     self._touches.append(felt)
                     self._said_by_robot = ""
-                case Prediction() if self._touches and self._touches[-1].number == event.touch:
-                    self._touches[-1].said.append(event)
-                    self._name_labels(event.probabilities)
-                case TouchEnded() if self._touches and self._touches[-1].number == event.touch:
-                    self._touches[-1].ended = event
+                case Prediction() | TouchEnded() if self._touches:
+                    self._touches[-1].add(event)
+                    if isinstance(event, Prediction):
+                        self._name_labels(event.probabilities)
                 case SensorEvent():
                     self._pad = event.state
                 case RobotEvent():
@@ -265,7 +261,7 @@ class View:
 
     def _last_touch(self, touch: ShownTouch) -> Line:
         palette = self._palette
-        changes = list(dict.fromkeys(said.gesture for said in touch.said))
+        changes = list(dict.fromkeys(said.gesture for said in touch.predictions))
         line = [
             Segment(
                 f"{self._name(touch.ended.gesture if touch.ended else '')} ", palette.ink + Style(bold=True)
@@ -290,7 +286,7 @@ class View:
         lines += self._remarks(touch)
         if is_high:
             lines.append([])
-        flags = [self._flag(touch, at) for at in range(len(touch.said))] if touch else []
+        flags = [self._flag(touch, at) for at in range(len(touch.predictions))] if touch else []
         trace = list(touch.trace) if touch else []
         after = (2 * room_for_bars + 2) if is_high else room_for_bars
         line_height = height - len(lines) - after
@@ -298,7 +294,7 @@ class View:
             lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
         if is_high:
             lines += [[], [Segment(self._term("probabilities"), palette.muted)]]
-        answer = touch.said[-1] if touch and touch.said and is_touched else None
+        answer = touch.predictions[-1] if touch and touch.predictions and is_touched else None
         shown = (self._now or answer) if is_touched else None
         for bar in bars(
             self._labels,
@@ -314,32 +310,32 @@ class View:
         if touch is None:
             return self._term("no touch")
         key = "touch" if touch.ended is None else "last"
-        return self._term(key, number=touch.number, length=f"{touch.length_s:.1f}")
+        return self._term(key, number=touch.began.touch, length=f"{touch.length_s:.1f}")
 
     def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
         palette = self._palette
-        if touch is None or (touch.ended is not None and not touch.said):
+        if touch is None or (touch.ended is not None and not touch.predictions):
             return self._term("no pad" if self._pad == "down" else "touch me"), palette.faint
-        if not touch.said:
+        if not touch.predictions:
             return "...", palette.faint
-        word = self._name(touch.said[-1].gesture)
+        word = self._name(touch.predictions[-1].gesture)
         if touch.ended is not None:
             return word, palette.muted
-        return word, palette.changed if self._before(touch, len(touch.said) - 1) else palette.accent
+        return word, palette.changed if self._before(touch, len(touch.predictions) - 1) else palette.accent
 
     def _remarks(self, touch: ShownTouch | None) -> list[Line]:
         palette = self._palette
-        if touch is None or not touch.said:
+        if touch is None or not touch.predictions:
             return [[], []]
-        answer = touch.said[-1]
+        answer = touch.predictions[-1]
         sure = [
             Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True)),
             Segment(self._term("sure", at=f"{answer.elapsed_s:.3g}"), palette.ink),
         ]
         remark: Line = []
-        if before := self._before(touch, len(touch.said) - 1):
+        if before := self._before(touch, len(touch.predictions) - 1):
             remark.append(Segment(f"↻ {self._term('was', name=before)} · ", palette.changed))
-        told = [said for said in touch.said if said.told and said.gesture == answer.gesture]
+        told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
         heard = self._term("told after", at=f"{told[0].elapsed_s:.3g}") if told else self._term("unsure")
         remark.append(Segment(heard, palette.muted))
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
@@ -349,7 +345,7 @@ class View:
         return [sure, remark]
 
     def _flag(self, touch: ShownTouch, at: int) -> Flag:
-        said = touch.said[at]
+        said = touch.predictions[at]
         before = self._before(touch, at)
         told = " ✓" if said.told else ""
         text = f"{'↻ ' if before else ''}{self._name(said.gesture)} {said.confidence:.0%}{told}"
@@ -357,8 +353,8 @@ class View:
 
     def _before(self, touch: ShownTouch, at: int) -> str:
         """Return the name of the answer that this one replaced, or ""."""
-        said = touch.said[at]
-        earlier = [one.gesture for one in touch.said[:at] if one.gesture != said.gesture]
+        said = touch.predictions[at]
+        earlier = [one.gesture for one in touch.predictions[:at] if one.gesture != said.gesture]
         return self._name(earlier[-1]) if said.changed and earlier else ""
 
     def _robot_line(self) -> Line:
