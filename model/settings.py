@@ -4,8 +4,6 @@ from typing import Literal
 
 import msgspec
 
-from drivers.errors import TouchdError
-
 LENGTHS = (54, 81, 144)
 """The window lengths, in frames, at which touches are answered: 1, 1.5 and 2.67 s."""
 MAX_LENGTH = 432
@@ -108,7 +106,3 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Whether the step is compiled: 1.6 times as fast on a CPU, but takes a C++ compiler and a minute."""
     network: NetworkSettings = NetworkSettings()
     augmentation: AugmentationSettings = AugmentationSettings()
-
-
-class SettingsError(TouchdError):
-    """The training settings are wrong; the message names the key."""

@@ -8,7 +8,6 @@ from torch.nn import functional
 
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 from model.settings import AugmentationSettings
-from model.tgc import KNEE_COUNTS
 
 
 def crop(recording: Tensor, length: int, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
@@ -70,12 +69,6 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
     depth = settings.line_noise_counts * torch.rand(B, 1, 1, 1, generator=rng)
     x = x + chosen(settings.line_noise) * depth * line
     return x.clamp(0.0, MAX_COUNT)
-
-
-def mix(counts: Tensor, other: Tensor, share: Tensor) -> Tensor:
-    """Return windows (B, T, 8, 8) blended with `other` by share (B,), on the scale that the network sees."""
-    part = share[:, None, None, None]
-    return (counts + KNEE_COUNTS) ** (1.0 - part) * (other + KNEE_COUNTS) ** part - KNEE_COUNTS
 
 
 def _turn(x: Tensor, probability: float, rng: torch.Generator) -> Tensor:

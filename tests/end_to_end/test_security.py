@@ -21,10 +21,9 @@ from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoad
 from daemon.events import RobotEvent, SensorEvent
 from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
-from docs.studies.training.recipe import MAX_BYTES, read_recipe
+from docs.studies.training.recipe import MAX_BYTES, SettingsError, read_recipe
 from drivers.fakes.fake_port import FakePort
 from drivers.robot.settings import RobotSettings
-from model.settings import SettingsError
 
 ROOT = Path(__file__).parents[2]
 SOURCES = sorted(

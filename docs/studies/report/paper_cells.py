@@ -9,7 +9,7 @@ import msgspec
 import yaml
 
 from docs.studies.report.results import Results
-from model.settings import SettingsError
+from docs.studies.training.recipe import SettingsError
 
 PREFIX = "paper/"
 GRID = Path(__file__).parent / "grid.yaml"

@@ -10,7 +10,8 @@ from pathlib import Path
 import msgspec
 import yaml
 
-from model.settings import SettingsError, TrainSettings
+from drivers.errors import TouchdError
+from model.settings import TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
@@ -18,6 +19,10 @@ HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
 """Of the network that learnt from HAART alone, varied widely: for the figure from one study to the other."""
 MAX_BYTES = 64 * 1024
+
+
+class SettingsError(TouchdError):
+    """The training settings are wrong; the message names the key."""
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

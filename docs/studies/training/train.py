@@ -18,9 +18,9 @@ from docs.studies.training.studies import Folders
 from drivers.recording import NO_TOUCH, Recording
 from drivers.whole_file import whole_file
 from model.settings import TrainSettings
-from model.tgc import TGC
+from model.tgc import KNEE_COUNTS, TGC
 from model.training import checkpoint
-from model.training.augment import begin_from_rest, crop, mix, vary
+from model.training.augment import begin_from_rest, crop, vary
 from model.training.checkpoint import Checkpoint, CheckpointError, data_hash
 from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 
@@ -119,12 +119,14 @@ class Training:
         return begin_from_rest(window, still, settings.augmentation, self.rng)
 
     def _mix(self, windows: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        """Blend some windows (B, T, 8, 8) with others, on the scale that the network sees."""
         B = len(windows)
         share = 0.5 * torch.rand(B, generator=self.rng)
         share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
         other = torch.randperm(B, generator=self.rng)
-        part = share[:, None]
-        return mix(windows, windows[other], share), targets * (1.0 - part) + targets[other] * part
+        part = share[:, None, None, None]
+        mixed = (windows + KNEE_COUNTS) ** (1.0 - part) * (windows[other] + KNEE_COUNTS) ** part - KNEE_COUNTS
+        return mixed, targets * (1.0 - share[:, None]) + targets[other] * share[:, None]
 
     def _step(self, windows: Tensor, targets: Tensor, step: int) -> float:
         settings = self.settings
