@@ -39,7 +39,7 @@ class NetworkPort:
             except OSError:
                 self._socket.close()
                 raise
-        self._is_stream = match[1] == "tcp"
+        self.is_stream = match[1] == "tcp"
         self._sender: Any = None
         self._socket.settimeout(timeout_s)
 
@@ -51,14 +51,14 @@ class NetworkPort:
             data, sender = self._socket.recvfrom(MOST_BYTES)
         except TimeoutError:
             return b""
-        if not data and self._is_stream:
+        if not data and self.is_stream:
             raise ConnectionResetError("the pad closed the connection")
         self._sender = sender
         return data
 
     def write(self, data: bytes) -> None:
         """Send to the pad; over UDP, to whoever sent last."""
-        if self._is_stream:
+        if self.is_stream:
             self._socket.sendall(data)
         elif self._sender is not None:
             self._socket.sendto(data, self._sender)

@@ -8,7 +8,7 @@ from drivers.backoff import Backoff
 from drivers.frame import Frame
 from drivers.pad.diagnosis import diagnose
 from drivers.pad.parser import FrameParser
-from drivers.pad.port import Line, SensorError, check_port, open_port, read_waiting
+from drivers.pad.port import Line, SensorError, check_port, open_port, read_waiting, reads_all
 from drivers.pad.sensor_state import Announcer, SensorState
 from drivers.queue import DroppingQueue, Signal
 
@@ -42,7 +42,8 @@ class Sensor:
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
     too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
     may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread. Those of
-    a pad that has no clock, is polled or sends much are read at once all the same.
+    a pad that has no clock, is polled or sends much, or whose line gives a little at a time, are read at once
+    all the same.
     """
 
     def __init__(
@@ -103,6 +104,7 @@ class Sensor:
         """Read until stopped, or until a long silence calls for reopening the port."""
         self._protocol.reset()
         recent = b""
+        can_wait = reads_all(opened) and not self._protocol.poll
         byte_s = frame_s = looked_s = time.monotonic()
         while not self._stop.is_set():
             data = read_waiting(opened, self._protocol)
@@ -114,7 +116,7 @@ class Sensor:
                     frame_s = looked_s = now_s
                     recent = b""
                     # A frame without a clock is stamped on arrival; a polled pad waits to be asked.
-                    may_wait = self.may_wait and self._protocol.has_clock and not self._protocol.poll
+                    may_wait = can_wait and self.may_wait and self._protocol.has_clock
                     if may_wait and len(data) < MANY_BYTES:
                         time.sleep(WAIT_S)
             if now_s - byte_s > self._reopen_after_s:

@@ -13,10 +13,12 @@ import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.sockets import free_port
+from rigs.wait import wait_for
 
 from drivers.pad.format import PRESETS, PadFormat, layout_of
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
+from drivers.pad.sensor import FrameQueue, Sensor
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"]]
 STREAM = stream_of(400)
@@ -94,6 +96,21 @@ def test_a_udp_pad_is_heard_and_found_again_after_silence() -> None:
             while (state := next_state(queue)).state != "down":
                 pass
             assert state.reason.startswith(f"{address}: no data for 0.5 s")
+
+
+def test_datagrams_that_may_wait_are_all_taken_at_once() -> None:
+    queue = FrameQueue()
+    with udp_pad() as (address, give):
+        sensor = Sensor(address, 9600, FabricGrid(), queue)
+        sensor.may_wait = True
+        sensor.start()
+        numbers = iter(range(400))
+        wait_for(lambda: give(PACKETS[next(numbers)]) or len(queue))
+        begun_s, first = time.monotonic(), next(numbers)
+        send(give, range(first, first + 50))
+        wait_for(lambda: len(queue) > 50)
+        assert time.monotonic() - begun_s < 1.0
+        sensor.stop()
 
 
 def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
