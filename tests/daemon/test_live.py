@@ -14,6 +14,7 @@ import msgspec
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
 from rigs.live_rig import HANDSHAKE, SERVED, Served, frames_among, live_daemon, serving
+from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
@@ -24,6 +25,7 @@ from websockets.sync.client import ClientConnection, connect
 from daemon.config import LiveSettings, SensorSettings, Settings
 from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
+from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
 from daemon.live.server import CAPACITY, LiveServer
 from daemon.playback.rig import outline
 from daemon.setup.destinations import encoder_for, scenes_of
@@ -64,6 +66,17 @@ def test_a_late_viewer_gets_the_current_state(served: Served) -> None:
     assert state["sensor"]["state"] == "up"
     assert state["model"] == served.models["pad"].name
     assert state["answer_at_frames"] == [54, 81, 144]
+
+
+def test_the_memory_for_late_viewers_is_bounded() -> None:
+    memory = Memory((Settings(), load_model(Settings())))
+    for touch in range(1, 3 * TOUCHES):
+        memory.put(TouchBegan(touch=touch, time=NOW, sensor_ms=0))
+        for _ in range(2 * PREDICTIONS):
+            memory.put(msgspec.structs.replace(PREDICTION, touch=touch))
+    touches = memory.state("", "pad", ("pad",)).touches
+    assert [felt.began.touch for felt in touches] == list(range(2 * TOUCHES, 3 * TOUCHES))
+    assert {len(felt.predictions) for felt in touches} == {PREDICTIONS}
 
 
 def test_an_event_without_a_frame_is_shown_all_the_same(served: Served) -> None:
