@@ -1,16 +1,12 @@
 """The figures of docs/adapt.md: of the settings that ship, of everybody, and what the page claims of them."""
 
-import shutil
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 
-from docs.studies.adapting import DRAWS, FILE, PAGE, SHOTS, Measured, tables
-from docs.studies.marked import fill
+from docs.studies.adapting import DRAWS, FILE, SHOTS, Measured
 from docs.studies.training.recipe import read_recipe
 from model.adapt.head import AdaptSettings
 
@@ -33,13 +29,6 @@ def test_everybody_was_measured_in_every_setting(measured: Measured) -> None:
         for each in SHOTS
         for rehearsed in (False, True)
     ]
-
-
-def test_the_page_says_what_was_measured(measured: Measured, tmp_path: Path) -> None:
-    again = tmp_path / PAGE.name
-    shutil.copy(PAGE, again)
-    fill(again, tables(measured))
-    assert again.read_text(encoding="utf-8") == PAGE.read_text(encoding="utf-8")
 
 
 def test_a_person_of_the_second_study_gains_with_every_recording(measured: Measured) -> None:

@@ -1,8 +1,11 @@
-"""The report: its page says what its results say, and they hold when measured again from stored files."""
+"""Pages show the stored figures, and the report's hold when measured again from stored files."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from rigs.haart_folder import HAART, needs_haart
@@ -11,13 +14,17 @@ from rigs.stored_report import DOCS, RESULTS
 pytest.importorskip("torch", reason="needs the extra train")
 pytest.importorskip("sklearn", reason="needs the extra train")
 
+from docs.studies import accuracy, adapting
 from docs.studies.checks import evaluate
 from docs.studies.marked import fill
 from docs.studies.report import page, paper_cells, paper_training, representation, tables23
 from docs.studies.report.paper_cells import predictions_path, trained_cells
+from docs.studies.tracker import report as touch_page
+from docs.studies.tracker.figures import TouchReport
 from docs.studies.training import haart
+from docs.studies.training.ship import SCORES_NAME
 from drivers.recording import Recording
-from model.classifier import Classifier
+from model.classifier import SHIPPED_MODEL, Classifier
 from model.training.threads import one_torch_thread
 
 ALL_KEYS = RESULTS.keys()
@@ -32,18 +39,26 @@ def test_recordings() -> list[Recording]:
     return haart.read_test(Path(str(HAART)))
 
 
-def test_the_page_says_what_the_results_say(tmp_path: Path) -> None:
-    again = tmp_path / page.PAGE_NAME
-    shutil.copy(DOCS / page.PAGE_NAME, again)
-    fill(again, page.tables(RESULTS))
-    assert again.read_text(encoding="utf-8") == (DOCS / page.PAGE_NAME).read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("name", "tables"),
+    [
+        ("report", lambda: page.tables(RESULTS)),
+        ("accuracy", lambda: accuracy.tables(evaluate.read_scores(SHIPPED_MODEL.with_name(SCORES_NAME)))),
+        ("adapt", lambda: adapting.tables(stored("adapt.json", adapting.Measured))),
+        ("touch", lambda: touch_page.tables(stored("touch.json", TouchReport))),
+    ],
+)
+def test_a_page_shows_the_stored_figures(
+    name: str, tables: Callable[[], dict[str, str]], tmp_path: Path
+) -> None:
+    published, again = DOCS / f"{name}.md", tmp_path / "again.md"
+    shutil.copy(published, again)
+    fill(again, tables())
+    assert again.read_text(encoding="utf-8") == published.read_text(encoding="utf-8")
 
 
-def test_every_picture_on_the_page_is_there() -> None:
-    text = (DOCS / page.PAGE_NAME).read_text(encoding="utf-8")
-    pictures = [line.partition("](")[2].rstrip(")") for line in text.splitlines() if line.startswith("![")]
-    assert pictures
-    assert [picture for picture in pictures if not (DOCS / picture).is_file()] == []
+def stored(name: str, kind: Any) -> Any:
+    return msgspec.json.decode((DOCS / name).read_bytes(), type=kind)
 
 
 def test_every_cell_says_which_command_commit_and_machine_made_it() -> None:

@@ -36,16 +36,6 @@ def test_the_scores_are_those_of_the_shipped_file(scores: evaluate.Scores) -> No
     assert scores.model_sha256 == hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest()
 
 
-def test_the_accuracy_page_says_what_the_scores_say(scores: evaluate.Scores, tmp_path: Path) -> None:
-    from docs.studies.accuracy import tables
-    from docs.studies.marked import fill
-
-    page = tmp_path / PAGE.name
-    page.write_bytes(PAGE.read_bytes())
-    fill(page, tables(scores))
-    assert page.read_bytes() == PAGE.read_bytes()
-
-
 @pytest.mark.parametrize(
     ("model", "recipe", "people"),
     [
