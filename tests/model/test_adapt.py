@@ -1,7 +1,6 @@
 """Adapting to a lab's own recordings: another label set, a file that runs, honest figures, clear refusals."""
 
 import hashlib
-import io
 import json
 import math
 import sys
@@ -9,10 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
-from rich.console import Console
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
@@ -22,9 +19,6 @@ import torch  # noqa: E402
 from daemon import cli  # noqa: E402
 from daemon.config import Settings  # noqa: E402
 from daemon.doctor.machine import check_model  # noqa: E402
-from daemon.events import TouchBegan, decode  # noqa: E402
-from daemon.setup.words import vocabulary  # noqa: E402
-from daemon.terminal.view import View  # noqa: E402
 from docs.studies.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
@@ -148,30 +142,6 @@ def test_the_doctor_finds_that_the_model_fits(
     monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     check = check_model(Settings(model=str(adapted_file[0])))
     assert check.verdict == "ok"
-
-
-@pytest.mark.parametrize("gestures", [["hug", "pat"], [f"a-gesture-with-a-long-name-{i}" for i in range(12)]])
-def test_the_terminal_view_has_room_for_any_gestures(gestures: list[str]) -> None:
-    screen = io.StringIO()
-    console = Console(file=screen, width=80, height=24, color_system=None)
-    view = View("a title", vocabulary("en", {}), (54, 81, 144), console)
-    probabilities = {gesture: 1.0 / 2.0 ** (len(gestures) - i) for i, gesture in enumerate(gestures)}
-    answer = decode(
-        msgspec.json.encode(
-            {
-                **{"type": "prediction", "touch": 1, "stage": "early", "frames": 54, "elapsed_s": 1.0},
-                **{"gesture": gestures[-1], "confidence": 0.5, "probabilities": probabilities},
-                **{"changed": True, "told": True, "degraded": False, "latency_ms": 1.0},
-                **{"model": "lab", "time": ""},
-            }
-        )
-    )
-    view.put(TouchBegan(touch=1, time="", sensor_ms=0))
-    view.put(answer)
-    console.print(view, end="", soft_wrap=True)
-    lines = screen.getvalue().split("\n")
-    assert [len(line) for line in lines] == [80] * 24
-    assert any(gestures[-1][:12] in line and "50%" in line for line in lines)
 
 
 def test_a_dropped_gesture_is_refused_in_the_scene(

@@ -106,28 +106,6 @@ def test_an_empty_and_an_endless_window_are_refused(shipped: Classifier) -> None
             shipped.probabilities(np.zeros((length, 8, 8), dtype=np.uint16))
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_every_length_is_answered_frame_by_frame_as_at_once(shipped: Classifier) -> None:
-    for window in (hand(432), checkerboard(432), flat(1023.0, 432), flat(0.0, 432)):
-        assert chunked(shipped, window, (1,)) <= 1e-5
-
-
-def test_a_touch_is_answered_a_few_frames_at_a_time(shipped: Classifier) -> None:
-    assert shipped.states
-    assert chunked(shipped, hand(144), (20, 1, 1, 7)) <= 1e-5
-
-
-def test_two_touches_in_turn_do_not_see_each_other(shipped: Classifier) -> None:
-    one, other = hand(54), checkerboard(54)
-    _, of_one = shipped.step(one[:27])
-    _, of_other = shipped.step(other[:27])
-    answer, _ = shipped.step(one[27:], of_one)
-    assert answer == pytest.approx(shipped.probabilities(one), abs=1e-5)
-    answer, _ = shipped.step(other[27:], of_other)
-    assert answer == pytest.approx(shipped.probabilities(other), abs=1e-5)
-
-
 @pytest.mark.parametrize("begun", [0, 26, 53])
 def test_touches_side_by_side_are_answered_as_alone(shipped: Classifier, begun: int) -> None:
     windows = [hand(54), checkerboard(54), flat(200.0, 54)]
@@ -139,27 +117,20 @@ def test_touches_side_by_side_are_answered_as_alone(shipped: Classifier, begun: 
         assert answer == pytest.approx(shipped.probabilities(window), abs=1e-5)
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    message = refusal(tmp_path / "nowhere.onnx")
-    assert (
-        message == "the model cannot be read (No such file or directory); check `model` in the configuration"
-    )
+@pytest.mark.parametrize(("name", "why"), [("no.onnx", "No such file or directory"), (".", "Is a directory")])
+def test_an_unreadable_file_is_named(tmp_path: Path, name: str, why: str) -> None:
+    message = refusal(tmp_path / name)
+    assert message == f"the model cannot be read ({why}); check `model` in the configuration"
 
 
-def test_a_folder_is_no_model(tmp_path: Path) -> None:
-    assert "the model cannot be read (Is a directory)" in refusal(tmp_path)
-
-
-@pytest.mark.parametrize("content", [b"", b"not onnx", b"\x08\x0a" + bytes(1000)])
-def test_what_is_not_onnx_is_refused(tmp_path: Path, content: bytes) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"not onnx", b"\x08\x0a" + bytes(1000), SHIPPED_MODEL.read_bytes()[:500_000]],
+    ids=["empty", "text", "zeros", "half a model"],
+)
+def test_a_file_that_is_not_onnx_is_refused(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "model.onnx"
     path.write_bytes(content)
-    assert "ONNX Runtime refuses the file" in refusal(path)
-
-
-def test_half_a_model_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "model.onnx"
-    path.write_bytes(SHIPPED_MODEL.read_bytes()[:500_000])
     assert "ONNX Runtime refuses the file" in refusal(path)
 
 
