@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -216,10 +216,10 @@ def test_home_assistant_makes_told_answers_events_of_known_types(port: int, open
 
 
 def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_path: Path) -> None:
-    with closing(Daemon(tmp_path)) as daemon, subscribed(port, "touchd/#") as messages:
+    with Daemon(tmp_path) as daemon, subscribed(port, "touchd/#") as messages:
         daemon.await_event(TouchEnded)
         daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port))
-        daemon.await_log(1)
+        daemon.await_reloads(1)
         printed = daemon.finish()
         wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
         published = [decode(text) for text in payloads(messages, "touchd/pad/event")]
@@ -230,11 +230,11 @@ def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_pat
 
 
 def test_a_reload_ends_the_bridge_that_it_replaces(port: int, tmp_path: Path) -> None:
-    with closing(Daemon(tmp_path)) as daemon, subscribed(port, "#") as messages:
+    with Daemon(tmp_path) as daemon, subscribed(port, "#") as messages:
         daemon.await_event(SensorEvent)
         for number, topic in enumerate(("old", "new"), 1):
             daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
-            daemon.await_log(number)
+            daemon.await_reloads(number)
             wait_for(lambda topic=topic: payloads(messages, f"{topic}/pad/state")[-1:] == ["up"])
         wait_for(lambda: payloads(messages, "old/pad/state")[-1:] == ["stopped"])
         heard = len(payloads(messages, "old/pad/event"))

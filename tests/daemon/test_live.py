@@ -7,16 +7,16 @@ import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import msgspec
 import pytest
 from rigs.expectations import LENGTHS, expected, stream_of
-from rigs.live_rig import HANDSHAKE, SERVED, Served, frames_among, live_daemon, serving
+from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
 from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, Program
-from rigs.running_daemon import Daemon
+from rigs.running_daemon import SERVED, Daemon, totals
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed
@@ -210,33 +210,33 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
     stream = stream_of(LENGTHS)
     with (
         FakePort(stream, encoder_for(SensorSettings()), speed=16.0) as pad,
-        live_daemon(pad.path, tmp_path) as daemon,
+        Daemon(tmp_path, pad, live=LiveSettings(port=0)) as daemon,
         ExitStack() as closing,
     ):
+        url = daemon.url.removeprefix("http://")
+        port = int(url.rpartition(":")[2])
         held = sockets(daemon.process.pid)
         assert [address.partition(":")[0] for _, address, state in held if state == LISTENS] == [LOOPBACK]
         for _ in range(3):
-            closing.enter_context(connect(f"ws://127.0.0.1:{daemon.port}/stream", max_queue=1))
-        unfinished = closing.enter_context(socket.create_connection(("127.0.0.1", daemon.port)))
+            closing.enter_context(connect(f"ws://{url}/stream", max_queue=1))
+        unfinished = closing.enter_context(socket.create_connection(("127.0.0.1", port)))
         unfinished.sendall(b"GET /stream HTTP/1.1\r\n")
         assert pad.wait(WITHIN_S)
         asked_s = time.monotonic()
         assert daemon.stop() == 0
         assert time.monotonic() - asked_s < 2.0
         assert outline(daemon.events) == expected(LENGTHS)
-        frames, _, dropped = daemon.in_all()
+        frames, _, dropped = totals(daemon.log)
         assert (frames, dropped) == (len(stream.counts), 0)
 
 
 def test_sighup_opens_and_closes_the_page_and_costs_no_touch(tmp_path: Path) -> None:
-    with closing(Daemon(tmp_path)) as daemon:
+    with Daemon(tmp_path) as daemon:
         daemon.await_event(SensorEvent)
         daemon.configure(live=LiveSettings(port=0))
-        daemon.await_log(1)
-        assert "changed: live" in daemon.log()[0]
-        served = SERVED.search((tmp_path / "log").read_text())
-        assert served is not None
-        with connect(f"{served[1].replace('http', 'ws')}/stream") as viewer:
+        daemon.await_reloads(1)
+        assert "changed: live" in daemon.reloads()[0]
+        with connect(f"{daemon.url.replace('http', 'ws')}/stream") as viewer:
             # What the pad last said of itself is known there too.
             state = await_message(viewer, "state")
             assert state["sensor"] or await_message(viewer, "sensor")

@@ -15,15 +15,16 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from rigs.expectations import DEMO, stream_of
-from rigs.live_rig import live_daemon, serving
+from rigs.live_rig import serving
 from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
+from rigs.running_daemon import Daemon
 from rigs.sockets import free_port
 from rigs.wait import wait_for
 from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 
-from daemon.config import PadSettings
+from daemon.config import LiveSettings, PadSettings
 from daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from daemon.setup.words import name_of, vocabulary
 from docs.studies.hand import simulate
@@ -107,9 +108,8 @@ def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     show_in(chrome, 1280, 800)
     with (
         playing(THREE_TOUCHES, SPEED) as pad,
-        live_daemon(pad.path, tmp_path_factory.mktemp("played")) as daemon,
+        Daemon(tmp_path_factory.mktemp("played"), pad, live=LiveSettings(port=0)) as daemon,
     ):
-        pad.reader = daemon.process.pid
         # The new tab that a browser begins with asks for things as well.
         chrome.get("about:blank")
         chrome.get_log("performance")
@@ -460,18 +460,19 @@ def test_another_pad_is_chosen_to_be_shown_large(chrome: Chrome) -> None:
 
 def test_it_reconnects_when_the_daemon_returns(played: WatchedPage, tmp_path: Path) -> None:
     chrome, port = played.chrome, free_port()
-    with playing(STILL, 1.0, loop=True) as pad, live_daemon(pad.path, tmp_path, port) as daemon:
+    live = LiveSettings(port=port)
+    with playing(STILL, 1.0, loop=True) as pad, Daemon(tmp_path, pad, live=live) as daemon:
         chrome.get(daemon.url)
         wait_for(lambda: text_of(chrome, "#vital-rate dd").startswith("5"))
         before = chrome.execute_script(CANVAS)
         wait_for(lambda: float(text_of(chrome, "#vital-rate dd").split()[0]) > 50)
         assert chrome.execute_script(CANVAS) == before
         wait_for(lambda: not is_stale(chrome))
-        daemon.kill()
+        daemon.process.kill()
         wait_for(lambda: text_of(chrome, "#banner").startswith("No connection to touchd"))
         assert text_of(chrome, "#vital-link dd") == "reconnecting"
         assert is_stale(chrome)
-    with playing(THREE_TOUCHES, SPEED, loop=True) as pad, live_daemon(pad.path, tmp_path, port):
+    with playing(THREE_TOUCHES, SPEED, loop=True) as pad, Daemon(tmp_path, pad, live=live):
         wait_for(lambda: text_of(chrome, "#vital-link dd") == "live")
         wait_for(lambda: "pat" in listed(chrome))
         wait_for(lambda: text_of(chrome, "#banner") == "")

@@ -1,7 +1,6 @@
 """`touchd record --from-journal`: what was misclassified is saved with the right label, and nothing twice."""
 
 import io
-from contextlib import closing
 from pathlib import Path
 
 import msgspec
@@ -368,15 +367,15 @@ def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path) -> None:
 def test_keeping_is_turned_on_and_off_while_the_daemon_runs(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     folder = folder_of(path)
-    with closing(Daemon(tmp_path)) as daemon:
+    with Daemon(tmp_path) as daemon:
         daemon.await_event(SensorEvent)
         assert not folder.exists()
         daemon.configure(journal=JournalSettings(path=str(path), keep_touches=20))
-        daemon.await_log(1)
+        daemon.await_reloads(1)
         wait_for(lambda: kept_touches(folder))
         daemon.configure(journal=JournalSettings(path=str(path)))
-        daemon.await_log(2)
+        daemon.await_reloads(2)
         kept = kept_touches(folder)
         assert sum(isinstance(event, TouchEnded) for event in daemon.finish()) >= len(kept)
     assert kept_touches(folder) == kept
-    assert [line.rpartition("changed: ")[2] for line in daemon.log()] == ["journal"] * 2
+    assert [line.rpartition("changed: ")[2] for line in daemon.reloads()] == ["journal"] * 2

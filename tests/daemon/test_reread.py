@@ -2,7 +2,6 @@
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -27,7 +26,7 @@ from drivers.robot.settings import RobotSettings
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    with closing(Daemon(tmp_path)) as daemon:
+    with Daemon(tmp_path) as daemon:
         # Before it hears the pad it may not be listening to signals yet.
         daemon.await_event(SensorEvent)
         yield daemon
@@ -35,18 +34,18 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
 
 def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
     daemon.write("scene: {speak_abov: 0.5}")
-    daemon.await_log(1)
+    daemon.await_reloads(1)
     daemon.configure(scene=SceneSettings(gestures=("tap",)))
-    daemon.await_log(2)
+    daemon.await_reloads(2)
     daemon.configure(journal=JournalSettings(path="/nowhere/events.jsonl"))
-    daemon.await_log(3)
+    daemon.await_reloads(3)
     daemon.configure(robot=RobotSettings(url="nao"))
-    daemon.await_log(4)
+    daemon.await_reloads(4)
     daemon.configure(mqtt=MqttSettings(user="nao", password_file="/nowhere"))
-    daemon.await_log(5)
+    daemon.await_reloads(5)
     assert outline(daemon.finish()) == expected(LENGTHS)
     for line, why in zip(
-        daemon.log(),
+        daemon.reloads(),
         [
             "scene.speak_abov is not a setting",
             "tap is no gesture",
@@ -63,12 +62,12 @@ def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
 def test_a_reload_loses_no_frame_and_no_number(daemon: Daemon, tmp_path: Path) -> None:
     first, second = tmp_path / "first.jsonl", tmp_path / "second.jsonl"
     daemon.configure(journal=JournalSettings(path=str(first)))
-    daemon.await_log(1)
+    daemon.await_reloads(1)
     daemon.await_event(TouchEnded)
     daemon.configure(journal=JournalSettings(path=str(second)), scene=SceneSettings(speak_above=1.0))
-    daemon.await_log(2)
+    daemon.await_reloads(2)
     events = daemon.finish()
-    assert [line.rpartition("changed: ")[2] for line in daemon.log()] == ["journal", "scene, journal"]
+    assert [line.rpartition("changed: ")[2] for line in daemon.reloads()] == ["journal", "scene, journal"]
     assert [event.touch for event in events if isinstance(event, TouchBegan)] == list(
         range(1, 1 + sum(line["type"] == "touch_began" for line in expected(LENGTHS)))
     )

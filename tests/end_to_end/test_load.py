@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from rigs.expectations import LENGTHS, answers, expected, stream_of
-from rigs.running_daemon import run_daemon
+from rigs.running_daemon import run_daemon, totals
 from rigs.service_manager import Manager
 
 from daemon.config import SensorSettings, Settings
@@ -25,8 +25,6 @@ from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import read_recordings, splice
 from model.classifier import Classifier
-
-IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 
 Play = Callable[[float], tuple[list[Event], int, int]]
 
@@ -51,9 +49,8 @@ def play(tmp_path: Path) -> Play:
         with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=speed) as port:
             settings = Settings(sensor=SensorSettings(port=port.path))
             events, log = run_daemon(settings, tmp_path, port, within_s=90)
-        said = IN_ALL.search(log)
-        assert said is not None
-        return events, int(said[1]), int(said[3])
+        processed, _, dropped = totals(log)
+        return events, processed, dropped
 
     return play
 
@@ -108,9 +105,7 @@ def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
         statuses = manager.heard()
         log.seek(0)
         said = log.read()
-    in_all = IN_ALL.search(said)
-    assert in_all is not None
-    processed, dropped = int(in_all[1]), int(in_all[3])
+    processed, _, dropped = totals(said)
     assert dropped > 0
     assert processed + dropped == len(stream.counts)
     assert "frames dropped: the machine is too busy for the pad" in said

@@ -1,98 +1,28 @@
-"""A live page: of the spawned daemon on a fake pad, or served in this process; for the tests of it."""
+"""A live page served in this process, and its viewers."""
 
 import http.client
-import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rigs.patient_port import PATIENT
 from rigs.sockets import free_port
-from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
+from rigs.wait import AT_ONCE_S, WITHIN_S
 from websockets.sync.client import ClientConnection, connect
 
-from daemon.config import LiveSettings, SensorSettings, Settings
-from daemon.events import Event
+from daemon.config import LiveSettings, Settings
 from daemon.live.messages import encode_frame
 from daemon.live.server import LiveServer
-from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import open_live_page
 from daemon.setup.parts import load_model
 from drivers.frame import DEFAULT_PAD, Counts, Frame
 from model.classifier import Classifier
 
-SERVED = re.compile(r"live page: (http://\S+)/")
-IN_ALL = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 HANDSHAKE = (
     "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     "Sec-WebSocket-Key: dG91Y2hkdG91Y2hkdG91Yw==\r\nSec-WebSocket-Version: 13\r\n\r\n"
 )
-
-
-class LiveDaemon:
-    """A daemon that serves its page on loopback, at `port` (0: any that is free), and reads `pad`."""
-
-    def __init__(self, pad: str, folder: Path, port: int = 0) -> None:
-        settings = Settings(sensor=SensorSettings(port=pad), live=LiveSettings(port=port), scene=PATIENT)
-        self._log_path = folder / "log"
-        self._log = self._log_path.open("wb")
-        self._daemon = SpawnedDaemon(settings, folder, self._log)
-        self.process = self._daemon.process
-        self.events: list[Event] = []
-        self._reader = threading.Thread(target=self._collect)
-        self._reader.start()
-        self.url = self._await_url()
-
-    @property
-    def port(self) -> int:
-        return int(self.url.rpartition(":")[2])
-
-    @property
-    def log(self) -> str:
-        return self._log_path.read_text()
-
-    def in_all(self) -> tuple[int, int, int]:
-        """Frames, touches and dropped frames that it reported at its end."""
-        said = IN_ALL.search(self.log)
-        assert said is not None, self.log
-        return int(said[1]), int(said[2]), int(said[3])
-
-    def kill(self) -> None:
-        """Kill it, as a power cut would."""
-        self.process.kill()
-        self.process.wait()
-
-    def stop(self) -> int:
-        if self.process.poll() is None:
-            self.process.terminate()
-        code = self.process.wait(WITHIN_S)
-        self._reader.join()
-        self._daemon.stop()
-        self._log.close()
-        return code
-
-    def _collect(self) -> None:
-        for event in self._daemon.events():
-            self.events.append(event)
-
-    def _await_url(self) -> str:
-        def served() -> re.Match[str] | None:
-            assert self.process.poll() is None, self.log
-            return SERVED.search(self.log)
-
-        return wait_for(served)[1]  # type: ignore[index]
-
-
-@contextmanager
-def live_daemon(pad: str, folder: Path, port: int = 0) -> Iterator[LiveDaemon]:
-    daemon = LiveDaemon(pad, folder, port)
-    try:
-        yield daemon
-    finally:
-        daemon.stop()
 
 
 class Served:

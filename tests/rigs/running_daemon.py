@@ -1,6 +1,8 @@
 """The spawned daemon on a fake pad, with a configuration that a test can change while it runs."""
 
+import re
 import signal
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +18,46 @@ from daemon.playback.rig import SpawnedDaemon
 from drivers.fakes.fake_port import FakePort
 
 SPEED = 16.0
+SERVED = re.compile(r"live page: (http://\S+)/")
+TOTALS = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 
 
 class Daemon:
-    """The spawned daemon on a fake pad, its log, and its configuration."""
+    """The spawned daemon on a pad: its events, its log, and its configuration.
 
-    def __init__(self, folder: Path) -> None:
-        self.port = playing(LENGTHS, SPEED)
-        self.settings = Settings(sensor=SensorSettings(port=self.port.path), scene=PATIENT)
+    pad: a started port; by default one of its own that plays LENGTHS.
+    """
+
+    def __init__(self, folder: Path, pad: FakePort | None = None, **settings: Any) -> None:
+        self.port = pad or playing(LENGTHS, SPEED)
+        self._own_port = None if pad else self.port
+        self.settings = Settings(sensor=SensorSettings(port=self.port.path), scene=PATIENT, **settings)
         self._folder = folder
-        self._log = (folder / "log").open("w+b")
+        self._log = (folder / "log").open("wb")
         self._daemon = SpawnedDaemon(self.settings, folder, self._log)
-        self.port.reader = self._daemon.process.pid
-        self.port.start()
-        self._events = self._daemon.events()
+        self.process = self._daemon.process
+        if isinstance(self.port, PatientPort):
+            self.port.reader = self.process.pid
         self.events: list[Event] = []
+        self._awaited = 0
+        self._reader = threading.Thread(target=lambda: self.events.extend(self._daemon.events()))
+        self._reader.start()
+        if self._own_port:
+            self._own_port.start()
+
+    @property
+    def log(self) -> str:
+        return (self._folder / "log").read_text()
+
+    @property
+    def url(self) -> str:
+        """The address of its live page, once it is served."""
+
+        def served() -> re.Match[str] | None:
+            assert self.process.poll() is None, self.log
+            return SERVED.search(self.log)
+
+        return wait_for(served)[1]  # type: ignore[index]
 
     def configure(self, **changes: Any) -> None:
         """Write other settings and make the daemon reread them."""
@@ -38,36 +65,59 @@ class Daemon:
 
     def write(self, text: str) -> None:
         (self._folder / "touchd.yaml").write_text(text)
-        self._daemon.process.send_signal(signal.SIGHUP)
+        self.process.send_signal(signal.SIGHUP)
 
     def await_event(self, kind: type) -> None:
-        for event in self._events:
-            self.events.append(event)
-            if isinstance(event, kind):
-                return
-        raise AssertionError(f"the daemon ended without {kind}: {self.log()}")
+        """Wait for the next event of a kind."""
 
-    def log(self) -> list[str]:
+        def came() -> bool:
+            assert self._reader.is_alive() or self._awaited < len(self.events), self.log
+            new = self.events[self._awaited :]
+            found = next((number for number, event in enumerate(new, 1) if isinstance(event, kind)), 0)
+            self._awaited += found or len(new)
+            return found > 0
+
+        wait_for(came)
+
+    def reloads(self) -> list[str]:
         """Its log lines about its configuration so far."""
-        lines = (self._folder / "log").read_text().splitlines()
-        return [line for line in lines if "daemon.setup.reread" in line]
+        return [line for line in self.log.splitlines() if "daemon.setup.reread" in line]
 
-    def await_log(self, count: int) -> None:
-        wait_for(lambda: len(self.log()) >= count)
+    def await_reloads(self, count: int) -> None:
+        wait_for(lambda: len(self.reloads()) >= count)
 
     def finish(self) -> list[Event]:
         """Play to the end, and return all events."""
         assert self.port.wait(WITHIN_S)
-        self.port.settle()
-        self._daemon.process.terminate()
-        self.events += self._events
-        assert self._daemon.stop() == 0
+        if isinstance(self.port, PatientPort):
+            self.port.settle()
+        assert self.stop() == 0
         return self.events
 
-    def close(self) -> None:
+    def stop(self) -> int:
+        """End it, and return its exit code; may be repeated."""
+        if self.process.poll() is None:
+            self.process.terminate()
+        code = self.process.wait(WITHIN_S)
+        self._reader.join()
         self._daemon.stop()
-        self.port.stop()
+        return code
+
+    def __enter__(self) -> "Daemon":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
         self._log.close()
+        if self._own_port:
+            self._own_port.stop()
+
+
+def totals(log: str) -> tuple[int, int, int]:
+    """Return the frames, touches and dropped frames that a daemon reported at its end."""
+    found = TOTALS.search(log)
+    assert found is not None, log
+    return int(found[1]), int(found[2]), int(found[3])
 
 
 def run_daemon(
