@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rigs.scripted_model import Scripted
 
+from daemon.commands.classify import play
 from daemon.events import Event, Prediction, TouchEnded
 from daemon.pad.feel import Feel
 from daemon.pipeline import Pipeline, PipelineSettings
@@ -77,10 +78,7 @@ def test_the_simulated_hand_pats_beats_and_strokes_a_way() -> None:
     for gesture in ("pat", "stroke", "constant"):
         stream = splice(simulate([("notouch", 2.5), (gesture, 3.0), ("notouch", 2.0)], 5))
         events: list[Event] = []
-        pipeline = Pipeline(PipelineSettings(), Scripted(), events.append)
-        for number, (ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-            pipeline.on_frame(Frame(number, ms, 0.0, counts))
-        pipeline.flush()
+        play(stream, Pipeline(PipelineSettings(), Scripted(), events.append))
         felt = [event.feel for event in events if isinstance(event, TouchEnded) and event.feel]
         feels[gesture] = max(felt, key=lambda feel: feel.duration_s)
     assert feels["pat"].rhythm_hz > 1

@@ -11,6 +11,7 @@ from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
+from daemon.commands.classify import play
 from daemon.decide import DecisionSettings, Sure
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pad.steps import work_off
@@ -19,7 +20,7 @@ from daemon.touch import TouchSettings
 from drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings
 from drivers.pad.sensor_state import SensorState
-from drivers.recording import NO_TOUCH, ideal_clock_ms, read_recordings, splice
+from drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice
 from model.classifier import Classifier, State
 
 STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
@@ -208,10 +209,10 @@ def test_a_touch_is_shown_as_the_model_sees_it() -> None:
     pad, said = MadePad(), list[Event]()
     pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED, viewers=lambda: [shown.append])
     counts = list(pad.counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)])))
-    for number, ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
-        pipeline.on_frame(Frame(number, ms, 0.0, counts[number]))
+    clock_ms = ideal_clock_ms(len(counts))
+    play(Stream(np.stack(counts), clock_ms, ()), pipeline)
     begins = next(event.sensor_ms for event in said if isinstance(event, TouchBegan))
-    first = ideal_clock_ms(len(counts)).tolist().index(begins)
+    first = clock_ms.tolist().index(begins)
     assert [prediction.frames for prediction in shown[-5:]] == [132, 135, 138, 141, 144]
     for prediction in shown[::7]:
         window = np.stack(counts[first : first + prediction.frames])

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import LENGTHS, stream_of
+from rigs.expectations import LENGTHS, answers, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
@@ -15,14 +15,12 @@ from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
 from daemon import cli
-from daemon.commands.classify import play
 from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from daemon.kept.touches import read_since
-from daemon.pipeline import Pipeline
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
 from daemon.setup.parts import load_model
@@ -319,9 +317,7 @@ def played(stream: Stream, folder: Path) -> list[Event]:
 
 
 def answers_to(stream: Stream) -> list[tuple[str, str, float]]:
-    events: list[Event] = []
-    play(stream, Pipeline(Settings().pipeline, load_model(Settings()), events.append))
-    return outline(events)
+    return outline(answers(stream, load_model(Settings())))
 
 
 def outline(events: list[Event]) -> list[tuple[str, str, float]]:
