@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -17,8 +18,9 @@ BEGAN = TouchBegan(touch=1, time="", sensor_ms=0)
 ENDED = TouchEnded(touch=1, gesture="rub", frames=200, reason="released", time="")
 
 
-def final(touch: int = 1) -> Prediction:
-    return msgspec.structs.replace(PREDICTION, touch=touch, stage="final", frames=144, gesture="rub")
+def final(touch: int = 1, **changes: Any) -> Prediction:
+    values: dict[str, Any] = {"stage": "final", "frames": 144, "gesture": "rub"}
+    return msgspec.structs.replace(PREDICTION, touch=touch, **(values | changes))
 
 
 def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -40,15 +42,14 @@ def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         [BEGAN, final(), ENDED, BEGAN],
         [BEGAN, final(), ENDED, ENDED],
         [final()],
+        [BEGAN, final(), final(stage="ongoing", changed=False)],
+        [BEGAN, final(gesture="notouch")],
+        [BEGAN, final(changed=False)],
+        [BEGAN, final(), msgspec.structs.replace(ENDED, gesture="pat")],
     ],
     ids=[
-        "no answer",
-        "an answer twice",
-        "the answer of another",
-        "two at once",
-        "a number twice",
-        "two ends",
-        "no touch",
+        *("no answer", "answered twice", "answer of another", "two at once", "number twice", "two ends"),
+        *("no touch", "told twice", "notouch told", "change hidden", "ends as another"),
     ],
 )
 def test_missing_and_double_answers_are_found(events: list[Event]) -> None:

@@ -1,5 +1,6 @@
 """Checks every event of the soak, and is a viewer of the live page that comes and goes."""
 
+import math
 import threading
 from collections import deque
 
@@ -11,41 +12,67 @@ from daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
 # A touch of this many frames has had its final answer; two to spare for the median that smooths its end.
 FINAL_FRAMES = 144 + 2
 LEAVE_S = 10.0
+ORDER = {"early": 0, "revised": 1, "final": 2, "ongoing": 3, "released": 4, "uncertain": 4}
 
 
 class Audit:
-    """Checks every event: touches are numbered without a gap, each has its answers, and none twice."""
+    """Checks a pad's events as they come: touches are numbered without a gap, and answered as documented.
 
-    def __init__(self) -> None:
+    oldest_ms: the highest age at which an answer may be told. wrong: the events that broke a rule.
+    """
+
+    def __init__(self, oldest_ms: float = math.inf) -> None:
         self.touches = self.predictions = self.events = 0
         self.wrong: deque[str] = deque(maxlen=20)
-        self._stages: list[str] | None = None
+        self._oldest_ms = oldest_ms
+        self._answers: list[Prediction] | None = None
+        self._told = "uncertain"
+
+    @property
+    def is_open(self) -> bool:
+        """Whether a touch goes on."""
+        return self._answers is not None
 
     def see(self, event: Event) -> None:
         """Take the next event."""
         self.events += 1
         match event:
             case TouchBegan():
-                self._expect(self._stages is None and event.touch == self.touches + 1, event)
+                self._expect(not self.is_open and event.touch == self.touches + 1, event)
                 self.touches = event.touch
-                self._stages = []
+                self._answers, self._told = [], "uncertain"
             case Prediction():
-                stages = self._stages if self._stages is not None else []
-                again = event.stage != "ongoing" and event.stage in stages
-                self._expect(self._stages is not None and event.touch == self.touches and not again, event)
-                stages.append(event.stage)
+                self._expect(self.is_open and event.touch == self.touches, event)
+                self._check_answer(event, self._answers[-1] if self._answers else None)
+                self._answers = [*(self._answers or []), event]
                 self.predictions += 1
             case TouchEnded():
-                stages = self._stages or [""]
-                answered = "final" in stages or stages[-1] in ("released", "uncertain")
-                long = event.frames >= FINAL_FRAMES
-                self._expect(event.touch == self.touches and answered, event)
-                self._expect(not long or "final" in stages, event)
-                self._stages = None
+                stages = [answer.stage for answer in self._answers or []]
+                self._expect(event.touch == self.touches and self.is_open, event)
+                self._expect("final" in stages or stages[-1:] in (["released"], ["uncertain"]), event)
+                self._expect(event.frames < FINAL_FRAMES or "final" in stages, event)
+                self._expect(event.gesture == self._told, event)
+                self._expect((event.gesture == "uncertain") == (stages[-1:] == ["uncertain"]), event)
+                self._answers = None
+
+    def _check_answer(self, answer: Prediction, before: Prediction | None) -> None:
+        """Check an answer's stage, what it says of a change, and whether it may be told."""
+        if before is not None:
+            again = answer.stage == before.stage == "ongoing"
+            self._expect(again or ORDER[answer.stage] > ORDER[before.stage], answer)
+        if answer.stage != "uncertain":
+            changed = before is None or answer.gesture != before.gesture
+            self._expect(answer.changed == changed, answer)
+        if answer.told:
+            is_news = answer.gesture != self._told or answer.stage == "uncertain"
+            self._expect(is_news and answer.gesture != "notouch", answer)
+            self._expect(answer.age_ms <= self._oldest_ms, answer)
+            self._told = answer.gesture
 
     def _expect(self, holds: bool, event: Event) -> None:
         if not holds:
-            self.wrong.append(f"after {self._stages}: {encode(event).decode()}")
+            stages = [answer.stage for answer in self._answers or []]
+            self.wrong.append(f"after {stages}: {encode(event).decode()}")
 
 
 class Viewer:
