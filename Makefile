@@ -182,7 +182,7 @@ $(BIN)/python:
 $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
 	@echo "Installing what touchd needs (once, some 220 MB; a minute or two)"
 	@$(PIP) --require-hashes -r requirements.lock
-	@$(PIP) --no-deps --no-build-isolation --editable .
+	@$(PIP) -qq --no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python

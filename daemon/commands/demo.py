@@ -190,7 +190,7 @@ def _play(
     settings = msgspec.structs.replace(settings, sensor=sensor)
 
     def show_call(call: Call) -> None:
-        if heard := _heard(call):
+        if heard := _heard(call, settings.language):
             show.note(heard)
 
     forward: Callable[[Event], None] | None = None
@@ -259,11 +259,11 @@ def _showing(
     return shown
 
 
-def _heard(call: Call) -> str:
+def _heard(call: Call, language: Language) -> str:
     """Return a call to the stand-in robot as one line, empty for those that its link reports already."""
     if call.refused:
         return f"robot refuses {call.method}: {call.refused}"
     if call.method != "raiseEvent":
         return ""
     event = str(call.arguments[0]).rpartition("/")[2]
-    return "" if event == "Detail" else f"robot hears {event}: {call.arguments[1]}"
+    return "" if event == "Detail" else term(language, "hears", event=event, value=call.arguments[1])

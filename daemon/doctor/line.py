@@ -83,7 +83,14 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
     advice = ADVICE_FOR_BYTES[kind]
     proposed = propose(heard.recent) if kind == "format" else None
     if proposed is not None:
+        # What the bytes cannot show, how the pad lies, is the user's.
+        wrong = [
+            name
+            for name in ("rows", "columns", "crop", "invert")
+            if getattr(sensor, name) not in (None, getattr(proposed, name))
+        ]
         advice = f"set under sensor: {as_yaml(proposed)}"
+        advice += f"; delete {', '.join(wrong)} there" if wrong else ""
     return Check("protocol", "to do", looks, advice)
 
 

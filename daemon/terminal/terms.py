@@ -24,6 +24,7 @@ TERMS: Mapping[str, tuple[str, ...]] = {
     "firm": ("firm", "fest"),
     "gap": (", too many frames were lost", ", zu viele Frames gingen verloren"),
     "hand": ("the simulated hand: {name}", "die simulierte Hand: {name}"),
+    "hears": ("robot hears {event}: {value}", "Roboter hört {event}: {value}"),
     "last": ("Last touch: {number} · {length} s", "Letzte Berührung: {number} · {length} s"),
     "last touches": ("Last touches", "Letzte Berührungen"),
     "light": ("light", "leicht"),

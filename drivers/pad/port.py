@@ -126,7 +126,7 @@ def _explained(port: str, error: Exception) -> SensorError:
         return SensorError(
             "denied",
             f"no permission to open {port}: add the user to the group dialout (sudo usermod -aG dialout "
-            "USER, then log in again) or install the udev rule systemd/99-touchd.rules",
+            "$USER, then log in again) or install the udev rule systemd/99-touchd.rules",
         )
     if number in IN_USE:
         return SensorError("busy", f"{port} is busy: another program reads it (fuser {port} shows which)")

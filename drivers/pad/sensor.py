@@ -141,5 +141,6 @@ class Sensor:
             reason = f"no data for {self._silence_s:g} s: is it the pad's port, and does the pad run?"
         else:
             kind, reason = diagnose(recent, self._protocol.format)
+            reason += "; touchd doctor says what to set" if kind in ("format", "noise") else ""
         where = self._port if "://" in self._port else f"{self._port} at {self._baud} baud"
         self._announcer.down(kind, f"{where}: {reason}", since_s)

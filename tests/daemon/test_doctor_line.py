@@ -11,6 +11,7 @@ from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, noise, silence
 
+from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
@@ -36,12 +37,18 @@ def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice:
     assert advice in check.advice
 
 
-def protocol_of(encode: Encode, start_s: float) -> Check:
+def test_settings_against_the_proposed_format_are_named() -> None:
+    wrong = SensorSettings(format="fabric-grid", rows=8, columns=8, crop=0, turn=90)
+    check = protocol_of(encode_fabric_grid, 0.4, wrong)
+    assert check.advice == "set under sensor: format: fabric-grid; delete rows, columns, crop there"
+
+
+def protocol_of(encode: Encode, start_s: float, sensor: SensorSettings = SETTINGS.sensor) -> Check:
     counts = resting(60.0)
     port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode, speed=10.0)
     with port, open_port(port.path, 512_000) as opened:
-        unheard = listen(opened, parser_of(SETTINGS.sensor.described), 1.0, start_s=start_s)
-        return check_protocol(unheard, SETTINGS.sensor, opened)
+        unheard = listen(opened, parser_of(sensor.described), 1.0, start_s=start_s)
+        return check_protocol(unheard, sensor, opened)
 
 
 def test_another_baud_rate_is_found_by_trying() -> None:
