@@ -3,6 +3,7 @@
 import argparse
 import json
 import re
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from daemon.commands.settings import add_settings, settings_of
 from daemon.config import ConfigError, Settings, load
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
-from daemon.recorder.dialogue import HOW, Dialogue, Terms
+from daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
 from daemon.recorder.session import Session, Setting, name
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
@@ -21,6 +22,7 @@ from drivers.numbers import within
 from drivers.whole_file import whole_file
 
 ROUNDS = 2
+SERVICE_FOLDER = Path("/etc/touchd")
 WIDTH = 80
 # With a second at either end and the countdown, fourteen recordings take two and a half minutes.
 SECONDS = 6.0
@@ -54,7 +56,7 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(width=WIDTH, highlight=False, markup=False)
     settings = settings_of(options)
     prepare(options.folder)
-    output = _free_name(options.folder)
+    output = _free_name(options.folder, options.folder.resolve().name)
     check_output(output)
     try:
         _record(console, options, settings)
@@ -63,7 +65,9 @@ def main(arguments: Sequence[str]) -> int:
         for line in report_lines(adapted):
             console.print(line)
         console.print(f"\nThe new model is {output}")
-        _put_into_use(console, options.config, output)
+        lengths = adapted.comparison.lengths
+        is_worse = bool(lengths) and (lengths[-1].difference or 0.0) < 0.0
+        put_into_use(console, options.config, output, is_worse=is_worse)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command goes on from here.")
     return 0
@@ -82,31 +86,44 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
     session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, 0)
     if all(take.path.exists() for take in session.takes()):
         return
+    console.print(
+        f"{len(session.takes())} recordings of {options.seconds + 2 * EDGE_S:g} s follow one another: "
+        "hands off, then the gesture until the bar is full."
+    )
     with PadReader(settings) as pad:
         terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True)
         Dialogue(console, pad, settings, session, terms).run()
 
 
-def _free_name(folder: Path) -> Path:
-    name = folder.resolve().name
+def _free_name(folder: Path, name: str) -> Path:
     return next(path for n in range(1, 1000) if not (path := folder / f"{name}-{n}.onnx").exists())
 
 
-def _put_into_use(console: Console, config: Path | None, model: Path) -> None:
+def put_into_use(console: Console, config: Path | None, model: Path, *, is_worse: bool) -> None:
     """Set the model in the configuration, if the person wants it; raises Stopped."""
+    model = model.resolve()
     if config is None:
-        console.print(f"To use it, set `model: {model.resolve()}` in touchd.yaml.")
+        console.print(f"To use it, set `model: {model}` in touchd.yaml.")
         return
-    if ask(console, f"Enter to use it from now on (in {config}), n to leave things as they are: ", ("", "n")):
+    question, no = f"Enter to use it from now on (in {config}), n to leave things as they are: ", "n"
+    if is_worse:
+        question, no = "It was right less often. Enter to leave things as they are, u to use it: ", ""
+    if ask(console, question, ("", "u" if is_worse else "n")) == no:
         return
-    with (
-        os_errors_as(ConfigError, f"{config}: cannot be written", "try with sudo"),
-        whole_file(config) as new,
-    ):
-        new.write_text(with_model(config.read_text(encoding="utf-8"), model.resolve()), encoding="utf-8")
-        load(new)
-    console.print(
-        f"Set. A running service takes it over with: sudo systemctl reload touchd\n"
-        f"By hand: {own_name()} run -c {config}",
-        markup=False,
-    )
+    is_service = config.resolve().parent == SERVICE_FOLDER
+    with os_errors_as(ConfigError, f"{config}: cannot be written", "try with sudo"):
+        if is_service:
+            model = _beside(model)
+        with whole_file(config) as new:
+            new.write_text(with_model(config.read_text(encoding="utf-8"), model), encoding="utf-8")
+            load(new)
+    then = "sudo systemctl reload touchd" if is_service else f"{own_name()} run -c {config}"
+    console.print(f"Set. To begin with it: {then}")
+
+
+def _beside(model: Path) -> Path:
+    """Copy a model to the service's folder, which is all that it sees of a home; raises OSError."""
+    copy = _free_name(SERVICE_FOLDER, model.parent.name)
+    with whole_file(copy, replace=False) as new:
+        shutil.copyfile(model, new)
+    return copy

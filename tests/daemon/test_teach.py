@@ -1,9 +1,12 @@
 """`touchd teach`: recordings, an adapted model, and a configuration that names it, from one command."""
 
+import io
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from rigs import terminal as terminal_rig
 from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
@@ -11,6 +14,7 @@ from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
 from daemon import cli
+from daemon.commands import teach
 from daemon.commands.teach import with_model
 from daemon.config import SensorSettings, Settings, load
 from drivers.fakes.fake_port import FakePort
@@ -26,6 +30,35 @@ def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str
     assert load(path).model == "/srv/a: b.onnx"
     kept = [line for line in before.splitlines() if "model" not in line]
     assert [line for line in path.read_text().splitlines() if not line.startswith("model")] == kept
+
+
+def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str | None:
+    """Return the configured model after a person answered."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(sys, "stdin", io.StringIO(f"{answer}\n"))
+        teach.put_into_use(Console(file=io.StringIO()), config, model, is_worse=is_worse)
+    return load(config).model
+
+
+def test_a_worse_model_is_used_only_if_asked_for(tmp_path: Path) -> None:
+    config, model = tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
+    config.write_text("robot: null\n")
+    assert used_after("", config, model, is_worse=True) is None
+    assert used_after("n", config, model, is_worse=False) is None
+    assert used_after("u", config, model, is_worse=True) == str(model)
+
+
+def test_the_service_gets_a_model_outside_home_folders(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(teach, "SERVICE_FOLDER", tmp_path)
+    config, model = tmp_path / "touchd.yaml", tmp_path / "home" / "lab" / "lab-2.onnx"
+    model.parent.mkdir(parents=True)
+    config.write_text("robot: null\n")
+    model.write_bytes(b"adapted")
+    for copy in ("lab-1.onnx", "lab-2.onnx"):
+        assert used_after("", config, model, is_worse=False) == str(tmp_path / copy)
+        assert (tmp_path / copy).read_bytes() == b"adapted"
 
 
 @pytest.mark.slow
@@ -48,10 +81,10 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
         options = ["-c", str(config), "--participant", "anna", "--rounds", "2", "--seconds", "1.5"]
         with Terminal("teach", str(tmp_path / "lab"), *options) as terminal:
             question = ""
-            while question != "use":
+            while question not in ("use", "leave"):
                 terminal.until("Enter to ")
                 question = terminal.until(" ")
-                terminal.answer("k" if question == "do" else "")
+                terminal.answer({"do": "k", "leave": "u"}.get(question, ""))
             terminal.until("Set.")
             assert terminal.process.wait(WITHIN_S) == 0
     settings = load(config)

@@ -64,7 +64,10 @@ def clock_stands(counts: Counts, sensor_ms: int) -> bytes:
         (noise, "noise, wrong baud rate?"),
         (half_frames, "frames begin but none of fabric-grid 10x10 is whole"),
         (as_8x8, "looks like fabric-grid 8x8, configured fabric-grid 10x10"),
-        (encode_csv_line, "looks like csv 10x10, configured fabric-grid 10x10; touchd doctor says what to set"),
+        (
+            encode_csv_line,
+            "looks like csv 10x10, configured fabric-grid 10x10; touchd doctor says",
+        ),
         (clock_stands, "frames of fabric-grid 10x10 arrive, but their clock stands still or jumps"),
     ],
 )
