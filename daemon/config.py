@@ -45,7 +45,9 @@ DEFAULT_PORT = "/dev/touchd-pad"
 MAX_PADS = 16
 OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 
-Length = Annotated[float, msgspec.Meta(gt=0, le=10_000)]
+# Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
+# is loaded and denormals count as zero.
+Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
 
 
 def state_folder() -> Path:
@@ -121,7 +123,7 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     """
 
     path: str | None = None
-    max_mb: Annotated[float, msgspec.Meta(gt=0, le=10_000)] = 10.0
+    max_mb: Annotated[float, msgspec.Meta(ge=0.001, le=10_000)] = 10.0
     keep: Annotated[int, msgspec.Meta(ge=0, le=100)] = 5
     keep_touches: Annotated[int, msgspec.Meta(ge=1, le=10_000)] | None = None
 

@@ -78,7 +78,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     sure: Sure = "balanced"
     speak_above: Probability = 0.65
     revise_margin: Probability = 0.1
-    stale_s: Annotated[float, msgspec.Meta(gt=0, le=60)] = 2.0
+    stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
     ongoing: bool = True
 
     def __post_init__(self) -> None:

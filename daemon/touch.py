@@ -94,8 +94,8 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     longest_s: a touch that goes on for longer is ended, and what lies on the pad is its new rest. Seconds.
     """
 
-    onset_threshold: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 4.0
-    release_threshold: Annotated[float, msgspec.Meta(gt=0, le=1000)] = 4.0
+    onset_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = 4.0
+    release_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = 4.0
     quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
     settled_s: Annotated[float, msgspec.Meta(ge=5, le=3600)] = 10.0
     longest_s: Annotated[float, msgspec.Meta(ge=5, le=86_400)] = 600.0

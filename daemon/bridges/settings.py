@@ -4,7 +4,7 @@ from typing import Annotated
 
 import msgspec
 
-PressureHz = Annotated[float, msgspec.Meta(gt=0, le=500)]
+PressureHz = Annotated[float, msgspec.Meta(ge=0.001, le=500)]
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Topic = Annotated[str, msgspec.Meta(pattern=r"^[^/+#\s]+(/[^/+#\s]+)*$")]
 Namespace = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_]\w*)+$")]

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from daemon.config import MAX_BYTES, ConfigError, Settings, convert, load
+from model.classifier import SHIPPED_MODEL, Classifier
 
 EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
 
@@ -81,7 +82,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("sensor: {format: {framing: binary}}", "needs a header, a footer or a poll"),
         ("sensor: {format: {headr: aa}}", "sensor.format.headr is not a setting; did you mean header?"),
         ("sensor:", "sensor must be a section of settings, not None"),
-        ("touch: {onset_threshold: .nan}", "touch.onset_threshold must be a number > 0.0, not nan"),
+        ("touch: {onset_threshold: .nan}", "touch.onset_threshold must be a number >= 0.001, not nan"),
         ("scene: {speak_above: 1.5}", "scene.speak_above must be a number <= 1.0, not 1.5"),
         ("scene: {gestures: [3]}", "scene.gestures must be text, not [3]"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
@@ -114,6 +115,15 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
 )
 def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str) -> None:
     assert message in refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["scene: {stale_s: 0}", "journal: {max_mb: 0}", "mqtt: {pressure_hz: 0}", "sensor: {size_mm: [0, 8]}"],
+)
+def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) -> None:
+    Classifier.load(SHIPPED_MODEL)
+    assert "must be a number >= 0.001" in refusal(tmp_path, text)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
