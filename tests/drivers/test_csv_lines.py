@@ -44,6 +44,7 @@ def test_lines_may_use_any_usual_separator_and_line_end(separator: bytes) -> Non
         (b"9" + line(2), "bad_time"),
         (b"\xff\xfe\x00\n", "bad_framing"),
         (b"1," * 100_000 + b"1\n", "bad_framing"),
+        (line(2).split(b",", 1)[1], "bad_framing"),
     ],
 )
 def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> None:
@@ -51,13 +52,6 @@ def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> N
     frames = fed(parser, lines([0, 1]) + bad + line(3) + line(4), range(0, 3000, 70))
     assert_are(frames, [0, 1, 3, 4])
     assert getattr(parser.counts, reason) == parser.counts.bad == 1
-
-
-def test_one_line_without_a_clock_is_no_clockless_pad() -> None:
-    parser = CsvLines()
-    without_clock = line(2).split(b",", 1)[1]
-    assert_are(parser.feed(lines([0, 1]) + without_clock + line(3), 0.0), [0, 1, 3])
-    assert parser.counts.bad_framing == 1
 
 
 def test_a_pad_may_change_its_layout() -> None:

@@ -75,12 +75,24 @@ def test_a_stream_joined_midway_begins_with_the_next_frame(cut: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("bit", "reason"), [(0, "bad_framing"), (40, "bad_time"), (64, "bad_checksum"), (64 + 12, "bad_value")]
+    ("damaged", "counts"),
+    [
+        (flip(packet(2), 0), {"bad_framing": 1}),
+        (flip(packet(2), 40), {"bad_time": 1}),
+        (flip(packet(2), 64), {"bad_checksum": 1}),
+        (flip(packet(2), 64 + 12), {"bad_value": 1}),
+        (flip(packet(2), 64) + flip(packet(3), 0), {"bad_checksum": 1, "bad_framing": 1}),
+        (b"\xff" * 100, {"bad_value": 1}),
+        (b"\x55" * (3 * SIZE), {"bad_framing": 3}),
+    ],
+    ids=["header", "clock", "checksum", "value", "two in a row", "a run of ff", "long garbage"],
 )
-def test_each_kind_of_damage_is_counted_once_and_by_name(bit: int, reason: str) -> None:
+def test_damage_is_counted_by_kind_and_costs_itself_alone(damaged: bytes, counts: dict[str, int]) -> None:
     parser = FabricGrid()
-    parser.feed(packets([0, 1]) + flip(packet(2), bit) + packets([3, 4]), 0.0)
-    assert getattr(parser.counts, reason) == parser.counts.bad == 1
+    assert_are(parser.feed(packets([0, 1]) + damaged + packets([4, 5]), 0.0), [0, 1, 4, 5])
+    assert {name: getattr(parser.counts, name) for name in counts} == counts
+    assert parser.counts.bad == sum(counts.values())
+    assert parser.counts.bytes_dropped == (0 if "bad_time" in counts else len(damaged))
 
 
 @pytest.mark.parametrize("kept", [*range(1, 12), 100, SIZE - 3, SIZE - 2, SIZE - 1])
@@ -110,25 +122,6 @@ def test_a_false_frame_does_not_hide_a_true_one() -> None:
             assert parser.counts.bad_time == parser.counts.bad == 1
             found += 1
     assert found > 0
-
-
-def test_a_run_of_ff_counts_as_one_bad_frame() -> None:
-    parser = FabricGrid()
-    assert_are(parser.feed(packets([0, 1]) + b"\xff" * 100 + packets([2, 3]), 0.0), range(4))
-    assert (parser.counts.bad_value, parser.counts.bad) == (1, 1)
-
-
-def test_long_garbage_counts_as_the_frames_it_replaced() -> None:
-    parser = FabricGrid()
-    assert_are(parser.feed(packets([0, 1]) + b"\x55" * (3 * SIZE) + packets([2, 3]), 0.0), range(4))
-    assert (parser.counts.bad_framing, parser.counts.bytes_dropped) == (3, 3 * SIZE)
-
-
-def test_two_damaged_frames_in_a_row_are_counted_as_two() -> None:
-    parser = FabricGrid()
-    damaged = flip(packet(2), 64) + flip(packet(3), 0)
-    assert_are(parser.feed(packets([0, 1]) + damaged + packets([4, 5]), 0.0), [0, 1, 4, 5])
-    assert (parser.counts.bad_checksum, parser.counts.bad_framing) == (1, 1)
 
 
 def test_only_an_undetectable_flip_passes() -> None:

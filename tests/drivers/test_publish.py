@@ -1,7 +1,7 @@
 """Telling the robot something takes the daemon next to no time, whatever the robot does; on real qi."""
 
 import pytest
-from by_hand.publish_figures import STATES, in_state, publishes
+from by_hand.robot_figures import STATES, in_state, publishes
 
 LIMIT_S = 0.005
 
