@@ -6,15 +6,12 @@ from pathlib import Path
 
 import pytest
 import serial
-from rigs.doctor_rig import resting, systemd_says, the
-from rigs.formats import encode_fabric_grid
+from rigs.doctor_rig import pad_of, resting, systemd_says, the
 
 from daemon import cli
 from daemon.commands.doctor import WIDTH
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
-from drivers.fakes.fake_port import FakePort
-from drivers.recording import Stream, ideal_clock_ms
 
 
 def test_a_sound_pad_passes_every_check(
@@ -22,8 +19,7 @@ def test_a_sound_pad_passes_every_check(
 ) -> None:
     # A busy machine is told of, and rightly.
     monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
-    counts = resting(4.0)
-    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid) as port:
+    with pad_of(resting(4.0)) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["ok"] is True
@@ -54,7 +50,7 @@ def test_an_impossible_configuration_or_time_is_a_users_mistake(capsys: pytest.C
 
 
 def test_a_port_read_by_the_service_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    port = FakePort(Stream(resting(1.0), ideal_clock_ms(54), ()), encode_fabric_grid)
+    port = pad_of(resting(1.0))
     settings = Settings(sensor=SensorSettings(port=port.path))
     with port, serial.Serial(port.path, exclusive=True):
         other = the("port", examine(settings, 1.0, print))

@@ -1,25 +1,23 @@
 """The doctor at the pad's line: what is on it, how clean, how fast."""
 
-import os
 import termios
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from rigs.doctor_rig import SETTINGS, heard, resting
-from rigs.formats import encode_csv_line, encode_fabric_grid
+from rigs.doctor_rig import SETTINGS, heard, pad_at_baud, pad_of, resting
+from rigs.formats import encode_csv_line
 from rigs.line_faults import Faults
-from rigs.sensor_rig import Encode, as_8x8, noise, silence
+from rigs.sensor_rig import Encode, as_8x8, silence
 
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts, Frame
+from drivers.frame import Frame
 from drivers.pad.port import open_port
 from drivers.pad.protocol import parser_of
-from drivers.recording import Stream, ideal_clock_ms
 
 
 @pytest.mark.parametrize(
@@ -31,7 +29,7 @@ from drivers.recording import Stream, ideal_clock_ms
     ],
 )
 def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice: str) -> None:
-    check = protocol_of(encode, start_s=0.4)
+    check = protocol_of(pad_of(resting(60.0), encode, speed=10.0))
     assert check.verdict == "to do"
     assert found in check.found
     assert advice in check.advice
@@ -39,40 +37,22 @@ def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice:
 
 def test_settings_against_the_proposed_format_are_named() -> None:
     wrong = SensorSettings(format="fabric-grid", rows=8, columns=8, crop=0, turn=90)
-    check = protocol_of(encode_fabric_grid, 0.4, wrong)
+    check = protocol_of(pad_of(resting(60.0), speed=10.0), wrong)
     assert check.advice == "set under sensor: format: fabric-grid; delete rows, columns, crop there"
 
 
-def protocol_of(encode: Encode, start_s: float, sensor: SensorSettings = SETTINGS.sensor) -> Check:
-    counts = resting(60.0)
-    port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode, speed=10.0)
-    with port, open_port(port.path, 512_000) as opened:
-        unheard = listen(opened, parser_of(sensor.described), 1.0, start_s=start_s)
+def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor) -> Check:
+    with pad, open_port(pad.path, 512_000) as opened:
+        unheard = listen(opened, parser_of(sensor.described), 1.0, start_s=0.4)
         return check_protocol(unheard, sensor, opened)
 
 
 def test_another_baud_rate_is_found_by_trying() -> None:
-    slave: list[str] = []
-
-    def only_at_115200(counts: Counts, sensor_ms: int) -> bytes:
-        line = os.open(slave[0], os.O_RDWR | os.O_NOCTTY)
-        speed = termios.tcgetattr(line)[5]
-        os.close(line)
-        return encode_fabric_grid(counts, sensor_ms) if speed == termios.B115200 else noise(counts, sensor_ms)
-
-    counts = resting(60.0)
-    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), only_at_115200, speed=4.0) as port:
-        slave.append(port.path)
-        with open_port(port.path, 512_000) as opened:
-            unheard = listen(opened, parser_of(SETTINGS.sensor.described), 1.0, start_s=0.4)
-            check = check_protocol(unheard, SETTINGS.sensor, opened)
-    assert check.advice == "set sensor.baud: 115200"
+    assert protocol_of(pad_at_baud(resting(60.0), termios.B115200)).advice == "set sensor.baud: 115200"
 
 
 def test_a_pad_unplugged_while_it_is_listened_to_is_told() -> None:
-    counts = resting(4.0)
-    port = FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid)
-    with port, open_port(port.path, 512_000) as opened:
+    with pad_of(resting(4.0)) as port, open_port(port.path, 512_000) as opened:
         first = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
         port.stop()
         after = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from rigs.doctor_rig import SETTINGS, heard, resting, the
-from rigs.formats import encode_fabric_grid
+from rigs.doctor_rig import SETTINGS, heard, pad_of, resting, the
 
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
@@ -19,9 +18,7 @@ from daemon.doctor.pad import (
     is_pressed,
 )
 from docs.studies.hand import simulate
-from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
-from drivers.recording import Stream, ideal_clock_ms
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +105,7 @@ def test_not_pressing_the_corner_is_no_fault() -> None:
     counts = resting(20.0)
     counts[100:, 0, 0] += 300
     asked: list[str] = []
-    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid, speed=4.0) as port:
+    with pad_of(counts, speed=4.0) as port:
         settings = Settings(sensor=SensorSettings(port=port.path))
         check = the("orientation", examine(settings, 1.2, asked.append, with_press=True))
     assert check.verdict == "ok"

@@ -5,10 +5,10 @@ import pty
 import subprocess
 import termios
 import tty
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rigs.doctor_rig import pad_at_baud
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.programs import TOUCHD, Program
 from rigs.robots import Robot
@@ -22,7 +22,6 @@ from daemon.config import ConfigError, SensorSettings, load
 from daemon.events import SensorEvent, decode
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
 from drivers.pad.format import PRESETS
 
 STREAM = stream_of(next(iter(RECORDINGS)))
@@ -36,23 +35,9 @@ class Found:
         self.device = device
 
 
-def at_one_baud_rate(path: list[str], baud: int) -> Callable[[Counts, int], bytes]:
-    """What a pad at this baud rate sends, and what that is at others."""
-
-    def encode(counts: Counts, sensor_ms: int) -> bytes:
-        line = os.open(path[0], os.O_RDWR | os.O_NOCTTY)
-        speed = termios.tcgetattr(line)[5]
-        os.close(line)
-        return ENCODE(counts, sensor_ms) if speed == baud else os.urandom(200)
-
-    return encode
-
-
 def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "touchd.yaml"
-    slave: list[str] = []
-    pad = FakePort(STREAM, at_one_baud_rate(slave, termios.B57600), speed=4.0, loop=True)
-    slave.append(pad.path)
+    pad = pad_at_baud(STREAM.counts, termios.B57600)
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", str(tmp_path / "none"))
     monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])

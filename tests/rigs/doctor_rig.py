@@ -1,23 +1,26 @@
-"""A pad for the doctor to listen to, over a pty, and a systemctl that answers as a test wants."""
+"""Pads for the doctor to listen to, over a pty, and a systemctl that answers as a test wants."""
 
 import os
+import termios
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from rigs.formats import encode_fabric_grid
 from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
-from rigs.sensor_rig import Encode
+from rigs.sensor_rig import Encode, noise
 
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import Heard, listen
 from docs.studies.hand import simulate
+from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
 from drivers.pad.port import open_port
 from drivers.pad.protocol import parser_of
-from drivers.recording import Stream
+from drivers.recording import Stream, ideal_clock_ms
 
 SETTINGS = Settings()
 
@@ -26,6 +29,24 @@ def resting(seconds: float = 8.0) -> Counts:
     """Counts of a sound pad that nothing touches."""
     (recording,) = simulate((("notouch", seconds),), seed=3)
     return np.array(recording.counts)
+
+
+def pad_of(counts: Counts, encode: Encode = encode_fabric_grid, **options: Any) -> FakePort:
+    """A pad that sends these counts at 54 Hz."""
+    return FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode, **options)
+
+
+def pad_at_baud(counts: Counts, speed: int) -> FakePort:
+    """A pad that sends noise unless its line is set to a speed of termios's."""
+
+    def encode(counts: Counts, sensor_ms: int) -> bytes:
+        line = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
+        is_right = termios.tcgetattr(line)[5] == speed
+        os.close(line)
+        return (encode_fabric_grid if is_right else noise)(counts, sensor_ms)
+
+    port = pad_of(counts, encode, speed=4.0, loop=True)
+    return port
 
 
 def heard(
