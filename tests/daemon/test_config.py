@@ -131,11 +131,6 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         load(tmp_path / "nowhere.yaml")
 
 
-def test_a_folder_is_no_configuration(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read"):
-        load(tmp_path)
-
-
 def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
     assert "larger than 64 KiB" in refusal(tmp_path, "#" * (MAX_BYTES + 1))
 

@@ -91,7 +91,7 @@ def store(tmp_path: Path) -> TouchStore:
     return TouchStore(tmp_path / "touches", 20, "a made pad")
 
 
-def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
+def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(pat(2.0), nothing(2.0))
     (kept,) = bench.end()
@@ -113,7 +113,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
     assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
 
 
-def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Path) -> None:
+def test_a_file_has_provenance_and_nobodys_name(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(2.0))
     (kept,) = bench.end()
@@ -128,7 +128,7 @@ def test_a_file_has_provenance_and_nobodys_name(store: TouchStore, tmp_path: Pat
     assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
 
-def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore, tmp_path: Path) -> None:
+def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
     first, second = bench.end()
@@ -139,7 +139,7 @@ def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore
     assert before.sensor_ms[0] > read_frames(first).touch.sensor_ms[-1]
 
 
-def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_path: Path) -> None:
+def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2))
     bench.clock_ms += 400
@@ -152,7 +152,7 @@ def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore, tmp_p
     assert second.before is None or second.before.counts.max() < 12
 
 
-def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore, tmp_path: Path) -> None:
+def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore) -> None:
     bench = StoreBench(store, clock_ms=2**32 - 2000)
     bench.feel(palm(1.5), nothing(1.0))
     (kept,) = bench.end()
@@ -161,7 +161,7 @@ def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore, tmp_path: Pa
     assert len(read_frames(kept).touch.counts) == ended(bench.events)[0].frames
 
 
-def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
+def test_frames_before_a_restart_are_not_kept(store: TouchStore) -> None:
     bench = StoreBench(store, clock_ms=500_000)
     bench.feel(palm(1.2), nothing(1.5))
     bench.clock_ms = 0
@@ -173,7 +173,7 @@ def test_frames_before_a_restart_are_not_kept(store: TouchStore, tmp_path: Path)
     assert frames.touch.sensor_ms[0] == began(bench.events)[1].sensor_ms
 
 
-def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore, tmp_path: Path) -> None:
+def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(palm(70.0), nothing(1.0))
     (kept,) = bench.end()
@@ -181,12 +181,6 @@ def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore, tmp_p
     assert sum(len(part.counts) for part in parts) <= LONGEST_FRAMES
     assert parts[-1].gesture == UNLABELLED
     assert read_provenance(kept.path)["part"] == "the beginning of a longer touch"
-
-
-def test_no_store_is_made_unless_asked_for(tmp_path: Path) -> None:
-    assert open_touch_stores(Settings()) == {}
-    assert open_touch_stores(Settings(journal=JournalSettings(path=str(tmp_path / "events.jsonl")))) == {}
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
@@ -210,13 +204,6 @@ def test_of_a_thousand_touches_only_the_last_stay() -> None:
             store.add(felt(number, rest_frames=0))
             assert len(os.listdir(folder)) <= 5
         assert [kept.number for kept in kept_touches(folder)] == [995, 996, 997, 998, 999]
-
-
-def test_repeated_touch_numbers_have_files_of_their_own(tmp_path: Path) -> None:
-    store = TouchStore(tmp_path, 5, "")
-    store.add(felt(7))
-    store.add(felt(7, after_s=100.0))
-    assert [kept.number for kept in kept_touches(tmp_path)] == [7, 7]
 
 
 def test_a_deleted_folder_is_made_again(store: TouchStore, tmp_path: Path) -> None:

@@ -98,11 +98,6 @@ def test_recorded_touches_stay_apart_through_a_port(run: Callable[..., list[Even
     assert felt.false == 0
 
 
-@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
-def test_classify_says_the_same_as_the_daemon(recording: Path, classifier: Classifier) -> None:
-    assert outline(answers(stream_of(recording), classifier)) == expected(recording)
-
-
 @pytest.mark.parametrize(
     "line",
     [{"protocol": "csv"}, {"faults": Faults(chunk_bytes=40)}, {"faults": Faults(garbage_every=31)}],

@@ -69,11 +69,6 @@ def test_ready_is_said_once_the_pads_state_is_known(manager: Manager, health: He
     assert manager.heard().count("READY=1") == 1
 
 
-def test_the_watchdog_is_fed_by_a_processed_frame(manager: Manager, health: Health) -> None:
-    health.frame_processed("pad")
-    assert manager.heard() == ["WATCHDOG=1"]
-
-
 def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, health: Health) -> None:
     health.pad_state("pad", up=False)
     assert "WATCHDOG=1" in manager.heard()

@@ -40,22 +40,16 @@ def test_the_printed_block_is_the_encoder_block_of_pytorch() -> None:
         torch.testing.assert_close(forward(attention(x)), theirs(x), rtol=1e-5, atol=1e-5)
 
 
-def test_the_printed_network_is_as_the_paper_says() -> None:
-    attention = 4 * (512 * 512 + 512) + 2 * 512
+def test_both_networks_have_the_published_sizes() -> None:
+    embedding, attention = 64 * 512 + 512, 4 * (512 * 512 + 512) + 2 * 512
     feed_forward = 512 * 2048 + 2048 + 2048 * 512 + 512 + 2 * 512
     dense = (512 * 128 + 128) + (128 * 16 + 16) + (16 * 4 + 4) + (144 * 4 * 7 + 7)
-    network = PaperTGC(PaperSettings("printed"), 7)
-    assert parameters(network) == (64 * 512 + 512) + 6 * (attention + feed_forward) + dense
-    assert not any(isinstance(layer, nn.ReLU) for layer in network.dense)
-
-
-def test_the_public_network_is_as_its_code_says() -> None:
-    attention = 4 * (512 * 512 + 512) + 2 * 512
-    dense = (512 * 128 + 128) + (128 * 16 + 16) + (16 * 4 + 4) + (144 * 4 * 7 + 7)
-    network = PaperTGC(PaperSettings("public"), 7)
-    assert parameters(network) == 2 * 144 + (64 * 512 + 512) + 6 * attention + dense
-    assert sum(isinstance(layer, nn.ReLU) for layer in network.dense) == 3
-    assert network.input_norm.num_features == 144
+    printed, public = (PaperTGC(PaperSettings(variant), 7) for variant in ("printed", "public"))
+    assert parameters(printed) == embedding + 6 * (attention + feed_forward) + dense
+    assert parameters(public) == 2 * 144 + embedding + 6 * attention + dense
+    assert sum(isinstance(layer, nn.ReLU) for layer in printed.dense) == 0
+    assert sum(isinstance(layer, nn.ReLU) for layer in public.dense) == 3
+    assert public.input_norm.num_features == 144
 
 
 @pytest.mark.parametrize("variant", ["printed", "public"])
