@@ -93,6 +93,11 @@ SEQUENCES: dict[str, list[Expected]] = {
         ongoing({"rub": 0.65}, "rub", True, True),
         ongoing({"rub": 0.95}, "rub", False, False),
     ],
+    "an answer told after an unreported one has changed": [
+        final({"notouch": 0.9}, "notouch", True, False),
+        ongoing({"rub": 0.55}, "rub", True, False),
+        ongoing({"rub": 0.9}, "rub", True, True),
+    ],
     "no touch is never told": [
         early({"notouch": 0.95}, "notouch", True, False),
         revised({"notouch": 0.95}, "notouch", False, False),

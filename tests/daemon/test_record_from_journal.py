@@ -230,15 +230,6 @@ def test_a_slip_is_undone_and_a_crash_resumed(lab: Lab) -> None:
         assert terminal.process.wait(WITHIN_S) == 0
 
 
-def test_half_a_recording_left_by_a_crash_is_no_label(lab: Lab) -> None:
-    touch = lab.touched(17)
-    lab.folder.mkdir()
-    (kept,) = kept_touches(folder_of(lab.journal))
-    (lab.folder / f".partial-anna_none_fur_rub_{kept.path.name}").write_bytes(b"\x1f\x8b half")
-    assert lab.label(f"{touch.began.time}=tickle") == 0
-    assert len([name for name in lab.files() if not name.startswith(".")]) == 1
-
-
 def test_without_anybody_to_answer_it_lists_and_ends(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,7 +21,6 @@ from rigs.scripted_model import Scripted
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from daemon.config import JournalSettings, SensorSettings, Settings, load
-from daemon.decide import Decision, DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchEnded, decode, encode
 from daemon.kept.journal import Journal, JournalError
 from daemon.kept.touch_store import TouchStore, kept_touches
@@ -283,21 +282,6 @@ def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
         ms = round(number * 1000 / 54) - (900 if number >= 100 else 0) + 5000
         laid += len(ring.push(Frame(number, ms, 0.0, counts)))
     assert laid == 216
-
-
-def test_an_answer_told_after_an_unreported_one_has_changed() -> None:
-    labels = ("notouch", "rub")
-    decision = Decision(DecisionSettings(), labels)
-    answers = [
-        decision.answer(stage, np.array([1.0 - rub, rub]))
-        for stage, rub in (("final", 0.1), ("ongoing", 0.6), ("ongoing", 0.9))
-    ]
-    assert [(answer.gesture, answer.told) for answer in answers] == [
-        ("notouch", False),
-        ("rub", False),
-        ("rub", True),
-    ]
-    assert answers[-1].changed
 
 
 def test_a_token_goes_to_no_robot_that_cannot_be_checked(

@@ -124,6 +124,25 @@ def test_any_address_pyserial_knows_will_do() -> None:
     assert_played(frames, stream, range(first, first + 10))
 
 
+def test_a_full_queue_drops_old_frames_but_no_state() -> None:
+    queue = FrameQueue(4)
+    down, up = SensorState("down", "unplugged"), SensorState("up", "back")
+    frames = [Frame(number, number * 19, 0.0, np.zeros((8, 8), np.uint16)) for number in range(4)]
+    for item in (down, frames[0], up, *frames[1:]):
+        queue.put(item)
+    assert (len(queue), queue.dropped) == (4, 2)
+    assert queue.take_all() == [down, up, frames[2], frames[3]]
+    assert queue.get(0.01) is None
+
+
+def test_a_queue_of_nothing_but_states_is_bounded_too() -> None:
+    queue = FrameQueue(3)
+    for number in range(10):
+        queue.put(SensorState("down", str(number)))
+    assert len(queue) == 3
+    assert queue.get(0.0) == SensorState("down", "7")
+
+
 def test_it_stops_at_once_before_and_while_waiting(tmp_path: Path) -> None:
     with sensing(str(tmp_path / "none")) as queue:
         next_state(queue)

@@ -24,11 +24,3 @@ def test_an_error_while_writing_leaves_the_old_file_alone(tmp_path: Path) -> Non
         shutil.copytree(tmp_path / "not there", partial)
     assert path.read_text() == "before"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_file_not_to_be_replaced_stays(tmp_path: Path) -> None:
-    path = tmp_path / "recording.csv.gz"
-    path.write_text("before")
-    with pytest.raises(FileExistsError), whole_file(path, replace=False) as partial:
-        partial.write_text("after")
-    assert path.read_text() == "before"
