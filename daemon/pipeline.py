@@ -145,6 +145,7 @@ class Pipeline:
         self._viewers = viewers
         self._behind_frames = behind_frames
         self._pad = pad
+        self._prefix = "" if pad == DEFAULT_PAD else f"{pad}: "
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
         self._final_frames = settings.decision.answer_at_frames[-1]
@@ -204,7 +205,7 @@ class Pipeline:
             yield from self._advance(grid_frame)
         why = self._feeling.update(frame, any(grid_frame.restarted for grid_frame in laid))
         if why is not None:
-            log.warning("%s", why or "touches can be felt again")
+            log.warning("%s%s", self._prefix, why or "touches can be felt again")
             self._tell_sensor("degraded" if why else "up", why)
 
     def on_sensor_state(self, state: SensorState) -> None:
@@ -215,7 +216,7 @@ class Pipeline:
             self._feeling.forget()
             self._is_disturbed = False
         else:
-            log.info("leave the pad alone for half a second: its rest is measured")
+            log.info("%sleave the pad alone for half a second: its rest is measured", self._prefix)
         self._tell_sensor(state.state, state.reason)
 
     def flush(self) -> None:
@@ -250,7 +251,7 @@ class Pipeline:
             return
         self._is_disturbed = not self._is_disturbed
         state, reason = DISTURBED if self._is_disturbed else CALM
-        log.log(logging.WARNING if self._is_disturbed else logging.INFO, "%s", reason)
+        log.log(logging.WARNING if self._is_disturbed else logging.INFO, "%s%s", self._prefix, reason)
         self._tell_sensor(state, reason)
 
     def _no_touch(self, window: NDArray[np.float32]) -> float:

@@ -17,7 +17,7 @@ from daemon.doctor.listening import listen
 from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
 from drivers.errors import os_errors_as
-from drivers.pad.diagnosis import as_yaml, propose
+from drivers.pad.diagnosis import as_yaml, caution, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, open_port, read_waiting
 from drivers.pad.protocol import parser_of
@@ -65,6 +65,8 @@ def main(arguments: Sequence[str]) -> int:
         if described
         else f"pad: none found; plug it in and run {own_name()} doctor"
     )
+    if described and (check_it := caution(described)):
+        console.print(f"{file}: {check_it}", style="yellow")
     is_well = described is not None
     if robot:
         check = check_robot(settings)

@@ -9,7 +9,7 @@ from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
 from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.diagnosis import as_yaml, diagnose, propose
+from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
 from drivers.pad.pace import clock_ms, pace_of
 from drivers.pad.port import Line
 from drivers.pad.protocol import parser_of
@@ -35,7 +35,7 @@ ADVICE_FOR_PORT = {
 ADVICE_FOR_BYTES = {
     "format": "set sensor.format to what it looks like",
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
-    "damage": "try a shorter cable and another USB port, without a hub",
+    "damage": "try a shorter cable and another USB port, no hub; for firm presses, a larger full_scale",
     "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy",
 }
 
@@ -89,8 +89,8 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
             for name in ("rows", "columns", "crop", "invert")
             if getattr(sensor, name) not in (None, getattr(proposed, name))
         ]
-        advice = f"set under sensor: {as_yaml(proposed)}"
-        advice += f"; delete {', '.join(wrong)} there" if wrong else ""
+        parts = [f"set under sensor: {as_yaml(proposed)}", wrong and f"delete {', '.join(wrong)} there"]
+        advice = "; ".join(part for part in (*parts, caution(proposed)) if part)
     return Check("protocol", "to do", looks, advice)
 
 

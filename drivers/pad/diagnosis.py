@@ -93,6 +93,12 @@ def as_yaml(described: PadFormat) -> str:
     return f"format: {{{', '.join(f'{key}: {json.dumps(value)}' for key, value in fields.items())}}}"
 
 
+def caution(proposed: PadFormat) -> str:
+    """Return what to check in a proposal, "" if nothing: a pad at rest does not show its range."""
+    is_known = proposed in PRESETS.values() or (proposed.framing == "binary" and proposed.cell == "u8")
+    return "" if is_known else "full_scale is only the largest value seen: set what a cell can send at most"
+
+
 def _as_preset(guess: PadFormat) -> PadFormat:
     """Return the preset with the same line and grid, which knows the pad's border; else the guess itself."""
     same = (p for p in PRESETS.values() if str(p) == str(guess) and p.full_scale == guess.full_scale)

@@ -41,6 +41,11 @@ def test_settings_against_the_proposed_format_are_named() -> None:
     assert check.advice == "set under sensor: format: fabric-grid; delete rows, columns, crop there"
 
 
+def test_a_full_scale_that_was_only_seen_is_questioned() -> None:
+    assert "set what a cell can send at most" in protocol_of(pad_of(resting(60.0), as_8x8, speed=10.0)).advice
+    assert "full_scale" not in protocol_of(pad_of(resting(60.0), encode_csv_line, speed=10.0)).advice
+
+
 def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
         unheard = listen(opened, parser_of(sensor.described), 1.0, start_s=0.4)

@@ -1,5 +1,6 @@
 """The pipeline from frames to events: what is asked of the model, and what is said when."""
 
+import logging
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -323,6 +324,13 @@ def test_a_disturbed_pad_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     states = [event.state for event in bench.feel(noise, nothing(20.0)) if isinstance(event, SensorEvent)]
     assert states == ["disturbed", "up"]
     assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+def test_the_log_names_a_pad_among_several(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    pipeline = Pipeline(PipelineSettings(), Scripted(), lambda event: None, STOPPED, pad="head")
+    pipeline.on_sensor_state(SensorState("up", "frames arrive"))
+    assert [record.getMessage().partition(": ")[0] for record in caplog.records] == ["head"]
 
 
 def test_a_touch_taken_for_notouch_ends_uncertain_and_untold() -> None:
