@@ -387,6 +387,9 @@ class TouchTracker:
                 + SECOND_FRAMES // 2
             )
             held.last = max(held.first, min(held.last, self._index - over_frames))
+        else:
+            # The network takes what lies there for a hand, and would begin the touch anew.
+            self._sight.forget_rest()
         release = self._end(reason)
         self._calibrate(SECOND_FRAMES)
         older, newer = self._recent.halves()

@@ -323,6 +323,16 @@ def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: N
     assert isinstance(release, Release)
 
 
+def test_an_object_like_a_hand_is_one_touch_only(seen: TrackedPad, network: Network) -> None:
+    network.no_touch = 0.02
+    changes = seen.feel(palm(60.0, counts=60.0, trembling=False))
+    assert [type(change) for change in changes] == [Onset, Release]
+    network.no_touch = 0.9
+    assert seen.feel(5.0) == []
+    network.no_touch = 0.02
+    assert [type(change) for change in seen.feel(faint(1.5))] == [Onset]
+
+
 def test_a_pad_that_reads_the_same_is_not_looked_at_again(seen: TrackedPad, network: Network) -> None:
     looked = len(network.windows)
     assert seen.feel(nothing(10.0)) == []
