@@ -113,7 +113,7 @@ def await_status(lab: Machine, pattern: str) -> str:
     return shown(lab, "StatusText")[0]
 
 
-def test_it_is_ready_only_when_the_model_is_loaded_and_the_pad_was_found(touchd: Machine) -> None:
+def test_ready_waits_for_the_model_and_the_pad(touchd: Machine) -> None:
     assert shown(touchd, "Type", "ActiveState", "NRestarts") == ["notify", "active", "0"]
     lines = touchd.run(f"{LOG} -u touchd").splitlines()
     found = next(number for number, line in enumerate(lines) if "frames arrive from" in line)
@@ -122,7 +122,7 @@ def test_it_is_ready_only_when_the_model_is_loaded_and_the_pad_was_found(touchd:
 
 
 @needs_pace
-def test_events_are_in_its_journal_in_systemds_and_in_the_robots_memory(touchd: Machine) -> None:
+def test_events_reach_journal_log_and_robot(touchd: Machine) -> None:
     await_events(touchd, 8)
     events = [decode(line) for line in touchd.run(f"head -n 8 {EVENTS}").splitlines()]
     assert {TouchBegan, Prediction, TouchEnded} <= {type(event) for event in events}
@@ -132,7 +132,7 @@ def test_events_are_in_its_journal_in_systemds_and_in_the_robots_memory(touchd: 
 
 
 @needs_pace
-def test_a_reload_changes_the_settings_and_keeps_process_stream_and_numbers(touchd: Machine) -> None:
+def test_a_reload_keeps_process_stream_and_touch_numbers(touchd: Machine) -> None:
     before = shown(touchd, "MainPID")
     await_events(touchd, 6)
     touchd.write("/etc/touchd/touchd.yaml", CONFIGURATION + "scene: {gestures: [pat, stroke]}\n")
@@ -150,7 +150,7 @@ def test_a_reload_changes_the_settings_and_keeps_process_stream_and_numbers(touc
 
 
 @needs_pace
-def test_a_wrong_configuration_at_start_ends_it_with_2_and_it_is_not_tried_again(touchd: Machine) -> None:
+def test_a_wrong_configuration_stops_the_service_without_restarts(touchd: Machine) -> None:
     touchd.run("systemctl stop touchd", 300)
     touchd.write("/etc/touchd/touchd.yaml", "sensr: {}\n")
     assert not touchd.succeeds("systemctl start touchd")
@@ -172,7 +172,7 @@ def test_the_watchdog_restarts_it_when_it_hangs(touchd: Machine) -> None:
 
 
 @needs_pace
-def test_the_watchdog_lets_it_be_while_the_pad_is_away(touchd: Machine) -> None:
+def test_the_watchdog_tolerates_a_missing_pad(touchd: Machine) -> None:
     unplug(touchd)
     await_status(touchd, "pad away")
     # Longer than the watchdog's ten seconds.
@@ -183,7 +183,7 @@ def test_the_watchdog_lets_it_be_while_the_pad_is_away(touchd: Machine) -> None:
 
 
 @needs_pace
-def test_killed_it_comes_back_and_its_journal_holds_whole_lines(touchd: Machine) -> None:
+def test_a_killed_service_restarts_with_whole_journal_lines(touchd: Machine) -> None:
     await_events(touchd, 4)
     touchd.run("systemctl kill -s KILL touchd")
     touchd.wait_until("test $(systemctl show touchd -P NRestarts) = 1")
@@ -202,7 +202,7 @@ def test_it_runs_as_its_own_user_without_any_privilege(touchd: Machine) -> None:
     assert {int(status[f"Cap{name}"], 16) for name in ("Inh", "Prm", "Eff", "Bnd", "Amb")} == {0}
 
 
-def test_the_sandbox_lets_it_do_its_work_and_nothing_else(touchd: Machine) -> None:
+def test_the_sandbox_allows_nothing_but_its_work(touchd: Machine) -> None:
     await_status(touchd, "frames/s")
     touchd.run("mkdir -p /home/somebody; mknod -m 666 /dev/touchd-probe c 1 11 2>/dev/null || true")
     touchd.run("cp /mnt/helpers/probe.py /opt/touchd/probe.py; systemctl stop touchd", 300)
@@ -247,7 +247,7 @@ def test_the_pad_has_its_name_and_group_by_the_udev_rule(touchd: Machine) -> Non
 
 
 @needs_hardware
-def test_after_a_reboot_it_is_there_and_may_open_a_pad_that_is_plugged_in_only_then(touchd: Machine) -> None:
+def test_after_a_reboot_a_pad_plugged_in_later_works(touchd: Machine) -> None:
     touchd.run("systemctl enable --quiet touchd")
     touchd.reboot()
     touchd.wait_until("systemctl is-active -q touchd")
@@ -257,7 +257,7 @@ def test_after_a_reboot_it_is_there_and_may_open_a_pad_that_is_plugged_in_only_t
 
 
 @needs_hardware
-def test_after_a_power_cut_its_journal_holds_whole_lines_and_goes_on(touchd: Machine) -> None:
+def test_after_a_power_cut_the_journal_has_whole_lines(touchd: Machine) -> None:
     assert isinstance(touchd, Emulated)
     await_events(touchd, 3)
     touchd.run("systemctl enable --quiet touchd; sync")
@@ -289,7 +289,7 @@ def test_an_upgrade_keeps_the_configuration_and_runs_the_new_program(touchd: Mac
 
 
 @needs_pace
-def test_uninstalling_ends_it_and_keeps_configuration_and_journal(touchd: Machine) -> None:
+def test_uninstalling_keeps_configuration_and_journal(touchd: Machine) -> None:
     await_events(touchd, 3)
     touchd.run("systemctl enable --quiet touchd")
     touchd.run("cd /root/touchd && make uninstall && make uninstall", 300)

@@ -7,7 +7,7 @@ from daemon.pad.age import Age
 from drivers.pad.grid import GridFrame
 
 
-def test_a_lasting_delay_is_forgiven_in_fifty_times_its_length() -> None:
+def test_a_lasting_delay_is_forgotten_within_fifty_times_its_length() -> None:
     age = Age()
 
     def played(first_s: float, last_s: float, late_s: float) -> float:

@@ -14,7 +14,7 @@ from rigs.wait import WITHIN_S, wait_for
 from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
 
 
-def test_lsl_frames_bear_their_time_of_arrival_within_2_ms(tmp_path: Path) -> None:
+def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
     bridge = peer.bridge()
@@ -41,7 +41,7 @@ def test_lsl_frames_bear_their_time_of_arrival_within_2_ms(tmp_path: Path) -> No
     assert max(errors_s) < 0.002
 
 
-def test_lsl_markers_bear_the_events_own_time(tmp_path: Path) -> None:
+def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
     bridge = peer.bridge()
@@ -152,7 +152,7 @@ def test_ros2_topics_and_types_have_the_expected_names(tmp_path: Path) -> None:
     }
 
 
-def test_rosbridge_is_told_the_topics_before_the_messages(tmp_path: Path) -> None:
+def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     pytest.importorskip("websockets")
     peer = RosbridgePeer(tmp_path)
     peer.start()

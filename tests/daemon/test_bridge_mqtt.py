@@ -178,7 +178,7 @@ def test_a_wrong_password_is_logged_in_one_line(
     assert "Not authorized" in record.getMessage()
 
 
-def test_only_what_changed_gets_a_bridge_anew(port: int) -> None:
+def test_only_a_changed_bridge_is_replaced(port: int) -> None:
     before = made(port)
     assert made(port, before) == before
     assert not made(port, before, topic="lab").keys() & before.keys()
@@ -196,7 +196,7 @@ def test_another_pads_events_are_not_published(port: int, opened: Open) -> None:
         assert len(payloads(messages, "touchd/pad/event")) == 1
 
 
-def test_home_assistant_makes_told_answers_events_of_known_types(port: int, opened: Open) -> None:
+def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> None:
     jinja2 = pytest.importorskip("jinja2")
     with subscribed(port, "homeassistant/#") as messages:
         opened(topic="lab/nao1", discovery="homeassistant")
@@ -215,7 +215,7 @@ def test_home_assistant_makes_told_answers_events_of_known_types(port: int, open
     assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 4
 
 
-def test_the_daemon_publishes_what_it_prints_from_a_reload_on(port: int, tmp_path: Path) -> None:
+def test_after_a_reload_the_daemon_publishes_what_it_prints(port: int, tmp_path: Path) -> None:
     with Daemon(tmp_path) as daemon, subscribed(port, "touchd/#") as messages:
         daemon.await_event(TouchEnded)
         daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port))

@@ -49,7 +49,7 @@ def put_until_heard(peer: Peer, bridge: Bridge, number: int) -> int:
 
 
 @pytest.mark.parametrize("peer", ALL, indirect=True)
-def test_events_are_heard_again_after_the_peer_died(peer: Peer) -> None:
+def test_events_arrive_again_after_the_peer_died(peer: Peer) -> None:
     bridge = peer.bridge()
     for _ in range(2):
         peer.start()
@@ -95,7 +95,7 @@ def test_without_a_peer_neither_put_nor_stop_waits(peer: Peer, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_a_peer_that_accepts_and_never_speaks_holds_up_nothing(peer: Peer) -> None:
+def test_a_mute_peer_does_not_block_the_bridge(peer: Peer) -> None:
     with socket.create_server(("127.0.0.1", peer.port)) as mute:
         bridge = peer.bridge()
         for number in range(20):
@@ -108,7 +108,7 @@ def test_a_peer_that_accepts_and_never_speaks_holds_up_nothing(peer: Peer) -> No
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_stopping_passes_on_what_is_queued(peer: Peer) -> None:
+def test_stopping_sends_queued_events(peer: Peer) -> None:
     peer.start()
     bridge = peer.bridge()
     put_until_heard(peer, bridge, 1)

@@ -97,7 +97,7 @@ def main(arguments: Sequence[str]) -> int:
         ("robot: {url: nao.local}", "not an address such as tcp://nao.local:9559"),
     ],
 )
-def test_whatever_run_cannot_use_is_one_line(
+def test_an_unusable_setting_is_refused_in_one_line(
     tmp_path: Path, refusal: Refusal, text: str, message: str
 ) -> None:
     path = tmp_path / "touchd.yaml"
@@ -107,7 +107,7 @@ def test_whatever_run_cannot_use_is_one_line(
     assert set(threading.enumerate()) == threads
 
 
-def test_answers_later_than_the_model_can_take_are_refused() -> None:
+def test_marks_beyond_the_models_longest_window_are_refused() -> None:
     classifier = Classifier.load()
     short = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, max_length=100))
     with pytest.raises(ConfigError, match="144 is more than the 100 frames that the model"):
@@ -117,9 +117,7 @@ def test_answers_later_than_the_model_can_take_are_refused() -> None:
 @pytest.mark.parametrize(
     ("options", "said"), [(["--view"], "--view needs a terminal"), (["--view", "--json"], "not allowed with")]
 )
-def test_the_view_is_for_terminals_alone(
-    options: list[str], said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_view_needs_a_terminal(options: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["run", *options])
     assert ended.value.code == 2
@@ -160,7 +158,7 @@ def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
     assert (rub.gesture, pat.gesture) == ("rub", "pat")
 
 
-def test_a_reader_may_leave_classify_early() -> None:
+def test_classify_accepts_a_closed_output() -> None:
     with Program(*TOUCHD, "classify", GESTURES, stderr=subprocess.PIPE) as process:
         process.stdout.close()
         assert process.stderr is not None
@@ -211,7 +209,7 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
     assert "robot says “" in shown.out
 
 
-def test_events_are_told_in_words() -> None:
+def test_events_are_described_in_words() -> None:
     words = vocabulary("en", {})
     assert describe(TouchBegan(touch=7, time="", sensor_ms=1), words) == "touch 7 begins"
     assert describe(PREDICTION, words) == "  early     after  1.0 s: stroke      81%  in 1.9 ms  told"

@@ -100,7 +100,7 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
         ("zeros", "events.csv", "zeros, line 1: longer than any event"),
     ],
 )
-def test_what_cannot_be_converted_is_said_in_one_line(
+def test_an_impossible_conversion_is_refused_in_one_line(
     journal: Path, capsys: pytest.CaptureFixture[str], file: str, out: str, said: str
 ) -> None:
     (journal.parent / "text").write_text("hello\n")

@@ -137,7 +137,7 @@ SEQUENCES: dict[str, list[Expected]] = {
 
 
 @pytest.mark.parametrize("steps", SEQUENCES.values(), ids=SEQUENCES.keys())
-def test_in_every_sequence(steps: list[Expected]) -> None:
+def test_each_answer_is_reported_and_told_as_expected(steps: list[Expected]) -> None:
     decision = Decision(SETTINGS, LABELS)
     told = None
     for step in steps:
@@ -160,7 +160,7 @@ def test_a_scene_shares_probability_among_its_gestures() -> None:
     )
 
 
-def test_a_scene_that_the_model_rules_out_is_answered_evenly() -> None:
+def test_a_scene_the_model_rules_out_is_answered_evenly() -> None:
     decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
     answer = decision.answer("early", probabilities(rub=1.0))
     assert answer.confidence == pytest.approx(1 / 3)
@@ -173,7 +173,7 @@ def test_stages_out_of_order_are_refused() -> None:
 
 
 @pytest.mark.parametrize("sure", SURE)
-def test_the_later_it_is_the_less_confidence_is_asked_for(sure: Sure) -> None:
+def test_less_confidence_is_required_later_in_a_touch(sure: Sure) -> None:
     decision = Decision(DecisionSettings(early="when_sure", sure=sure, speak_above=0.0), LABELS)
     first = {}
     for hundredth in (50, 60, 70, 80, 90, 99):
@@ -198,7 +198,7 @@ def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
         ({"stroke": 0.9, "rub": 0.01}, {"stroke": 0.9, "rub": 0.01}, False),
     ],
 )
-def test_a_gesture_has_changed_when_before_and_now_say_so(
+def test_a_gesture_changes_only_on_clear_evidence(
     at_final: dict[str, float], lately: dict[str, float], changed: bool
 ) -> None:
     decision = Decision(DecisionSettings(), LABELS)

@@ -49,7 +49,7 @@ def test_an_impossible_configuration_or_time_is_a_users_mistake(capsys: pytest.C
     assert ended.value.code == 2
 
 
-def test_a_port_read_by_the_service_is_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = pad_of(resting(1.0))
     settings = Settings(sensor=SensorSettings(port=port.path))
     with port, serial.Serial(port.path, exclusive=True):

@@ -56,7 +56,7 @@ def test_another_baud_rate_is_found_by_trying() -> None:
     assert protocol_of(pad_at_baud(resting(60.0), termios.B115200)).advice == "set sensor.baud: 115200"
 
 
-def test_a_pad_unplugged_while_it_is_listened_to_is_told() -> None:
+def test_a_pad_unplugged_while_listening_is_reported() -> None:
     with pad_of(resting(4.0)) as port, open_port(port.path, 512_000) as opened:
         first = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
         port.stop()
@@ -65,7 +65,7 @@ def test_a_pad_unplugged_while_it_is_listened_to_is_told() -> None:
     assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened).found
 
 
-def test_a_clean_line_is_told_from_one_that_damages_frames() -> None:
+def test_a_line_that_damages_frames_is_recognised() -> None:
     assert check_damage(heard(resting())).verdict == "ok"
     assert check_damage(heard(resting(), faults=Faults(flip_bit_every=100))).verdict == "warning"
     damaged = check_damage(heard(resting(), faults=Faults(flip_bit_every=10)))
@@ -78,7 +78,7 @@ def test_lost_frames_are_counted() -> None:
     assert check.figures["lost"] == pytest.approx(21, abs=1)
 
 
-def test_a_wrong_clock_is_told_from_a_slow_pad() -> None:
+def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     def steady(step_ms: int, step_s: float) -> list[Frame]:
         return [Frame(i, step_ms * i, step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
 

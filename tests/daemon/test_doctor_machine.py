@@ -54,7 +54,7 @@ def test_a_robot_user_without_a_token_is_reported() -> None:
         ("", "not checked", "no systemd answers"),
     ],
 )
-def test_the_state_of_the_service_is_told(
+def test_the_state_of_the_service_is_reported(
     answer: str, verdict: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     systemd_says(answer, tmp_path, monkeypatch)

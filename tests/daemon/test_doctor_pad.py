@@ -55,12 +55,12 @@ def test_broken_taxels_are_named(damage: Callable[[Counts], None], found: str) -
     assert {trouble.verdict for trouble in troubles} == {"to do"}
 
 
-def test_taxels_are_not_judged_on_too_little_data() -> None:
+def test_taxels_are_not_checked_on_too_little_data() -> None:
     assert check_taxels(heard(resting(3.0)))[0].verdict == "not checked"
     assert check_taxels(heard(np.zeros_like(resting())))[0].verdict == "warning"
 
 
-def test_a_noisy_taxel_and_a_noisy_pad_are_told_apart() -> None:
+def test_a_noisy_taxel_is_distinguished_from_a_noisy_pad() -> None:
     rng = np.random.default_rng(1)
     counts = resting()
     counts[:, 6, 1] += rng.integers(0, 40, len(counts)).astype(np.uint16)
@@ -70,7 +70,7 @@ def test_a_noisy_taxel_and_a_noisy_pad_are_told_apart() -> None:
     assert "the whole pad is noisy" in everywhere.found
 
 
-def test_a_turned_and_a_loaded_pad_are_told_apart() -> None:
+def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
     upside_down = check_rest(heard(np.uint16(1023) - resting()), SETTINGS)
     assert upside_down.advice == "set sensor.invert: false"
     counts = resting()

@@ -34,7 +34,7 @@ def test_it_prints_its_address_and_every_call() -> None:
     assert link_threads() == []
 
 
-def test_a_port_that_is_taken_is_one_line() -> None:
+def test_a_port_in_use_is_reported_in_one_line() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         done = ran([*TOUCHD, "fake-robot", "--port", str(taken.getsockname()[1])])
     assert done.returncode == 2

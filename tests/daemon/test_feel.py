@@ -42,7 +42,7 @@ def feel_of(frames: list[NDArray[np.float64]], size_mm: tuple[float, float] | No
     return ended.feel
 
 
-def test_a_stroke_has_its_way_length_and_direction() -> None:
+def test_a_stroke_has_its_length_and_direction() -> None:
     way = np.linspace(0, 1, 2 * RATE_HZ)
     feel = feel_of([blob(5.0 - 2 * s, 1.5 + 4.5 * s, 200) for s in way], size_mm=(80, 160))
     assert feel.down == pytest.approx(-2, abs=0.4)
@@ -73,7 +73,7 @@ def test_pressure_and_area_are_those_of_the_hand(counts: float) -> None:
     assert feel.mean == pytest.approx(touched.mean(), rel=0.3)
 
 
-def test_the_simulated_hand_pats_beats_and_strokes_a_way() -> None:
+def test_a_simulated_pat_has_rhythm_and_a_stroke_a_path() -> None:
     feels = {}
     for gesture in ("pat", "stroke", "constant"):
         stream = splice(simulate([("notouch", 2.5), (gesture, 3.0), ("notouch", 2.0)], 5))
@@ -86,7 +86,7 @@ def test_the_simulated_hand_pats_beats_and_strokes_a_way() -> None:
     assert feels["stroke"].path > 2 * feels["constant"].path
 
 
-def test_a_rule_may_be_for_hard_or_short_touches_alone() -> None:
+def test_a_rule_can_require_a_hard_or_short_touch() -> None:
     say = Action(say="ouch")
     hard = ActionRule(do=(say,), gestures=("pat",), above={"peak": 300}, below={"duration_s": 2})
 

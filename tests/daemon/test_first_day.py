@@ -159,7 +159,7 @@ def test_a_pad_without_permission_or_busy_is_waited_for(monkeypatch: pytest.Monk
     check_pad(msgspec.structs.replace(Settings(), sensor=Settings().sensor.__class__(port="/dev/null")))
 
 
-def test_a_clock_that_starts_anew_is_no_broken_pad() -> None:
+def test_a_restarting_clock_is_no_broken_pad() -> None:
     clock_ms = [*range(5000, 9000, 18), *range(0, 4000, 19)]
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame(n, ms, n / 54, counts) for n, ms in enumerate(clock_ms))
@@ -168,7 +168,7 @@ def test_a_clock_that_starts_anew_is_no_broken_pad() -> None:
     assert checked.verdict == "ok", checked
 
 
-def test_every_settled_touch_sets_the_example_action_off_once() -> None:
+def test_every_settled_touch_triggers_the_example_action_once() -> None:
     events = answers(stream_of(GESTURES), load_model(Settings()))
     said: list[str] = []
 
@@ -215,7 +215,7 @@ def test_run_speaks_to_people_in_terminals_and_json_on_request() -> None:
         terminal.until('{"type":"sensor"')
 
 
-def test_the_network_is_told_of_by_numbers_and_a_code() -> None:
+def test_the_network_address_is_shown_as_url_and_qr_code() -> None:
     urls = urls_of(LiveSettings(host="0.0.0.0"), 8054)
     assert all(url.startswith("http://") and url.endswith(":8054/") for url in urls)
     assert urls_of(LiveSettings(), 80) == ["http://127.0.0.1:80/"]

@@ -76,7 +76,7 @@ def test_a_pad_that_only_answers_is_found(tmp_path: Path, monkeypatch: pytest.Mo
     assert load(path).sensor.format == "fsr-array"
 
 
-def test_without_a_pad_the_file_is_written_all_the_same(tmp_path: Path) -> None:
+def test_the_file_is_written_even_without_a_pad(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     assert main([str(path), "--port", str(tmp_path / "none"), "--baud", "115200", "--robot", "none"]) == 1
     assert load(path).sensor.described == SensorSettings().described
@@ -93,9 +93,7 @@ def test_the_end_of_input_means_no_robot(tmp_path: Path) -> None:
     assert load(path).robot is None
 
 
-def test_the_robot_is_asked_for_and_tried_and_the_file_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_robot_is_asked_for_tried_and_used(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "touchd.yaml"
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)

@@ -79,14 +79,14 @@ def test_the_memory_for_late_viewers_is_bounded() -> None:
     assert {len(felt.predictions) for felt in touches} == {PREDICTIONS}
 
 
-def test_an_event_without_a_frame_is_shown_all_the_same(served: Served) -> None:
+def test_an_event_is_shown_even_without_a_frame(served: Served) -> None:
     with served.look() as viewer:
         served.sink.put(SensorEvent(state="down", time=NOW, reason="unplugged"))
         message = await_message(viewer, "sensor")
         assert message["reason"] == "unplugged"
 
 
-def test_rate_and_drops_are_told_again_and_again(served: Served) -> None:
+def test_rate_and_drops_are_sent_repeatedly(served: Served) -> None:
     with served.look() as viewer:
         await_message(viewer, "status")
         frames_among(viewer, served.put_frame())
@@ -103,7 +103,7 @@ def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
             return dict(told)
 
 
-def test_a_viewer_that_stalls_costs_the_others_nothing(served: Served) -> None:
+def test_a_stalled_viewer_does_not_affect_the_others(served: Served) -> None:
     narrow = socket.socket()
     narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     narrow.connect(("127.0.0.1", served.port))
@@ -129,7 +129,7 @@ def test_a_viewer_that_stalls_costs_the_others_nothing(served: Served) -> None:
         assert [touch["began"]["touch"] for touch in state["touches"]] == [1]
 
 
-def test_a_viewer_who_no_longer_answers_is_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unresponsive_viewer_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("daemon.live.server.PING_EVERY_S", 0.2)
     with serving() as served, socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S) as dead:
         dead.sendall(HANDSHAKE.format(port=served.port).encode())
@@ -155,7 +155,7 @@ def hung(server: LiveServer) -> Iterator[None]:
         goes_on.set()
 
 
-def test_a_hanging_thread_delays_nobody() -> None:
+def test_a_hanging_page_thread_delays_no_event() -> None:
     listening = socket.create_server(("127.0.0.1", 0))
     server = LiveServer(listening, LiveSettings(), {"pad": (Settings(), load_model(Settings()))})
     server.start()
@@ -167,7 +167,7 @@ def test_a_hanging_thread_delays_nobody() -> None:
     assert dropped == 7
 
 
-def test_the_end_does_not_wait_for_viewers(served: Served) -> None:
+def test_stopping_does_not_wait_for_viewers(served: Served) -> None:
     server = served.sink
     with served.look() as viewer:
         await_message(viewer, "state")
@@ -195,7 +195,7 @@ def test_settings_that_cannot_be_served_change_nothing(served: Served) -> None:
     assert served.ask("/").status == 200
 
 
-def test_the_address_can_change_at_one_port(served: Served) -> None:
+def test_the_address_can_change_on_the_same_port(served: Served) -> None:
     everywhere = LiveSettings(host="0.0.0.0", port=served.port)
     before, served.sink = served.sink, served.serve(Settings(live=everywhere), served.sink)
     with served.look() as viewer:
@@ -230,7 +230,7 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
         assert (frames, dropped) == (len(stream.counts), 0)
 
 
-def test_sighup_opens_and_closes_the_page_and_costs_no_touch(tmp_path: Path) -> None:
+def test_sighup_opens_and_closes_the_page_without_losing_touches(tmp_path: Path) -> None:
     with Daemon(tmp_path) as daemon:
         daemon.await_event(SensorEvent)
         daemon.configure(live=LiveSettings(port=0))

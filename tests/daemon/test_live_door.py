@@ -24,7 +24,7 @@ def served() -> Iterator[Served]:
         yield served
 
 
-def test_more_viewers_than_there_is_room_for_are_told_so(served: Served) -> None:
+def test_a_viewer_over_the_limit_is_refused(served: Served) -> None:
     with ExitStack() as closing:
         viewers = [closing.enter_context(served.look()) for _ in range(MOST_VIEWERS)]
         for viewer in viewers:
@@ -39,7 +39,7 @@ def test_more_viewers_than_there_is_room_for_are_told_so(served: Served) -> None
 
 
 @pytest.mark.parametrize(("said", "why"), [("x", "nothing is read here"), ("x" * 1000, "1009")])
-def test_who_says_anything_is_shown_the_door(served: Served, said: str, why: str) -> None:
+def test_a_viewer_that_sends_data_is_disconnected(served: Served, said: str, why: str) -> None:
     with served.look() as viewer:
         viewer.recv(timeout=WITHIN_S)
         viewer.send(said)
@@ -75,11 +75,11 @@ def test_the_page_loads_nothing_from_elsewhere(served: Served, path: str) -> Non
 
 
 @pytest.mark.parametrize("path", ["/server.py", "/../server.py", "/%2e%2e/server.py", "//etc/passwd", "/x"])
-def test_whatever_else_is_asked_for_is_not_there(served: Served, path: str) -> None:
+def test_other_paths_are_not_found(served: Served, path: str) -> None:
     assert served.ask(path).status == 404
 
 
-def test_nothing_but_reading_is_possible(served: Served) -> None:
+def test_only_get_requests_are_accepted(served: Served) -> None:
     connection = http.client.HTTPConnection("127.0.0.1", served.port, timeout=WITHIN_S)
     with suppress(http.client.RemoteDisconnected):
         connection.request("POST", "/", body=b"x")
@@ -88,12 +88,12 @@ def test_nothing_but_reading_is_possible(served: Served) -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/stream"])
-def test_a_name_that_another_page_made_lead_here_gets_nothing(served: Served, path: str) -> None:
+def test_a_foreign_host_name_is_refused(served: Served, path: str) -> None:
     assert served.ask(path, Host=f"evil.example:{served.port}").status == 403
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
-def test_another_page_in_the_same_browser_gets_no_stream(served: Served, origin: str) -> None:
+def test_a_foreign_origin_gets_no_stream(served: Served, origin: str) -> None:
     with pytest.raises(InvalidStatus, match="403"), served.look(origin=origin):
         pass
     with served.look(origin=f"http://127.0.0.1:{served.port}") as viewer:
@@ -116,7 +116,7 @@ def test_another_page_in_the_same_browser_gets_no_stream(served: Served, origin:
         ("", False),
     ],
 )
-def test_a_host_is_known_by_name_and_number(host: str, is_own: bool) -> None:
+def test_own_host_names_and_addresses_are_recognised(host: str, is_own: bool) -> None:
     assert is_own_host(host, frozenset({"localhost", "robot.lab"})) is is_own
 
 
@@ -130,7 +130,7 @@ def test_a_host_is_known_by_name_and_number(host: str, is_own: bool) -> None:
         ("[::1]:8080", "::1", 8080),
     ],
 )
-def test_what_an_address_leaves_out_is_as_configured(text: str, host: str, port: int) -> None:
+def test_missing_parts_of_an_address_come_from_the_configuration(text: str, host: str, port: int) -> None:
     assert parse_address(text, LiveSettings(host="10.0.0.1", port=99)) == LiveSettings(host=host, port=port)
 
 
@@ -139,13 +139,13 @@ def test_by_default_only_this_computer_sees_the_page() -> None:
 
 
 @pytest.mark.parametrize("text", ["x", "localhost", "localhost:", "1:65536", "1:-1", "1:²"])
-def test_an_address_that_is_none_is_refused(text: str) -> None:
+def test_an_invalid_address_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"not \[HOST:\]PORT"):
         parse_address(text, None)
 
 
 @pytest.mark.parametrize("command", ["run", "demo"])
-def test_a_port_that_is_taken_is_said_in_one_line(command: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_reported_in_one_line(command: str, capfd: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         assert cli.main([command, "--live", str(port)]) == 2

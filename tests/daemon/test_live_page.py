@@ -130,7 +130,7 @@ def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator
         yield WatchedPage(chrome, daemon.url, tuple(daemon.events), tuple(pictures), console, asked_for)
 
 
-def test_it_shows_without_an_error_and_asks_nobody_else(played: WatchedPage) -> None:
+def test_the_page_loads_without_errors_or_foreign_requests(played: WatchedPage) -> None:
     assert played.console == ()
     own = played.url.removeprefix("http://")
     assert f"ws://{own}/stream" in played.asked_for
@@ -203,7 +203,7 @@ def test_the_probabilities_are_those_of_the_answer(played: WatchedPage) -> None:
     assert shown == said
 
 
-def test_what_no_longer_comes_is_not_shown_as_live(played: WatchedPage) -> None:
+def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:
     assert is_stale(played.chrome)
     assert re.fullmatch(r"\d+ s old|over a minute old", played.text("#age"))
     assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
@@ -211,7 +211,7 @@ def test_what_no_longer_comes_is_not_shown_as_live(played: WatchedPage) -> None:
     assert played.text("#vital-pad dd") == "away"
 
 
-def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: WatchedPage) -> None:
+def test_a_screen_reader_hears_each_answer_without_a_flood(played: WatchedPage) -> None:
     def heard() -> list[str]:
         return [text.replace("\u00a0", " ") for text, _ in played.run("return heard")]
 
@@ -222,7 +222,7 @@ def test_a_screen_reader_hears_each_new_answer_and_no_flood(played: WatchedPage)
     assert played.run("return document.getElementById('announcement').ariaLive") == "polite"
 
 
-def test_a_screen_reader_finds_its_way(played: WatchedPage) -> None:
+def test_a_screen_reader_finds_landmarks_and_regions(played: WatchedPage) -> None:
     tree = played.chrome.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
     found = {
         (node.get("role", {}).get("value"), node.get("name", {}).get("value"))
@@ -236,7 +236,7 @@ def test_a_screen_reader_finds_its_way(played: WatchedPage) -> None:
     assert any(str(name).startswith("Pressure on the pad") for role, name in found if role == "image")
 
 
-def test_the_keyboard_reaches_what_there_is_to_reach(played: WatchedPage) -> None:
+def test_the_keyboard_reaches_every_control(played: WatchedPage) -> None:
     def press(key: str) -> str:
         ActionChains(played.chrome).send_keys(key).perform()
         return str(played.run("return document.activeElement.id || document.activeElement.className"))
@@ -290,7 +290,7 @@ READ = [
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_light_or_dark_as_wished_every_word_stands_out(played: WatchedPage, scheme: str) -> None:
+def test_text_has_contrast_in_light_and_dark(played: WatchedPage, scheme: str) -> None:
     # Colours fade into one another, unless little motion is wished for.
     prefer(played.chrome, color_scheme=scheme, reduced_motion="reduce")
     paper = played.run("return getComputedStyle(document.body).backgroundColor")
@@ -301,7 +301,7 @@ def test_light_or_dark_as_wished_every_word_stands_out(played: WatchedPage, sche
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pressure_reads_without_telling_colours_apart(played: WatchedPage, scheme: str) -> None:
+def test_pressure_is_readable_without_colour_vision(played: WatchedPage, scheme: str) -> None:
     prefer(played.chrome, color_scheme=scheme)
 
     def brightness() -> NDArray[np.float64]:
@@ -318,7 +318,7 @@ def test_pressure_reads_without_telling_colours_apart(played: WatchedPage, schem
     assert steps.sum() > 180
 
 
-def test_little_motion_is_respected(played: WatchedPage) -> None:
+def test_reduced_motion_is_respected(played: WatchedPage) -> None:
     prefer(played.chrome, reduced_motion="reduce")
     moving = "return getComputedStyle(document.querySelector('#bars i')).transitionProperty"
     assert played.run(moving) == "none"
@@ -327,7 +327,7 @@ def test_little_motion_is_respected(played: WatchedPage) -> None:
 
 
 @pytest.mark.parametrize("width", [320, 390])
-def test_a_phone_shows_it_all_without_scrolling_sideways(played: WatchedPage, width: int) -> None:
+def test_a_phone_needs_no_horizontal_scrolling(played: WatchedPage, width: int) -> None:
     show_in(played.chrome, width, 800)
     try:
         wait_for(lambda: played.run("return innerWidth") == width)
@@ -342,7 +342,7 @@ def test_a_phone_shows_it_all_without_scrolling_sideways(played: WatchedPage, wi
 @pytest.mark.parametrize(
     ("width", "height"), [(800, 600), (1280, 650), (1280, 800), (1920, 1080), (768, 1024), (1024, 1366)]
 )
-def test_laptops_and_tablets_show_it_all_at_once(played: WatchedPage, width: int, height: int) -> None:
+def test_laptops_and_tablets_need_no_scrolling(played: WatchedPage, width: int, height: int) -> None:
     show_in(played.chrome, width, height)
     try:
         wait_for(lambda: played.run("return innerWidth") == width)
@@ -352,7 +352,7 @@ def test_laptops_and_tablets_show_it_all_at_once(played: WatchedPage, width: int
         show_in(played.chrome, 1280, 800)
 
 
-def test_text_twice_as_large_is_all_there(played: WatchedPage) -> None:
+def test_text_at_double_size_stays_visible(played: WatchedPage) -> None:
     played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 32}})
     try:
         size = "return parseFloat(getComputedStyle(document.body).fontSize)"
@@ -364,7 +364,7 @@ def test_text_twice_as_large_is_all_there(played: WatchedPage) -> None:
         played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 16}})
 
 
-def test_forced_colours_leave_the_bars_to_be_seen(played: WatchedPage) -> None:
+def test_bars_stay_visible_in_forced_colours(played: WatchedPage) -> None:
     forced = [{"name": "forced-colors", "value": "active"}]
     played.chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": forced})
     try:
@@ -377,7 +377,7 @@ def test_forced_colours_leave_the_bars_to_be_seen(played: WatchedPage) -> None:
         prefer(played.chrome)
 
 
-def test_visitors_see_pad_and_answer_and_no_vitals(played: WatchedPage) -> None:
+def test_the_visitors_view_hides_the_vitals(played: WatchedPage) -> None:
     def seen(selector: str) -> bool:
         return bool(played.run("return document.querySelector(arguments[0]).checkVisibility()", selector))
 
@@ -424,7 +424,7 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         assert text_of(chrome, "#bars .best") == "Tätscheln"
 
 
-def test_another_pad_is_chosen_to_be_shown_large(chrome: Chrome) -> None:
+def test_another_pad_can_be_selected(chrome: Chrome) -> None:
     pads = {"head": PadSettings(port="a"), "arm": PadSettings(port="b")}
     prediction = msgspec.structs.replace(PREDICTION, touch=1, time=NOW)
 

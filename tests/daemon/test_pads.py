@@ -117,7 +117,7 @@ def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
     assert felt == {("touchd/head/pressure", 100), ("touchd/arm/pressure", 200)}
 
 
-def test_a_flooding_or_missing_pad_costs_the_others_nothing(tmp_path: Path) -> None:
+def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> None:
     encode, stream = encoder_for(SensorSettings()), stream_of(LENGTHS)
     # As many frames as may wait in a daemon that the machine leaves no time.
     few = Stream(stream.counts[:540], stream.sensor_ms[:540], ())

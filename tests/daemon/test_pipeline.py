@@ -126,7 +126,7 @@ def test_a_short_touch_is_answered_from_its_contact_alone() -> None:
     assert (ended.frames, ended.gesture) == (27, "stroke")
 
 
-def test_an_answer_due_in_a_pause_waits() -> None:
+def test_an_answer_due_in_a_pause_is_deferred() -> None:
     bench = Bench()
     pause = nothing(0.5)
     assert predictions(bench.feel(palm(0.7), pause)) == []
@@ -140,19 +140,19 @@ def test_an_answer_due_in_a_pause_waits() -> None:
     np.testing.assert_array_equal(window, bench.sent[LEAD_FRAMES : LEAD_FRAMES + 54])
 
 
-def test_an_answer_that_the_next_has_overtaken_is_not_asked() -> None:
+def test_an_overtaken_answer_is_skipped() -> None:
     bench = Bench()
     events = bench.feel(palm(40 / 54), nothing(41 / 54), palm(2.0))
     assert [(event.stage, event.frames) for event in predictions(events)] == [("revised", 81), ("final", 144)]
 
 
-def test_an_answer_that_waits_uses_contact_alone() -> None:
+def test_a_deferred_answer_uses_contact_alone() -> None:
     bench = Bench()
     events = bench.feel(palm(1.2), nothing(2.0))
     assert [(event.stage, event.frames) for event in predictions(events)] == [("early", 54), ("released", 65)]
 
 
-def test_the_lift_offs_of_a_pat_are_part_of_it() -> None:
+def test_a_pat_includes_its_lift_offs() -> None:
     bench = Bench()
     events = bench.feel(pat(3.0))
     assert [event.frames for event in predictions(events)] == [54, 81, 144]
@@ -164,7 +164,7 @@ def test_without_a_touch_the_model_only_glances() -> None:
     assert bench.model.asked == bench.model.stepped == []
 
 
-def test_with_nobody_looking_a_mark_asks_about_one_frame() -> None:
+def test_catching_up_leaves_one_frame_at_a_mark() -> None:
     bench = Bench()
     for pressure in np.concatenate([palm(4.0), nothing(2.0)]):
         bench.feel(pressure[None])
@@ -191,7 +191,7 @@ def test_pads_touched_at_once_are_answered_in_one_run() -> None:
         ] == spoken
 
 
-def test_no_frame_may_wait_shortly_before_anything_is_said() -> None:
+def test_no_frame_may_wait_shortly_before_an_event() -> None:
     bench = Bench()
     may_wait: list[bool] = []
     said_at: list[int] = []
@@ -205,7 +205,7 @@ def test_no_frame_may_wait_shortly_before_anything_is_said() -> None:
     assert np.mean(may_wait) > 0.5
 
 
-def test_a_touch_is_shown_as_the_model_sees_it() -> None:
+def test_viewers_get_the_models_own_probabilities() -> None:
     shown: list[LivePrediction] = []
     classifier = Classifier.load()
     pad, said = MadePad(), list[Event]()
@@ -256,7 +256,7 @@ def test_an_answer_that_is_never_sure_comes_at_its_mark() -> None:
     assert [answer.frames for answer in answers] == [54, 81, 144]
 
 
-def test_an_answer_too_unsure_to_be_told_is_not_hurried() -> None:
+def test_an_answer_too_unsure_to_tell_is_not_early() -> None:
     scene = DecisionSettings(early="when_sure", sure="eager", speak_above=0.95)
     answers = predictions(Bench(Scripted(), PipelineSettings(decision=scene)).feel(palm(3.0)))
     assert [answer.frames for answer in answers] == [54, 81, 144]
@@ -269,7 +269,7 @@ def test_a_careful_scene_waits_longer_than_an_eager_one() -> None:
     assert first("eager") < first("balanced") < first("careful") < 54
 
 
-def test_a_gesture_that_lasted_is_told_again() -> None:
+def test_a_lasting_change_of_gesture_is_told() -> None:
     bench = Bench(Scripted(lambda asked: "stroke" if asked <= 3 else "rub"))
     events = bench.feel(palm(8.0, counts=60.0), nothing(2.0))
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
@@ -305,7 +305,7 @@ class Wavering(Scripted):
         return Scripted().answer(), super().step(frames, state)[1]
 
 
-def test_a_gesture_of_one_stretch_alone_is_not_told() -> None:
+def test_a_gesture_in_one_window_alone_is_not_told() -> None:
     bench = Bench(Wavering())
     assert told(bench.feel(pat(8.0, counts=90.0), nothing(2.0))) == [("early", "stroke")]
     assert len(bench.model.asked) > 5
@@ -318,7 +318,7 @@ def test_a_scene_can_keep_to_the_final_answer() -> None:
     assert bench.model.asked == []
 
 
-def test_a_disturbed_pad_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_disturbed_pad_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     bench = Bench()
     noise = np.random.default_rng(3).normal(0, 1.5, (540, 8, 8)).astype(np.float32)
     states = [event.state for event in bench.feel(noise, nothing(20.0)) if isinstance(event, SensorEvent)]
@@ -387,7 +387,7 @@ def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:
     assert ("released", 100) in [(event.stage, event.frames) for event in predictions(events)]
 
 
-def test_a_sensor_that_goes_ends_its_touch_first() -> None:
+def test_losing_the_sensor_ends_its_touch_first() -> None:
     bench = Bench()
     bench.feel(palm(0.5))
     bench.said.clear()
@@ -400,7 +400,7 @@ def test_a_sensor_that_goes_ends_its_touch_first() -> None:
     assert down == SensorEvent(state="down", reason="unplugged", time="2026-11-20T10:00:00.000Z")
 
 
-def test_a_sensor_that_comes_back_is_learned_anew() -> None:
+def test_a_returning_sensor_is_calibrated_again() -> None:
     bench = Bench()
     bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
     bench.pipeline.on_sensor_state(SensorState("up", ""))
@@ -469,7 +469,7 @@ def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     assert audit.touches > 0
 
 
-def test_what_a_hand_did_as_it_left_is_no_restlessness_of_the_pad() -> None:
+def test_a_leaving_hand_does_not_count_as_restlessness() -> None:
     # The recording ends with pats of a hand that rested, far lighter than the rest before.
     twice = splice(read_recordings(LENGTHS) * 2)
     events = answers(twice, Classifier.load())

@@ -52,14 +52,14 @@ def test_touches_are_placed_where_they_truly_began_and_ended(felt: Trace) -> Non
         assert felt.truth(number) == span.gesture
 
 
-def test_pressure_is_told_above_rest(felt: Trace) -> None:
+def test_pressure_is_drawn_above_rest(felt: Trace) -> None:
     load = felt.rise.sum(axis=(1, 2))
     rest, rub = felt.stream.spans[:2]
     assert abs(load[rest.start : rest.stop].mean()) < 10
     assert load[rub.start : rub.stop].mean() > 100
 
 
-def test_time_runs_on_where_the_pads_clock_starts_anew() -> None:
+def test_time_continues_when_the_pads_clock_restarts() -> None:
     first, second = recordings(4), recordings(5)
     clocks = [part.sensor_ms - part.sensor_ms[0] for part in (splice(first), splice(second))]
     both = splice([*first, *second])
@@ -108,7 +108,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "mine.csv.gz"
 
 
-def test_a_recording_becomes_a_picture_beside_where_one_works(
+def test_a_picture_is_written_to_the_working_folder(
     recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["plot", str(recorded)]) == 0
@@ -152,12 +152,12 @@ def test_a_journal_becomes_a_picture_with_each_touch_and_answer(
     assert b"<svg" in (tmp_path / "a.svg").read_bytes()
 
 
-def test_gestures_of_a_labs_own_have_colours_of_their_own() -> None:
+def test_a_labs_own_gestures_have_their_own_colours() -> None:
     assert colour_of("hug", ["hug", "poke", "rub"]) == OTHER_COLOURS[0]
     assert colour_of("poke", ["hug", "poke", "rub"]) == OTHER_COLOURS[1]
 
 
-def test_what_is_too_long_for_a_picture_is_told() -> None:
+def test_a_recording_too_long_for_a_picture_is_refused() -> None:
     long = splice(simulate((("notouch", 301.0),), seed=1))
     with pytest.raises(PlotError, match="301 s are too long for one picture"):
         feel(long, Settings(), load_model(Settings()))
@@ -174,7 +174,7 @@ def test_what_is_too_long_for_a_picture_is_told() -> None:
         (["nowhere.jsonl"], "cannot be read"),
     ],
 )
-def test_what_cannot_be_drawn_is_one_line(
+def test_an_impossible_picture_is_refused_in_one_line(
     arguments: list[str], message: str, recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("notes.txt").write_text("buy milk\n")

@@ -90,7 +90,7 @@ def captured(touched_share: float, clock_ms: list[int]) -> Capture:
         ("purr", 0.2, "only 20%"),
     ],
 )
-def test_a_recording_that_does_not_show_its_gesture_is_told(
+def test_a_recording_that_does_not_show_its_gesture_is_reported(
     gesture: str, touched_share: float, found: str
 ) -> None:
     told = complaints(captured(touched_share, list(range(0, 1900, 19))), gesture, [])
@@ -98,14 +98,16 @@ def test_a_recording_that_does_not_show_its_gesture_is_told(
     assert bool(told) == bool(found)
 
 
-def test_lost_frames_and_a_broken_pad_are_told() -> None:
+def test_lost_frames_and_a_broken_pad_are_reported() -> None:
     gaps = [19 * number for number in range(100) if number not in (20, 21, 50)]
     told = complaints(captured(1.0, gaps), "pat", ["row 4 of the pad stands still: a broken wire?"])
     assert told[0].startswith("row 4")
     assert told[1].startswith("3 frames were lost")
 
 
-def test_what_cannot_be_recorded_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_impossible_recording_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert cli.main(["record", str(tmp_path), "--port", "/dev/ttyNowhere"]) == 2
     assert "/dev/ttyNowhere is not there" in capsys.readouterr().err
     for wrong in (["--participant", "a_b"], ["--gestures", "pat,a/b"], ["--rounds", "0"], ["--seconds", "0"]):

@@ -133,7 +133,7 @@ def test_a_repeated_number_is_resolved_by_time(lab: Lab, capsys: pytest.CaptureF
         ("17=purr", "--label 17: purr is none of --gestures, constant, notouch, pat"),
     ],
 )
-def test_what_cannot_be_labelled_is_one_line(
+def test_an_impossible_label_is_refused_in_one_line(
     lab: Lab, capsys: pytest.CaptureFixture[str], label: str, message: str
 ) -> None:
     lab.touched(17)
@@ -170,7 +170,7 @@ def test_a_lab_s_own_gestures_can_be_labels(lab: Lab) -> None:
     assert "_purr_" in lab.files()[0]
 
 
-def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
+def test_kept_touches_are_offered_latest_first(lab: Lab) -> None:
     for number, gesture in ((1, "pat"), (2, "rub"), (3, "stroke"), (4, "scratch")):
         lab.touched(number, gesture)
     lab.journalled(felt(5))
@@ -205,7 +205,7 @@ def test_a_person_goes_through_what_was_kept_the_latest_first(lab: Lab) -> None:
     assert [name.rpartition("_")[0] for name in lab.files()] == ["anna_foam_fur_tickle", "ben_foam_fur_rub"]
 
 
-def test_a_slip_is_undone_and_a_crash_resumed(lab: Lab) -> None:
+def test_a_label_can_be_undone_and_a_session_resumed(lab: Lab) -> None:
     for number in (1, 2, 3):
         lab.touched(number)
     with Terminal(*lab.arguments(*SAY_WHO)) as terminal:

@@ -49,7 +49,7 @@ def port(hand: Hand) -> Iterator[FakePort]:
         yield port
 
 
-def test_a_pad_unplugged_while_it_is_recorded_is_told(port: FakePort) -> None:
+def test_a_pad_unplugged_while_recording_is_reported(port: FakePort) -> None:
     with PadReader(Settings(sensor=SensorSettings(port=port.path))) as pad:
         assert pad.await_frame(5.0) == ""
         frames = pad.follow(60.0)
@@ -130,7 +130,7 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, port: FakePort) -> None
     assert list(tmp_path.iterdir()) == [kept]
 
 
-def test_who_has_had_enough_is_told_how_to_go_on(tmp_path: Path, port: FakePort) -> None:
+def test_quitting_shows_how_to_resume(tmp_path: Path, port: FakePort) -> None:
     options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch")
     with Terminal(*arguments(port, tmp_path, *options)) as terminal:
         terminal.until("Enter to begin")

@@ -82,7 +82,7 @@ def test_a_reload_loses_no_frame_and_no_number(daemon: Daemon, tmp_path: Path) -
     }
 
 
-def test_another_port_is_read_from_then_on(daemon: Daemon) -> None:
+def test_a_reload_can_change_the_port(daemon: Daemon) -> None:
     with playing(LENGTHS, SPEED) as other:
         daemon.configure(sensor=SensorSettings(port=other.path))
         while not any(isinstance(e, SensorEvent) and other.path in e.reason for e in daemon.events):
@@ -104,7 +104,7 @@ def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
     assert touches == list(range(1, len(touches) + 1))
 
 
-def test_new_settings_count_from_the_next_touch() -> None:
+def test_new_settings_apply_from_the_next_touch() -> None:
     classifier = load_model(Settings())
     events: list[Event] = []
     pipeline = Pipeline(PipelineSettings(), classifier, events.append)
@@ -145,7 +145,7 @@ def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
     wait_for(lambda: text in caplog.text)
 
 
-def test_a_failure_nobody_foresaw_does_not_disable_the_next_reload(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_internal_error_does_not_disable_the_next_reload(caplog: pytest.LogCaptureFixture) -> None:
     results: Iterator[Callable[[], object]] = iter([lambda: 1 / 0, Made])
     asked = threading.Event()
     with caplog.at_level("INFO"), rereading(asked, reloads(Settings, lambda: next(results)())):

@@ -65,7 +65,7 @@ def test_a_stalled_reader_blocks_nobody(pipe: tuple[int, int]) -> None:
     assert "touchd-stdout" not in names()
 
 
-def test_a_broken_pipe_is_told_once_and_ends_the_sink(pipe: tuple[int, int]) -> None:
+def test_a_broken_pipe_is_reported_once_and_ends_the_sink(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
     os.close(reader)
     gone = threading.Semaphore(0)

@@ -49,7 +49,7 @@ def served() -> Iterator[Served]:
 
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
-def test_a_flooding_viewer_is_let_go(served: Served, said: bytes) -> None:
+def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
     with (
         served.look() as viewer,
         socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as flood,
@@ -109,7 +109,7 @@ def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.Monke
     assert lines[-1] == "line 9"
 
 
-def test_a_full_disk_at_standard_output_costs_lines_alone(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_full_disk_at_standard_output_loses_lines_only(caplog: pytest.LogCaptureFixture) -> None:
     gone: list[bool] = []
     full = os.open("/dev/full", os.O_WRONLY)
     sink = LinesSink("stdout", full, encode, lambda: gone.append(True))
@@ -171,7 +171,7 @@ def test_a_reload_goes_on_with_the_same_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("take_away", [Path.unlink, lambda path: path.rename(path.with_name("moved"))])
-def test_a_journal_taken_away_is_begun_anew_and_said(
+def test_a_journal_taken_away_is_recreated_and_reported(
     tmp_path: Path, take_away: object, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "events.jsonl"
@@ -232,7 +232,7 @@ class Line:
         return [event for event in self.events if isinstance(event, Prediction)]
 
 
-def test_old_touches_are_not_told_as_fresh_and_say_their_age() -> None:
+def test_old_touches_are_not_told_and_carry_their_age() -> None:
     line = Line()
     line.feel(nothing(1.5), palm(1.2), nothing(1.5))
     fresh = line.predictions()
@@ -284,9 +284,7 @@ def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
     assert laid == 216
 
 
-def test_a_token_goes_to_no_robot_that_cannot_be_checked(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_token_is_sent_to_no_unverified_robot(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     token = tmp_path / "token"
     token.write_text("s3cret")
     token.chmod(0o644)
@@ -315,7 +313,7 @@ def test_no_message_shows_a_token_or_a_password(tmp_path: Path, text: str) -> No
     assert "s3cret" not in str(said.value)
 
 
-def test_a_token_file_that_is_a_pipe_holds_nothing_up(tmp_path: Path) -> None:
+def test_a_token_file_that_is_a_pipe_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "token")
     with pytest.raises(RobotError, match="empty"):
         read_login(RobotSettings(url="tcps://127.0.0.1:1", user="nao", token_file=str(tmp_path / "token")))

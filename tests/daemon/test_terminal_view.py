@@ -120,7 +120,7 @@ def test_nothing_is_lost_at_the_usual_sizes(size: tuple[int, int]) -> None:
         assert text in shown, text
 
 
-def test_the_old_bars_go_after_a_touch() -> None:
+def test_old_bars_disappear_after_a_touch() -> None:
     view, console = view_of(80, 24)
     touch(view)
     assert any(re.search(r"stroke +█.* 81% *$", line) for line in screen(view, console))

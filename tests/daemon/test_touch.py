@@ -128,7 +128,7 @@ def test_a_light_touch_that_lasts_does_not_become_rest(pad: TrackedPad) -> None:
     assert [type(change) for change in changes] == [Onset, Release]
 
 
-def test_a_hand_there_at_the_start_counts_as_rest() -> None:
+def test_a_hand_present_at_the_start_counts_as_rest() -> None:
     pad = TrackedPad()
     assert pad.feel(palm(5.0, trembling=False), 1.0) == []
     assert pad.feel(palm(0.2)) == [Onset(pad.index - 11)]
@@ -174,7 +174,7 @@ def test_a_gap_ends_the_touch_and_begins_another(pad: TrackedPad) -> None:
     assert onset == Onset(began + 54)
 
 
-def test_rest_is_learned_anew_after_a_long_silence(pad: TrackedPad) -> None:
+def test_rest_is_calibrated_again_after_a_long_silence(pad: TrackedPad) -> None:
     for gap_ms in (60_000.0, -100_000.0):
         pad.gap_ms += gap_ms
         pad.rest = pad.rest[::-1] + 7
@@ -222,7 +222,7 @@ def unchanged(scans: Scans) -> Scans:
 
 
 @pytest.mark.parametrize("disturbed", [unchanged, with_noise, with_hum, with_motor])
-def test_a_touch_closes_though_rest_shifted_or_noise_began(
+def test_a_touch_ends_despite_shifted_rest_or_noise(
     pad: TrackedPad, disturbed: Callable[[Scans], Scans]
 ) -> None:
     onset, *_ = pad.feel(disturbed(np.concatenate([pat(4.0), fold(0.1)])))
@@ -237,7 +237,7 @@ def test_a_touch_closes_though_rest_shifted_or_noise_began(
     assert isinstance(pad.feel(disturbed(fold(0.2) + palm(0.2, counts=40.0)))[0], Onset)
 
 
-def test_presses_that_each_leave_a_little_stay_apart(pad: TrackedPad) -> None:
+def test_presses_that_shift_the_rest_stay_separate(pad: TrackedPad) -> None:
     changes: list[Onset | Release] = []
     for press in range(8):
         left = fold(3.0, 5.0 * (press + 1))
@@ -245,7 +245,7 @@ def test_presses_that_each_leave_a_little_stay_apart(pad: TrackedPad) -> None:
     assert [type(change) for change in changes] == [Onset, Release] * 8
 
 
-def test_an_object_laid_down_is_no_touch_once_alone(pad: TrackedPad) -> None:
+def test_a_touch_ends_when_only_the_object_remains(pad: TrackedPad) -> None:
     box = palm(2.0, counts=30.0, trembling=False)
     changes = pad.feel(palm(3.0, counts=150.0), box)
     assert [type(change) for change in changes] == [Onset, Release]
@@ -303,7 +303,7 @@ def seen(network: Network) -> TrackedPad:
     return pad
 
 
-def test_the_network_ends_a_touch_that_is_none(seen: TrackedPad) -> None:
+def test_the_network_ends_a_false_touch(seen: TrackedPad) -> None:
     onset, *_ = seen.feel(palm(1.0, counts=150.0) + breath(1.0))
     left = seen.index
     (release,) = seen.feel(breath(2.0, counts=6.0))
@@ -333,7 +333,7 @@ def test_an_object_like_a_hand_is_one_touch_only(seen: TrackedPad, network: Netw
     assert [type(change) for change in seen.feel(faint(1.5))] == [Onset]
 
 
-def test_a_pad_that_reads_the_same_is_not_looked_at_again(seen: TrackedPad, network: Network) -> None:
+def test_an_unchanged_pad_is_not_classified_again(seen: TrackedPad, network: Network) -> None:
     looked = len(network.windows)
     assert seen.feel(nothing(10.0)) == []
     assert len(network.windows) == looked > 0
@@ -341,7 +341,7 @@ def test_a_pad_that_reads_the_same_is_not_looked_at_again(seen: TrackedPad, netw
     assert len(network.windows) > looked
 
 
-def test_one_look_of_the_network_makes_no_touch(seen: TrackedPad, network: Network) -> None:
+def test_a_single_look_of_the_network_makes_no_touch(seen: TrackedPad, network: Network) -> None:
     for _ in range(5):
         network.no_touch = 0.02
         assert seen.feel(faint(1 / 3)) == []
@@ -349,16 +349,14 @@ def test_one_look_of_the_network_makes_no_touch(seen: TrackedPad, network: Netwo
         assert seen.feel(nothing(1.0)) == []
 
 
-def test_a_network_that_sees_touches_at_rest_is_not_believed(network: Network) -> None:
+def test_a_network_that_sees_touches_at_rest_is_ignored(network: Network) -> None:
     network.no_touch = 0.02
     pad = TrackedPad(no_touch=network)
     assert pad.feel(20.0) == []
     assert [type(change) for change in pad.feel(palm(1.0, counts=80.0), 2.0)] == [Onset, Release]
 
 
-def test_a_pause_in_which_the_network_sees_the_hand_splits_no_touch(
-    seen: TrackedPad, network: Network
-) -> None:
+def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, network: Network) -> None:
     network.no_touch = 0.02
     changes = seen.feel(pat(2.0), nothing(1.8), pat(2.0))
     network.no_touch = 0.9
@@ -380,7 +378,7 @@ def test_light_contact_needs_the_network_to_see_a_touch() -> None:
 
 @pytest.mark.parametrize("vibrating", [with_hum, with_hum_upwards, with_motor])
 @pytest.mark.parametrize("still_s", [1.0, 1.1])
-def test_a_vibration_that_begins_is_no_touch(
+def test_the_start_of_a_vibration_is_no_touch(
     pad: TrackedPad, vibrating: Callable[[Scans], Scans], still_s: float
 ) -> None:
     assert pad.feel(still_s, vibrating(nothing(10.0))) == []

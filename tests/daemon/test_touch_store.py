@@ -113,7 +113,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore) -> None:
     assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
 
 
-def test_a_file_has_provenance_and_nobodys_name(store: TouchStore) -> None:
+def test_a_file_has_provenance_and_no_persons_name(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(2.0))
     (kept,) = bench.end()
@@ -128,7 +128,7 @@ def test_a_file_has_provenance_and_nobodys_name(store: TouchStore) -> None:
     assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
 
-def test_rest_before_a_touch_holds_nothing_of_the_touch_before(store: TouchStore) -> None:
+def test_rest_before_a_touch_excludes_the_previous_touch(store: TouchStore) -> None:
     bench = StoreBench(store)
     bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
     first, second = bench.end()
@@ -194,7 +194,7 @@ def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: P
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
 
 
-def test_of_a_thousand_touches_only_the_last_stay() -> None:
+def test_only_the_last_touches_are_kept() -> None:
     # In memory where that can be had: a disk takes ten seconds for a thousand files that are safe on it.
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
@@ -249,7 +249,7 @@ def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
     assert "touchd-touches" not in {thread.name for thread in threading.enumerate()}
 
 
-def test_keeping_costs_the_loop_little_a_frame(store: TouchStore) -> None:
+def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
     sink = TouchSink({"pad": store})
     frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
     sink.take(frames[0])

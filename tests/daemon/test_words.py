@@ -31,14 +31,14 @@ def blanks(text: str) -> set[str | None]:
 
 
 @pytest.mark.parametrize("texts", [TERMS, page_words()], ids=["terminal", "page"])
-def test_no_text_lacks_a_language(texts: dict[str, Sequence[str]]) -> None:
+def test_every_text_is_translated_into_every_language(texts: dict[str, Sequence[str]]) -> None:
     for key, translations in texts.items():
         assert len(translations) == len(LANGUAGES), key
         assert all(text.strip() for text in translations), key
         assert len({frozenset(blanks(text)) for text in translations}) == 1, key
 
 
-def test_the_page_asks_for_words_that_there_are() -> None:
+def test_the_page_uses_only_defined_words() -> None:
     asked = set(re.findall(r'word\(\s*"(\w+)"', SCRIPTS)) | set(
         re.findall(r'data-(?:word|label)="(\w+)"', PAGE)
     )

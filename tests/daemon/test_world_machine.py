@@ -257,7 +257,7 @@ class Process:
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_process_holds_until_it_is_told_to_end(tmp_path: Path, seed: int) -> None:
+def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
     process = Process(tmp_path)
     random.seed(seed)
     try:

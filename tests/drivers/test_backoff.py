@@ -51,7 +51,7 @@ def test_attempts_back_off_and_recover() -> None:
     assert backoff.pause_s() <= 0.1
 
 
-def test_a_pad_that_was_heard_is_sought_quickly_again(tmp_path: Path, paused: Paused) -> None:
+def test_a_lost_pad_is_retried_quickly(tmp_path: Path, paused: Paused) -> None:
     pauses = paused("drivers.pad.sensor")
     link = tmp_path / "pad"
     with sensing(str(link), longest_retry_s=0.3) as queue:
@@ -65,7 +65,7 @@ def test_a_pad_that_was_heard_is_sought_quickly_again(tmp_path: Path, paused: Pa
         assert first(pauses) <= 0.1
 
 
-def test_a_robot_that_was_there_is_sought_quickly_again(paused: Paused) -> None:
+def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
     pauses = paused("drivers.robot.worker")
     robot = StubRobot()
     with linked(robot, limits=RobotLimits(backoff_first_s=0.02)) as (_, states):
@@ -77,7 +77,7 @@ def test_a_robot_that_was_there_is_sought_quickly_again(paused: Paused) -> None:
         assert first(pauses) <= 0.02
 
 
-def test_a_bridge_whose_peer_was_there_is_sought_quickly_again(tmp_path: Path, paused: Paused) -> None:
+def test_a_bridge_retries_a_lost_peer_quickly(tmp_path: Path, paused: Paused) -> None:
     pytest.importorskip("websockets")
     pauses = paused("daemon.bridges.rosbridge")
     peer = RosbridgePeer(tmp_path)

@@ -16,7 +16,7 @@ def lines(numbers: Sequence[int]) -> bytes:
     return b"half a line\n" + b"".join(line(number) for number in numbers)
 
 
-def test_lines_without_a_clock_bear_their_arrival_on_the_host() -> None:
+def test_lines_without_a_clock_carry_their_arrival_time() -> None:
     parser = CsvLines()
     printed = encode_csv_line(counts_of(3), None)
     parser.feed(printed, 1.0)

@@ -53,7 +53,7 @@ DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
         (DAMAGED, pad("fabric-grid", 10, 10), "damage", "none of fabric-grid 10x10"),
     ],
 )
-def test_what_bytes_look_like_is_said_with_what_was_expected(
+def test_a_diagnosis_names_found_and_configured_format(
     data: bytes, expected: PadFormat, kind: str, words: str
 ) -> None:
     said, reason = diagnose(data, expected)

@@ -59,7 +59,7 @@ def test_pressure_cannot_be_written_to() -> None:
 # --- intact frames, however they arrive --------------------------------------------------------------------
 
 
-def test_a_frame_bears_the_arrival_of_its_last_byte() -> None:
+def test_a_frame_carries_the_arrival_of_its_last_byte() -> None:
     parser = FabricGrid()
     parser.feed(packets([0, 1]) + packet(2)[:-1], 10.0)
     (frame,) = parser.feed(packet(2)[-1:], 11.0)

@@ -75,7 +75,7 @@ def test_flat_out_a_slow_reader_loses_no_byte() -> None:
     assert data == encoded(stream)
 
 
-def test_the_pace_is_the_recordings_without_drift() -> None:
+def test_the_recordings_pace_is_kept_without_drift() -> None:
     stream = stream_of(40)
     with FakePort(stream, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
         read_to_end(port, reader)

@@ -160,7 +160,7 @@ def test_the_ring_refuses_frames_it_no_longer_has() -> None:
         ring.window(501, 10)
 
 
-def test_a_clock_gone_mad_yields_a_bounded_number_of_frames() -> None:
+def test_a_random_clock_yields_a_bounded_number_of_frames() -> None:
     rng = np.random.default_rng(4)
     ring = new_ring(capacity=50)
     zeros = np.zeros((8, 8), np.uint16)

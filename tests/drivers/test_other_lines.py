@@ -140,7 +140,7 @@ def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
 
 
 @pytest.mark.parametrize("described", POLLED, ids=["u8", "u16"])
-def test_a_pad_on_a_pty_that_only_answers_is_asked_for_each_frame(described: PadFormat) -> None:
+def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
     with polled_on_a_pty(described) as (path, pad), sensing(path, parser_of(described)) as queue:
         frames = next_frames(queue, 30)
         for number, frame in enumerate(frames):
@@ -150,7 +150,7 @@ def test_a_pad_on_a_pty_that_only_answers_is_asked_for_each_frame(described: Pad
         assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
 
 
-def test_an_answer_that_comes_too_late_is_taken_for_no_other() -> None:
+def test_a_late_reply_is_not_taken_for_another() -> None:
     described = msgspec.structs.replace(POLLED[0], rate_hz=500)
     parser = parser_of(described)
     with polled_on_a_pty(described) as (path, pad), open_port(path, 9600) as opened:

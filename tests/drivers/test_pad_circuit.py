@@ -39,19 +39,19 @@ def test_an_untouched_corner_of_a_rectangle_stays_untouched() -> None:
     assert figures == [counts(CORNERS, others_high=False)[6, 6], counts(CORNERS)[6, 6], counts(pad())[6, 6]]
 
 
-def test_two_presses_cost_each_other_as_documented() -> None:
+def test_two_presses_reduce_each_other_as_documented() -> None:
     alone, column = counts(pad((2, 2)))[2, 2], counts(pad((2, 2), (6, 2)))[2, 2]
     row = counts(pad((2, 2), (2, 6)))[2, 2]
     assert said(r"(\d+) counts become (\d+) \(two in one row: (\d+)\)") == [alone, column, row]
 
 
-def test_what_a_press_reads_is_as_the_page_says() -> None:
+def test_a_press_reads_the_documented_counts() -> None:
     pressed_ohm = [30_000.0, 10_000.0, 3_000.0, 1_000.0, 300.0]
     figures = said(r"\| counts \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|")
     assert figures == [counts(pad((3, 4), ohm=ohm))[3, 4] for ohm in pressed_ohm]
 
 
-def test_a_weak_pull_up_makes_a_rest_of_ten() -> None:
+def test_a_weak_pull_up_gives_a_rest_of_ten() -> None:
     assert pytest.approx(REST_OHM / 100) == PULL_UP_OHM
     assert counts(pad()).mean() == pytest.approx(10, abs=2)
 

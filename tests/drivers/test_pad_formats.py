@@ -127,7 +127,7 @@ def test_garbage_is_counted_and_costs_no_intact_frame(described: PadFormat) -> N
     cuts=st.lists(st.integers(0, 9999), max_size=9),
 )
 @FEW
-def test_whatever_comes_the_cuts_change_nothing(
+def test_chunk_boundaries_never_change_the_result(
     described: PadFormat, pieces: list[bytes | int], cuts: list[int]
 ) -> None:
     data = b"".join(sent(described, one) if isinstance(one, int) else one for one in pieces)
@@ -138,7 +138,7 @@ def test_whatever_comes_the_cuts_change_nothing(
 
 
 @every_stream
-def test_an_endless_line_of_anything_is_not_kept(described: PadFormat) -> None:
+def test_an_endless_line_is_not_buffered(described: PadFormat) -> None:
     for flood in (b"\xff" * 5000, b"1," * 2500, b"\n" * 5000, described.first_bytes * 1500 or b" " * 5000):
         parser = parser_of(described)
         for _ in range(20):
@@ -159,7 +159,7 @@ def test_values_above_full_scale_are_refused(described: PadFormat) -> None:
 
 
 @pytest.mark.parametrize("name", ["itas", "fsr-array"])
-def test_a_pad_that_only_answers_gives_a_frame_a_question(name: str) -> None:
+def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     described = PRESETS[name]
     parser = parser_of(described)
     assert parser.poll == b"A"

@@ -106,13 +106,13 @@ def test_a_broken_pad_and_its_repair_are_reported_once(
     assert lines == [("WARNING", begin.what), ("INFO", f"no longer: {begin.what}")]
 
 
-def test_a_heavy_still_hand_breaks_nothing() -> None:
+def test_a_heavy_still_hand_is_no_fault() -> None:
     counts = sound_pad(20)
     counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
     assert findings_in(frames_of(counts)) == []
 
 
-def test_an_intermittent_contact_is_no_flood() -> None:
+def test_an_intermittent_contact_does_not_flood_the_log() -> None:
     counts = sound_pad(60)
     for second in range(5, 60, 2):
         stuck_taxel(counts[second * RATE_HZ : (second + 1) * RATE_HZ])
@@ -177,7 +177,7 @@ def test_a_wire_that_breaks_again_is_reported_again(caplog: pytest.LogCaptureFix
 
 
 @needs_haart
-def test_in_ten_minutes_of_real_touches_nothing_is_found_broken() -> None:
+def test_ten_minutes_of_real_touches_have_no_finding() -> None:
     path = Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz"
     recordings = [realign(recording) for recording in read_recordings(path, Selection(participants=("T9",)))]
     counts = splice(recordings).counts

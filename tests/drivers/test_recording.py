@@ -151,7 +151,7 @@ def test_a_missing_or_broken_file_is_refused_by_name(tmp_path: Path) -> None:
         read_recordings(broken)
 
 
-def test_a_file_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_with_too_many_lines_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_module, "MOST_LINES", 4)
     path = tmp_path / "pad.csv"
     write_recordings(path, [made("P1", "rub", 3)], {})
@@ -183,18 +183,18 @@ def test_a_spliced_stream_has_spans_and_a_steady_clock() -> None:
     assert set(np.diff(stream.sensor_ms)) <= {18, 19}
 
 
-def test_the_clock_starts_anew_where_another_pad_was_touched() -> None:
+def test_the_clock_restarts_for_another_pad() -> None:
     stream = splice([made("P1", "rub", 5), made("P2", "rub", 3)])
     assert stream.sensor_ms.tolist() == [0, 19, 37, 56, 74, 0, 19, 37]
 
 
-def test_splicing_nothing_says_that_nothing_was_selected() -> None:
+def test_splicing_nothing_is_refused() -> None:
     with pytest.raises(RecordingError, match="none matches"):
         splice([])
 
 
 @needs_haart
-def test_haarts_own_files_are_read_to_the_last_value() -> None:
+def test_haarts_files_are_read_completely() -> None:
     recordings = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz")
     assert {recording.counts.shape for recording in recordings} == {(432, 8, 8)}
     digest = hashlib.sha256()

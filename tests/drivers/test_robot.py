@@ -44,7 +44,7 @@ def test_an_answer_is_raised_as_a_gesture_and_its_detail(robot: Robot) -> None:
         assert robot.calls.raised(DETAIL) == [["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]]
 
 
-def test_whoever_wakes_on_a_gesture_finds_its_detail_in_memory(robot: Robot) -> None:
+def test_the_detail_is_in_memory_before_its_gesture(robot: Robot) -> None:
     with linked(robot) as (link, _):
         for touch, gesture in enumerate(["pat", "rub", "tickle"]):
             link.publish(message(gesture, touch))
@@ -55,7 +55,7 @@ def test_whoever_wakes_on_a_gesture_finds_its_detail_in_memory(robot: Robot) -> 
         assert [key for key, _ in raised] == [DETAIL, GESTURE] * 3
 
 
-def test_the_gesture_goes_from_memory_one_second_later(robot: Robot) -> None:
+def test_the_gesture_is_removed_from_memory_after_a_second(robot: Robot) -> None:
     with linked(robot) as (link, _):
         link.publish(message())
         raised = robot.calls.wait_for_raise(GESTURE, "stroke")
@@ -64,7 +64,7 @@ def test_the_gesture_goes_from_memory_one_second_later(robot: Robot) -> None:
         assert 0.9 < removed.time_s - raised.time_s < 5.0
 
 
-def test_another_gesture_starts_the_second_anew(robot: Robot) -> None:
+def test_another_gesture_restarts_the_second(robot: Robot) -> None:
     with linked(robot, limits=RobotLimits(shown_s=0.8)) as (link, _):
         link.publish(message("stroke", 1))
         threading.Event().wait(0.2)
@@ -74,7 +74,7 @@ def test_another_gesture_starts_the_second_anew(robot: Robot) -> None:
         assert [call.method for call in robot.calls.all()].count("removeData") == 1
 
 
-def test_the_status_says_whether_anything_can_be_felt(robot: Robot) -> None:
+def test_the_status_follows_the_pad(robot: Robot) -> None:
     with linked(robot) as (link, _):
         robot.calls.wait_for_raise(STATUS, "up")
         link.set_status("down")
@@ -84,7 +84,7 @@ def test_the_status_says_whether_anything_can_be_felt(robot: Robot) -> None:
     robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "up", "down"])
 
 
-def test_leaving_takes_the_gesture_from_memory(robot: Robot) -> None:
+def test_stopping_removes_the_gesture_from_memory(robot: Robot) -> None:
     with linked(robot) as (link, _):
         link.publish(message())
         robot.calls.wait_for_raise(GESTURE, "stroke")
@@ -155,7 +155,7 @@ def test_speech_that_takes_long_delays_no_event() -> None:
         assert len(robot.calls.said()) == 1
 
 
-def test_what_the_robot_cannot_do_is_left_out(caplog: pytest.LogCaptureFixture) -> None:
+def test_unsupported_actions_are_skipped(caplog: pytest.LogCaptureFixture) -> None:
     rule = ActionRule(do=(Action(behavior="nosuch"), Action(animated_say="no"), Action(say="{gesture}")))
     with Robot(without=["ALAnimatedSpeech"]) as robot, linked(robot, actions=(rule,)) as (link, states):
         for touch, gesture in enumerate(["stroke", "pat"]):
@@ -202,7 +202,7 @@ def test_a_failed_login_is_one_clear_line(settings: dict[str, Any], complaint: s
 
 
 @pytest.mark.parametrize("wrong", ["--port=99999", "--call-s=-1", "--say-s=nan", "--without=ALNothing"])
-def test_the_fake_robot_command_refuses_what_makes_no_sense(
+def test_the_fake_robot_command_refuses_invalid_options(
     wrong: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as exit_code:

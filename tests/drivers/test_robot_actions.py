@@ -80,7 +80,7 @@ def test_every_answer_of_the_model_has_words(language: Language) -> None:
     assert {*Classifier.load().labels, "uncertain"} <= vocabulary(language, {}).keys()
 
 
-def test_a_rule_without_a_stage_answers_news_only() -> None:
+def test_a_rule_without_stages_fires_on_changes_only() -> None:
     chosen = Reactions(rules("[{do: [{say: any}]}]"))
     assert done(chosen, "stroke", 1, stage="early") == ["any"]
     assert done(chosen, "stroke", 1, stage="final") == []
@@ -96,7 +96,7 @@ def test_a_rule_with_stages_fires_once_an_answer() -> None:
 
 
 @pytest.mark.parametrize("settled", ["final", "released"])
-def test_the_settled_answer_acts_once_told_early_or_not(settled: str) -> None:
+def test_the_settled_answer_triggers_once_even_if_told_early(settled: str) -> None:
     chosen = Reactions(rules("[{do: [{say: settled}], stages: [final, released]}]"))
     assert done(chosen, "stroke", 1, stage="early") == []
     assert done(chosen, "stroke", 1, stage=settled, is_told=False) == ["settled"]
@@ -104,7 +104,7 @@ def test_the_settled_answer_acts_once_told_early_or_not(settled: str) -> None:
     assert done(chosen, "notouch", 3, stage=settled, is_told=False) == []
 
 
-def test_touches_that_go_on_at_once_are_kept_apart() -> None:
+def test_simultaneous_touches_are_kept_apart() -> None:
     chosen = Reactions(rules("[{do: [{say: any}]}]"))
     assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
 

@@ -107,7 +107,7 @@ def test_a_returning_robot_gets_the_status_each_time() -> None:
         robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
 
 
-def test_late_news_is_dropped_and_fresh_news_told() -> None:
+def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
     limits = RobotLimits(stale_s=0.5)
     with Robot() as robot:
         robot.kill()
@@ -138,7 +138,7 @@ def test_the_heartbeat_does_without_the_service_it_asks() -> None:
         states.wait_for("up")
 
 
-def test_the_right_login_lets_in_and_never_shows_the_token(
+def test_the_right_login_connects_and_never_shows_the_token(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
@@ -219,7 +219,7 @@ def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixtu
     assert "ZeroDivisionError" in caplog.text
 
 
-def test_an_unforeseen_failure_is_retried() -> None:
+def test_an_internal_error_is_retried() -> None:
     robot = StubRobot()
     robot.start()
     failures = iter([TypeError("no such thing")])

@@ -19,7 +19,7 @@ from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 
 
 @pytest.mark.parametrize("speed", [None, 20.0])
-def test_it_says_up_and_then_delivers_every_frame_in_order(speed: float | None) -> None:
+def test_up_comes_first_then_every_frame_in_order(speed: float | None) -> None:
     stream = stream_of(60)
     with FakePort(stream, encode_fabric_grid, speed=speed) as port, sensing(port.path) as queue:
         first = queue.get(WITHIN_S)
@@ -49,7 +49,7 @@ def test_every_intact_frame_of_a_lossy_line_arrives_once(faults: Faults, lost: l
         assert_played(next_frames(queue, len(intact)), stream, intact)
 
 
-def test_a_frame_bears_the_time_its_last_byte_arrived() -> None:
+def test_a_frames_time_is_the_arrival_of_its_last_byte() -> None:
     stream = stream_of(40)
     with FakePort(stream, encode_fabric_grid, speed=2.0) as port, sensing(port.path) as queue:
         frames = next_frames(queue, 40)
@@ -58,7 +58,7 @@ def test_a_frame_bears_the_time_its_last_byte_arrived() -> None:
     assert np.median(delay_s) < 0.01
 
 
-def test_frames_that_may_wait_come_together_and_all_the_same() -> None:
+def test_frames_that_may_wait_arrive_together_and_complete() -> None:
     stream, queue = stream_of(40), FrameQueue()
     with FakePort(stream, encode_fabric_grid) as port:
         sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
@@ -107,7 +107,7 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
     assert np.median([frame.host_s for frame in frames[10:]] - port.sent_s[10:]) < 0.01
 
 
-def test_any_address_pyserial_knows_will_do() -> None:
+def test_any_pyserial_address_works() -> None:
     stream = stream_of(60)
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"socket://127.0.0.1:{server.getsockname()[1]}"

@@ -128,7 +128,7 @@ def test_a_loose_plug_is_warned_of_once(caplog: pytest.LogCaptureFixture, tmp_pa
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
 
 
-def test_a_pad_that_goes_for_good_is_warned_of(
+def test_a_pad_lost_for_good_is_warned_of(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.WARNING)
@@ -156,7 +156,7 @@ def test_a_busy_port_is_taken_once_it_is_free(caplog: pytest.LogCaptureFixture) 
             assert_is_over(queue, caplog, "WARNING", "INFO")
 
 
-def test_an_unforeseen_failure_is_told_until_it_is_gone() -> None:
+def test_an_internal_error_is_reported_until_it_is_gone() -> None:
     class Fragile(FabricGrid):
         broken = True
 
@@ -172,7 +172,7 @@ def test_an_unforeseen_failure_is_told_until_it_is_gone() -> None:
         assert next_state(queue).state == "up"
 
 
-def test_states_on_the_way_back_are_not_told(caplog: pytest.LogCaptureFixture) -> None:
+def test_intermediate_states_are_not_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     states: list[SensorState] = []
     announcer = Announcer(states.append)

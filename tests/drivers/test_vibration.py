@@ -58,7 +58,7 @@ def test_a_step_of_the_whole_pad_is_no_vibration() -> None:
 
 
 @pytest.mark.parametrize("vibration", [hum(540), hum(540, 49.8), hum(540, counts=4.0), motor(540)])
-def test_what_the_whole_pad_does_is_taken_out(vibration: Scans) -> None:
+def test_a_vibration_of_the_whole_pad_is_removed(vibration: Scans) -> None:
     raw, left = off(nothing(10.0), vibration)
     assert left < 0.5 * raw
 
@@ -98,7 +98,7 @@ def test_a_vibration_that_ended_is_forgotten_in_a_second() -> None:
     assert np.array_equal(frames[324:], counts[324:])
 
 
-def test_after_a_gap_the_vibration_is_learned_anew() -> None:
+def test_after_a_gap_the_vibration_is_learned_again() -> None:
     counts = MadePad().counts(hum(324))
     ring = Ring(RingSettings(), capacity=1)
     stamps = ideal_clock_ms(324) + np.where(np.arange(324) < 300, 0, 5000)

@@ -24,7 +24,7 @@ def typed(page: Path) -> list[list[str]]:
     return [line[line[0] == "sudo" :] for line in words if line]
 
 
-def test_reliability_names_tests_that_there_are() -> None:
+def test_reliability_names_only_existing_tests() -> None:
     page = (ROOT / "docs" / "reliability.md").read_text()
     files = list((ROOT / "tests").rglob("*.py"))
     known = [path.stem for path in files]
@@ -39,7 +39,7 @@ def test_reliability_names_tests_that_there_are() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_link_and_picture_is_there(page: Path) -> None:
+def test_every_link_and_picture_exists(page: Path) -> None:
     links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())
     assert [link for link in links if not (page.parent / link).exists()] == []
 

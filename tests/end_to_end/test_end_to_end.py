@@ -63,7 +63,7 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
 
 
 @pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
-def test_the_daemon_says_what_is_expected_of_a_shipped_recording(
+def test_shipped_recordings_give_the_expected_events(
     run: Callable[..., list[Event]], recording: Path
 ) -> None:
     assert outline(run(stream_of(recording))) == expected(recording)
@@ -119,7 +119,7 @@ def test_damaged_frames_mark_the_touches_degraded(
     assert any(event.degraded for event in said if isinstance(event, Prediction))
 
 
-def test_the_robot_hears_what_is_told_and_nothing_else(run: Callable[..., list[Event]]) -> None:
+def test_the_robot_gets_exactly_the_told_answers(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
         said = run(beginning(stream_of(LENGTHS)), robot=RobotSettings(url=robot.url))
         told = [event.gesture for event in said if isinstance(event, Prediction) and event.told]

@@ -106,7 +106,7 @@ def test_the_running_daemon_imports_no_bridge_that_is_not_configured(loaded: set
     assert not loaded & {"paho", "pylsl", "cyclonedds", "websockets", "mcap"}
 
 
-def test_the_map_of_the_tree_names_what_is_there() -> None:
+def test_the_architecture_page_names_existing_paths() -> None:
     names = re.findall(
         r"`((?:daemon|docs|drivers|model|tests)/[\w/]*(?:\.\w+)?)`",
         (ROOT / "docs/architecture.md").read_text(),

@@ -87,7 +87,7 @@ def test_uninstalling_leaves_the_configuration_and_nothing_else(make: Make, tmp_
     assert not program.exists()
 
 
-def test_a_touchd_of_somebody_elses_on_the_path_stays(make: Make, tmp_path: Path) -> None:
+def test_a_foreign_touchd_command_is_kept(make: Make, tmp_path: Path) -> None:
     command = tmp_path / COMMAND
     command.parent.mkdir(parents=True)
     command.write_text("mine")
@@ -96,21 +96,21 @@ def test_a_touchd_of_somebody_elses_on_the_path_stays(make: Make, tmp_path: Path
     assert command.read_text() == "mine"
 
 
-def test_a_package_gets_its_files_where_packages_have_them(make: Make, tmp_path: Path) -> None:
+def test_a_package_installs_into_the_packages_folders(make: Make, tmp_path: Path) -> None:
     make("install-files", "SYSTEM=/usr/lib", "BINDIR=/usr/bin")
     configuration = {path for path in INSTALLED if path.startswith("etc/touchd/")}
     moved = {path.replace("etc/", "usr/lib/") for path in INSTALLED - configuration}
     assert files_in(tmp_path) == {*configuration, *moved, "usr/bin/touchd"}
 
 
-def test_uninstalling_deletes_no_folder_that_is_not_its_own(make: Make, tmp_path: Path) -> None:
+def test_uninstalling_deletes_no_foreign_folder(make: Make, tmp_path: Path) -> None:
     (tmp_path / "opt/touchd").mkdir(parents=True)
     (tmp_path / "opt/touchd/thesis.tex").write_text("")
     make("uninstall")
     assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
 
 
-def test_installing_deletes_no_folder_that_is_not_its_own(tmp_path: Path) -> None:
+def test_installing_deletes_no_foreign_folder(tmp_path: Path) -> None:
     thesis = tmp_path / "opt/touchd/thesis.tex"
     thesis.parent.mkdir(parents=True)
     thesis.write_text("")
@@ -120,7 +120,7 @@ def test_installing_deletes_no_folder_that_is_not_its_own(tmp_path: Path) -> Non
     assert thesis.exists()
 
 
-def test_every_package_there_is_is_installed() -> None:
+def test_every_python_package_is_installed() -> None:
     tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     packages = {str(path.parent.relative_to(ROOT)).replace("/", ".") for path in PACKAGES}
@@ -132,7 +132,7 @@ def test_every_package_there_is_is_installed() -> None:
 
 @pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="systemd-tmpfiles is not installed")
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files away")
-def test_systemd_gives_the_configuration_to_the_service_and_nobody_else(make: Make, tmp_path: Path) -> None:
+def test_only_the_service_can_read_the_configuration(make: Make, tmp_path: Path) -> None:
     make("install-files")
     for table, line in (
         ("passwd", "root:x:0:0::/root:/bin/sh\ntouchd:x:977:976::/:/bin/false"),

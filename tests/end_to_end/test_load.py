@@ -55,7 +55,7 @@ def play(tmp_path: Path) -> Play:
     return play
 
 
-def test_its_final_counts_add_up(play: Play) -> None:
+def test_the_final_counts_add_up(play: Play) -> None:
     _, processed, dropped = play(100.0)
     assert processed + dropped == len(stream_of(LENGTHS).counts)
 
@@ -73,7 +73,7 @@ def test_on_busy_cores_no_frame_is_lost(play: Play) -> None:
 @pytest.mark.slow
 @pytest.mark.usefixtures("busy")
 @pytest.mark.parametrize("speed", [10.0, 50.0])
-def test_far_beyond_the_pads_rate_it_says_what_it_dropped(play: Play, speed: float) -> None:
+def test_frames_dropped_beyond_the_pads_rate_are_reported(play: Play, speed: float) -> None:
     _, processed, dropped = play(speed)
     assert processed + dropped == len(stream_of(LENGTHS).counts)
     sys.stdout.write(f"{speed:g} times: {processed} frames, {dropped} dropped\n")

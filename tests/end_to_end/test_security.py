@@ -69,16 +69,16 @@ def dangers(source: str) -> Iterator[str]:
         "eval(text)",
     ],
 )
-def test_what_runs_what_it_reads_would_be_found(source: str) -> None:
+def test_code_that_runs_its_input_is_detected(source: str) -> None:
     assert list(dangers(source))
 
 
-def test_nothing_in_the_sources_runs_what_it_reads() -> None:
+def test_no_source_runs_its_input() -> None:
     assert len(SOURCES) > 50
     assert {str(path): found for path in SOURCES if (found := list(dangers(path.read_text())))} == {}
 
 
-def test_configuration_is_read_by_a_loader_that_makes_no_objects() -> None:
+def test_the_configurations_loader_creates_no_objects() -> None:
     assert issubclass(_StrictLoader, yaml.SafeLoader | yaml.CSafeLoader)
 
 
@@ -123,7 +123,7 @@ def test_a_checkpoint_that_unpacks_too_large_is_refused(tmp_path: Path) -> None:
         (b"name: [", "recipe.yaml: while parsing"),
     ],
 )
-def test_a_recipe_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
+def test_an_invalid_recipe_is_refused_in_one_line(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "recipe.yaml"
     path.write_bytes(content)
     with pytest.raises(SettingsError, match=message) as refusal:
@@ -131,7 +131,7 @@ def test_a_recipe_that_is_none_is_refused_in_one_line(tmp_path: Path, content: b
     assert "\n" not in str(refusal.value)
 
 
-def test_a_socket_that_listens_would_be_found() -> None:
+def test_a_listening_socket_is_detected() -> None:
     with socket.create_server(("127.0.0.1", 0)):
         assert ("tcp", LISTENS) in [(protocol, state) for protocol, _, state in sockets(os.getpid())]
 

@@ -50,18 +50,18 @@ def test_without_systemd_nothing_is_sent_and_nothing_fails() -> None:
     assert notifier.watchdog_s == 0
 
 
-def test_a_manager_that_is_gone_is_left_alone(tmp_path: Path) -> None:
+def test_a_missing_service_manager_is_ignored(tmp_path: Path) -> None:
     notifier = Notifier({"NOTIFY_SOCKET": str(tmp_path / "nobody")})
     notifier.send(READY=1)
     notifier.close()
 
 
-def test_a_watchdog_meant_for_another_process_is_not_ours() -> None:
+def test_a_watchdog_for_another_process_is_ignored() -> None:
     assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}).watchdog_s == 0
     assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}).watchdog_s == 1.0
 
 
-def test_ready_is_said_once_the_pads_state_is_known(manager: Manager, health: Health) -> None:
+def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, health: Health) -> None:
     health.idle()
     assert manager.heard() == []
     health.pad_state("pad", up=False)

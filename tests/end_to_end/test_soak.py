@@ -23,7 +23,7 @@ def final(touch: int = 1, **changes: Any) -> Prediction:
     return msgspec.structs.replace(PREDICTION, touch=touch, **(values | changes))
 
 
-def test_minutes_of_it_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_soak_of_minutes_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHD_HAART", raising=False)
     with pad() as line:
         figures = Soak(tmp_path).run(line, hours=0.03, until_s=float("inf"))
@@ -59,14 +59,14 @@ def test_missing_and_double_answers_are_found(events: list[Event]) -> None:
     assert len(audit.wrong) >= 1
 
 
-def test_a_touch_with_its_answers_is_right() -> None:
+def test_a_correct_touch_passes_the_audit() -> None:
     audit = Audit()
     for event in [BEGAN, final(), ENDED]:
         audit.see(event)
     assert not audit.wrong
 
 
-def test_the_published_day_holds_under_the_services_settings() -> None:
+def test_the_published_soak_passed_under_the_services_settings() -> None:
     published = json.loads((ROOT / "docs" / "soak.json").read_text(encoding="utf-8"))
     assert published["sensor_hours"] >= 24.0
     assert [what for what, held in published["holds"].items() if not held] == []

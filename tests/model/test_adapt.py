@@ -100,7 +100,7 @@ def test_the_file_knows_the_labs_gestures_and_origin(adapted_file: tuple[Path, s
     assert [row["frames"] for row in metadata.scores["adapted"]["lengths"]] == [54, 81, 144]
 
 
-def test_no_name_of_a_person_is_in_the_file(adapted_file: tuple[Path, str]) -> None:
+def test_the_file_contains_no_persons_name(adapted_file: tuple[Path, str]) -> None:
     content = adapted_file[0].read_bytes()
     assert b'"Ann"' not in content
     assert str(adapted_file[0].parent).encode() not in content
@@ -155,7 +155,7 @@ def test_a_dropped_gesture_is_refused_in_the_scene(
     )
 
 
-def test_nothing_that_is_there_is_written_over(
+def test_an_existing_file_is_not_overwritten(
     adapted_file: tuple[Path, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = adapted_file[0].read_bytes()
@@ -177,7 +177,7 @@ def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained
     assert one.comparison == other.comparison
 
 
-def test_known_gestures_keep_their_rows(pretrained: Pretrained) -> None:
+def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:
     known = pretrained.saved.labels
     head = rebuilt(pretrained.head, known, ("hug", "pat", "notouch"))
     assert torch.equal(head[-1].weight[1], pretrained.head[-1].weight[known.index("pat")])
@@ -185,9 +185,7 @@ def test_known_gestures_keep_their_rows(pretrained: Pretrained) -> None:
     assert torch.allclose(head[-1].weight[0], pretrained.head[-1].weight.mean(dim=0))
 
 
-def test_the_fewer_the_recordings_the_less_a_network_moves(
-    pretrained: Pretrained, material: Features
-) -> None:
+def test_fewer_recordings_change_the_network_less(pretrained: Pretrained, material: Features) -> None:
     labels = tuple(sorted(DONE))
     begin = rebuilt(pretrained.head, pretrained.saved.labels, labels)
     moved = [
@@ -201,7 +199,7 @@ def test_the_fewer_the_recordings_the_less_a_network_moves(
     assert moved[0] < moved[1]
 
 
-def test_a_gesture_that_is_never_shown_is_not_unlearnt(pretrained: Pretrained, material: Features) -> None:
+def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, material: Features) -> None:
     """A lab that recorded no pad at rest keeps what the shipped model knows of it."""
     touching = [i for i, recording in enumerate(material.recordings) if recording.gesture != "notouch"]
     recordings = [material.recordings[i] for i in touching]
@@ -229,7 +227,7 @@ def test_rehearsal_keeps_the_gestures_that_the_folder_lacks(
     assert not any("no longer knows" in line for line in report_lines(adapted))
 
 
-def test_short_touches_are_learnt_from_too(pretrained: Pretrained) -> None:
+def test_short_touches_are_used_for_training(pretrained: Pretrained) -> None:
     short = [
         replace(recording, counts=recording.counts[:70], sensor_ms=recording.sensor_ms[:70])
         for recording in simulated(("Ann",), 2, ("pat", "hug"))
@@ -291,7 +289,7 @@ def test_the_difference_has_an_interval_over_participants() -> None:
     assert (high - low) / 2 == pytest.approx(4.303 * np.std([1, 1, 0.5], ddof=1) / np.sqrt(3), rel=1e-3)
 
 
-def test_two_values_have_the_wide_interval_that_two_values_deserve() -> None:
+def test_two_values_have_a_wide_interval() -> None:
     low, high = mean_interval([np.array([0.0, 0.1])]) or (0.0, 0.0)
     assert (low, high) == (
         pytest.approx(0.05 - 12.706 * 0.05, rel=1e-3),
@@ -300,7 +298,7 @@ def test_two_values_have_the_wide_interval_that_two_values_deserve() -> None:
     assert mean_interval([np.array([0.1])]) is None
 
 
-def test_three_right_of_three_may_still_be_a_coin() -> None:
+def test_three_right_of_three_have_a_wide_interval() -> None:
     assert wilson_interval(3, 3) == (pytest.approx(0.438, abs=1e-3), 1.0)
 
 
@@ -323,7 +321,7 @@ def test_three_right_of_three_may_still_be_a_coin() -> None:
         (("Ann", "Bo"), 1, ["Fewer than 3 participants: too few to tell whether others"]),
     ],
 )
-def test_too_little_is_said_to_be_too_little(
+def test_too_few_recordings_are_reported(
     pretrained: Pretrained, participants: Sequence[str], each: int, said: list[str]
 ) -> None:
     recordings = simulated(participants, each, ("pat", "hug"))
@@ -406,7 +404,7 @@ def test_an_unusable_folder_is_refused_in_one_line(
     ("output", "message"),
     [("lab.pt", "a model's name ends with .onnx"), ("nowhere/lab.onnx", "nothing can be written there")],
 )
-def test_an_output_that_cannot_be_is_refused_before_the_work(
+def test_an_impossible_output_is_refused_before_training(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], output: str, message: str
 ) -> None:
     assert cli.main(["train", "--extra", str(tmp_path), "--output", str(tmp_path / output)]) == 2
@@ -430,15 +428,13 @@ def test_training_without_recordings_names_where_recipes_are_trained(
     assert "python -m docs.studies train" in capsys.readouterr().err
 
 
-def test_a_folder_without_end_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_with_too_many_frames_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("model.adapt.folder.MOST_FRAMES", 200)
     with pytest.raises(ExtraError, match="more than 200 frames"):
         read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
 
 
-def test_more_gestures_than_can_be_told_apart_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_many_gestures_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("model.adapt.folder.MOST_GESTURES", 4)
     with pytest.raises(ExtraError, match="5 gestures; at most 4"):
         read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())

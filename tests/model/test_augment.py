@@ -55,7 +55,7 @@ def test_a_bent_pad_neither_loses_nor_moves_even_pressure_in_time(name: str) -> 
 
 
 @pytest.mark.parametrize("name", DISTURBANCES)
-def test_a_disturbed_window_is_one_that_a_pad_can_send(name: str) -> None:
+def test_a_disturbed_window_stays_in_a_pads_range(name: str) -> None:
     windows = np.stack([hand(54), checkerboard(54)])
     disturbed = DISTURBANCES[name](windows)
     assert disturbed.shape == windows.shape

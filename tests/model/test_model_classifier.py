@@ -99,7 +99,7 @@ def test_another_shape_is_refused(shipped: Classifier, shape: tuple[int, ...]) -
         shipped.probabilities(np.zeros(shape, dtype=np.uint16))
 
 
-def test_an_empty_and_an_endless_window_are_refused(shipped: Classifier) -> None:
+def test_an_empty_or_too_long_window_is_refused(shipped: Classifier) -> None:
     longest = shipped.metadata.max_length
     for length in (0, longest + 1):
         with pytest.raises(ModelInputError, match=f"{length} frames; the model takes 1 to {longest}"):
@@ -222,7 +222,7 @@ class TestOtherModels:
         assert "shape ()" in self.broken(tmp_path / "scalar.onnx", [1.0], [])
         assert "shape (7,)" in self.broken(tmp_path / "rank.onnx", [1 / 7] * 7, [7])
 
-    def test_an_output_that_nobody_asked_for_is_refused(self, tmp_path: Path) -> None:
+    def test_an_additional_output_is_refused(self, tmp_path: Path) -> None:
         path = self.tiny_graph(tmp_path / "m.onnx", "counts", ["batch", "frames", 8, 8], 7)
         proto, helper = self.onnx.load(path), self.onnx.helper
         proto.graph.node.append(helper.make_node("Identity", ["even"], ["odd"]))
@@ -286,7 +286,7 @@ class TestOtherModels:
     ) -> None:
         assert message in refusal(self.changed(tmp_path / "m.onnx", **changes))
 
-    def test_weights_outside_the_file_are_refused_wherever_they_lie(
+    def test_weights_outside_the_file_are_refused(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         path = tmp_path / "m.onnx"

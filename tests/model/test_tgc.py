@@ -109,7 +109,7 @@ def test_frames_a_few_at_a_time_equal_the_window(settings: NetworkSettings) -> N
 
 @pytest.mark.slow
 @torch.no_grad()
-def test_attention_forgets_only_what_weighs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_attention_forgets_only_negligible_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     network, frames = random_network(), batch(checkerboard(6000)).float()
     kept = network.step(frames, network.initial_state())[1]
     assert kept.memory[0].shape[2] == MEMORY_FRAMES < 6000

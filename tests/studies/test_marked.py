@@ -29,7 +29,7 @@ def page(tmp_path: Path) -> Path:
     return path
 
 
-def test_tables_replace_what_stood_in_their_places(page: Path) -> None:
+def test_tables_replace_the_old_ones_in_their_places(page: Path) -> None:
     fill(page, {"speed": SPEED, "size": "7 KB"})
     filled = page.read_text()
     assert "Ours.\n\n<!-- table: speed -->\n\n| network | ms |\n| --- | --- |\n| ours | 2 |\n" in filled

@@ -82,7 +82,7 @@ def test_multiply_adds_of_other_layers_match_by_hand(tmp_path: Path) -> None:
     assert multiply_adds(tmp_path / "layers.onnx", 4) == 6 * 6 * 6 * (2 * 3 * 3) + 216 * 10 + 10 * 7
 
 
-def test_a_law_is_found_again_from_what_it_says() -> None:
+def test_a_cost_law_is_recovered_from_its_values() -> None:
     costs = {n: 0.2 + 0.01 * n + 3e-5 * n * n for n in (9, 27, 54, 81, 144, 432)}
     found = cost.fit(costs, degree=2)
     assert found.coefficients == pytest.approx((0.2, 0.01, 3e-5))
@@ -90,7 +90,7 @@ def test_a_law_is_found_again_from_what_it_says() -> None:
     assert sum(found.shares(144)) == pytest.approx(1)
 
 
-def test_no_term_of_a_law_is_a_negative_cost() -> None:
+def test_no_term_of_a_cost_law_is_negative() -> None:
     found = cost.fit({1: 1.0, 2: 2.5, 4: 5.0, 8: 10.0}, degree=2)
     assert min(found.coefficients) >= 0
     assert 0.1 < found.largest_miss < 0.3
@@ -102,7 +102,7 @@ def test_the_front_holds_only_undominated_networks() -> None:
     assert front.front([beaten, good, unknown, quick]) == [quick, good]
 
 
-def test_a_cut_short_training_says_nothing_of_the_papers_error(tmp_path: Path) -> None:
+def test_an_unfinished_training_gives_no_error_of_the_paper(tmp_path: Path) -> None:
     results = Results(tmp_path / "report.json")
     key = "paper/public/blocks6/frames144/epochs{}/seed0"
     results.put(key.format(10), {"accuracies": [0.5] * 10}, 1.0)

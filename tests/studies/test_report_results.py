@@ -35,7 +35,7 @@ def test_a_cell_keeps_its_values_and_says_what_made_it(
     assert "onnxruntime" in cell.machine
 
 
-def test_keys_are_found_by_how_they_begin(tmp_path: Path) -> None:
+def test_keys_are_found_by_prefix(tmp_path: Path) -> None:
     results = Results(tmp_path / "report.json")
     for key in ("b/2", "b/1", "a/1"):
         results.put(key, {}, 0.0)

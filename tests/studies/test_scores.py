@@ -45,7 +45,7 @@ def test_the_scores_are_those_of_the_shipped_file(scores: evaluate.Scores) -> No
     ],
     ids=["shipped", "HAART alone, varied widely", "HAART alone"],
 )
-def test_a_model_file_says_what_it_learnt_from(
+def test_a_model_file_names_its_training_data(
     model: Path, recipe: Recipe, people: dict[str, list[str]] | None
 ) -> None:
     metadata = Classifier.load(model).metadata
@@ -61,7 +61,7 @@ def test_everyone_is_left_out_exactly_once() -> None:
     assert left_out == sorted([*HAART_PEOPLE, *SECOND_STUDY_PEOPLE])
 
 
-def test_a_fold_network_learnt_from_nobody_that_it_is_asked_about() -> None:
+def test_a_fold_network_never_saw_the_participants_it_scores() -> None:
     for path in sorted((SHIPPED_MODEL.parent / "left_out").glob("*.onnx")):
         learnt_from = Classifier.load(path).metadata.training["learnt_from"]
         assert not {name for people in learnt_from.values() for name in people} & set(path.stem.split("-"))

@@ -14,7 +14,7 @@ def made(takes: int) -> Recording:
     return Recording("R02", "static", "none", "rub", counts, ideal_clock_ms(len(counts)), "live")
 
 
-def test_each_take_is_learnt_from_without_its_edges() -> None:
+def test_each_take_is_trained_on_without_its_edges() -> None:
     takes = second_study.takes([made(1), made(2)])
     assert [len(take.counts) for take in takes] == [486] * 3
     assert [int(take.counts[0, 0, 0]) for take in takes] == [27, 27, 567]

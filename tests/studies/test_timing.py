@@ -12,7 +12,7 @@ def test_all_are_asked_in_turn_until_each_has_answered() -> None:
     assert [timing.answers for timing in timings] == [IN_A_ROW + 3] * 2
 
 
-def test_waiting_takes_time_on_the_clock_alone() -> None:
+def test_waiting_takes_no_processor_time() -> None:
     (waiting,) = time_in_turn([lambda: time.sleep(0.02)], 5)
     assert waiting.p99_ms >= waiting.p50_ms >= 19.0
     assert waiting.processor_ms < 10.0
