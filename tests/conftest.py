@@ -10,7 +10,7 @@ import pytest
 
 from model.classifier import SHIPPED_MODEL, Classifier
 
-# The slowest files, slowest first: begun last, they would keep one worker busy after the others.
+# The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
     "test_adapt.py",
     "test_end_to_end.py",
@@ -35,7 +35,7 @@ LONGEST = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the slowest files."""
+    """Run the slowest files first."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
@@ -47,7 +47,7 @@ def classifier() -> Classifier:
 
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
-    """Run torch on one thread, so that sums are the same on every run."""
+    """Run torch on one thread, so that its sums are reproducible."""
     from model.training.threads import one_torch_thread
 
     with one_torch_thread():

@@ -14,7 +14,7 @@ import tomllib
 
 ROOT = Path(__file__).parents[2]
 CACHE = Path(os.environ.get("TOUCHD_DEBIAN", "/var/tmp/touchd-debian"))
-# Debian 12's own Python, for which the wheels are fetched.
+# The wheels are fetched for Debian 12's own Python.
 PYTHON = "3.11"
 PACKAGES = "systemd,systemd-sysv,udev,dbus,linux-image-amd64,python3,python3-venv,make,openssh-server,kmod"
 SOURCES = (

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from by_hand.debian_disk import CACHE, call, hand_over, make_disk
 
-# For a machine that hangs.
+# A machine that has not booted by then hangs.
 BOOT_S = 400.0
 BOOTED = "test ! -e /run/before && systemctl is-system-running --wait"
 KERNEL = "root=/dev/vda rw console=ttyS0 quiet panic=-1"
@@ -35,7 +35,7 @@ SSH = (
 
 
 class Machine(ABC):
-    """A running machine; every command is a shell's, as root."""
+    """A running machine; every command runs in a shell, as root."""
 
     tools: Sequence[str]
     # How much slower it may be than this machine, and how much slower its pad than a real one.
@@ -50,7 +50,7 @@ class Machine(ABC):
 
     @abstractmethod
     def shell(self, command: str) -> Sequence[str]:
-        """Return the command that here runs a shell command there."""
+        """Return the command that runs a shell command on the machine."""
 
     def run(self, command: str, timeout_s: float = 120.0) -> str:
         """Run a command; returns what it printed; raises AssertionError when it fails."""
@@ -123,7 +123,7 @@ class Container(Machine):
         self.await_boot()
 
     def shell(self, command: str) -> Sequence[str]:
-        """Return the command that here runs a shell command there."""
+        """Return the command that runs a shell command on the machine."""
         pid = self._process.pid
         init = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         inside = ("nsenter", "--target", init[0], "--all") if init else ("false",)
@@ -169,7 +169,7 @@ class Emulated(Machine):
         self.await_boot()
 
     def shell(self, command: str) -> Sequence[str]:
-        """Return the command that here runs a shell command there."""
+        """Return the command that runs a shell command on the machine."""
         options = [f"-o{option}" for option in (*SSH, f"ControlPath={self.folder / 'ssh'}")]
         return ["ssh", *options, "-i", str(CACHE / "key"), "-p", str(self._port), "root@127.0.0.1", command]
 

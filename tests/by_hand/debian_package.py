@@ -2,7 +2,7 @@
 
     python -m pytest -n 0 -s tests/by_hand/debian_package.py       needs root and systemd-container
 
-In the container of real_systemd.py. Its name keeps it out of the suite, where it would take too long.
+In the container of real_systemd.py. It takes too long for the suite, which its name keeps it out of.
 """
 
 from collections.abc import Iterator

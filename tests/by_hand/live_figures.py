@@ -1,4 +1,4 @@
-"""What the live page costs the daemon, with none, one and many viewers.
+"""Measures the live page's cost for the daemon, with none, one and many viewers.
 
 PYTHONPATH=.:tests nice -n -5 python tests/by_hand/live_figures.py
 """
@@ -30,7 +30,7 @@ VIEWERS = (None, 0, 1, 16)
 
 
 def watch(port: int) -> None:
-    """View the page until it is gone, and reconnect."""
+    """View the page, and reconnect whenever the connection ends."""
     while True:
         with suppress(OSError, WebSocketException), connect(f"ws://127.0.0.1:{port}/stream") as viewer:
             for _ in viewer:
@@ -40,7 +40,7 @@ def watch(port: int) -> None:
 
 @contextmanager
 def watched(port: int, viewers: int) -> Iterator[None]:
-    """So many viewers, in another process."""
+    """Run viewers in another process."""
     with subprocess.Popen([sys.executable, __file__, str(port), str(viewers)]) as process:
         try:
             yield
@@ -49,7 +49,7 @@ def watched(port: int, viewers: int) -> Iterator[None]:
 
 
 def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
-    """Return how many microseconds handing over a frame takes the daemon's loop: p50, p99."""
+    """Return the time that handing over a frame takes the daemon's loop, in microseconds: p50, p99."""
     settings = Settings(live=live)
     sink = open_live_page(settings, {"pad": load_model(settings)})
     if sink is None:

@@ -1,4 +1,4 @@
-"""Makes the picture of the live page, in a real browser, in the middle of the demo.
+"""Makes the live page's picture in the middle of the demo, with a real browser.
 
 PYTHONPATH=.:tests python tests/by_hand/live_picture.py docs/figures/live.png [--scheme light] [--visitors]
 """

@@ -43,7 +43,7 @@ def play(
                 words = spoken(template, event.gesture, event.confidence, settings.vocabulary)
                 put(RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time())))
 
-    # A frame's time is the sensor's; what passes after it is real, so that an answer has its true latency.
+    # A frame arrives at the sensor's time; real time is added after it, so that latencies are true.
     now_s = came_s = 0.0
     clock = Clock(monotonic_s=lambda: now_s + time.monotonic() - came_s)
     pipeline = Pipeline(settings.pipeline, load_model(settings), emit, clock, viewers=lambda: [put_live])

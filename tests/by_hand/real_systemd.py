@@ -103,7 +103,7 @@ def shown(lab: Machine, *names: str) -> list[str]:
 
 
 def await_events(lab: Machine, count: int) -> None:
-    """Wait until the journal of events has so many lines."""
+    """Wait until the journal of events has `count` lines."""
     lab.wait_until(f"test $(wc -l < {EVENTS}) -ge {count}", 60)
 
 
@@ -206,7 +206,7 @@ def test_the_sandbox_allows_nothing_but_its_work(touchd: Machine) -> None:
     await_status(touchd, "frames/s")
     touchd.run("mkdir -p /home/somebody; mknod -m 666 /dev/touchd-probe c 1 11 2>/dev/null || true")
     touchd.run("cp /mnt/helpers/probe.py /opt/touchd/probe.py; systemctl stop touchd", 300)
-    # In place of the program, under all the unit's rules.
+    # Run the probe instead of the program, under all the unit's rules.
     touchd.write(f"{DROP_INS}/probe.conf", PROBE)
     touchd.run("systemctl daemon-reload; systemctl start touchd", 900)
     touchd.run(f"rm {DROP_INS}/probe.conf; systemctl daemon-reload")

@@ -27,7 +27,7 @@ from daemon.commands.run import favour_latency
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink
 
-# Answers come a few times a second; this rate meets the worker at every moment.
+# Far more often than answers come, so that calls meet the worker in every phase.
 EVERY_S = 0.005
 ACTIONS = (ActionRule(do=(Action(say="{gesture}"),), stages=("early",)),)
 STATES = ("up", "slow", "hung", "killed", "away")
@@ -35,7 +35,7 @@ STATES = ("up", "slow", "hung", "killed", "away")
 
 @dataclass(frozen=True)
 class Publish:
-    """One publish. wall_s, cpu_s: of its thread. waited, put_aside: how often."""
+    """One call. wall_s, cpu_s: its duration. waited, put_aside: how often its thread did."""
 
     wall_s: float
     cpu_s: float
@@ -44,7 +44,7 @@ class Publish:
 
 
 def publishes(link: RobotLink, count: int) -> Iterator[Publish]:
-    """Publish so many messages, and yield each one's figures."""
+    """Publish `count` messages, and yield each call's figures."""
     for number in range(count):
         time.sleep(EVERY_S)
         told = message("rub" if number % 2 else "pat", touch=number)
@@ -58,7 +58,7 @@ def publishes(link: RobotLink, count: int) -> Iterator[Publish]:
 
 @contextmanager
 def in_state(state: str) -> Iterator[RobotLink]:
-    """A link whose robot is in a state."""
+    """Yield a link whose robot is in a state."""
     with Robot(call_s=0.2 if state == "slow" else 0.0) as robot, ExitStack() as closing:
         if state == "away":
             robot.kill()
@@ -160,7 +160,7 @@ def reactions(rounds: int) -> dict[str, float]:
         for kind in (idle_kill, idle_hang, busy_hang):
             with Robot() as robot, linked(robot) as (link, states):
                 states.wait_for("up")
-                # At another moment of the heartbeat each time.
+                # Start each round in another phase of the heartbeat.
                 time.sleep(0.3 * (number + 1) / rounds)
                 for name, took_s in kind(robot, link, states).items():
                     longest[name] = round(max(longest.get(name, 0.0), took_s), 4)

@@ -53,7 +53,7 @@ JOURNAL_BYTES = 1_000_000
 JOURNAL_KEEP = 2
 TOUCHES_KEPT = 50
 WRITTEN_S = 10.0
-# Of the hour's eight spans between two switches of the robot, the one with a viewer.
+# Which of an hour's eight spans between two switches of the robot has a viewer.
 LOOKED_AT = 3
 
 
@@ -64,14 +64,14 @@ def memory_mb() -> float:
 
 
 class PromptStore(TouchStore):
-    """Tells when a touch is written: in use there is time before the next one ends, here the soak waits."""
+    """Signals when a touch is written: the soak waits, as its touches follow faster than real ones."""
 
     def __init__(self, folder: Path, most: int, sensor: str) -> None:
         self._written = threading.Semaphore(0)
         super().__init__(folder, most, sensor)
 
     def add(self, touch: FeltTouch) -> None:
-        """Write a touch, and tell."""
+        """Write a touch, and signal it."""
         super().add(touch)
         self._written.release()
 
@@ -81,7 +81,7 @@ class PromptStore(TouchStore):
 
 
 class Soak:
-    """The daemon's parts joined as in the daemon, and their hourly figures."""
+    """The daemon's parts, joined as in the daemon, and hourly measurements."""
 
     def __init__(self, folder: Path) -> None:
         self.audit = Audit()
@@ -117,7 +117,7 @@ class Soak:
         self._pad_watch = PadWatch()
 
     def run(self, line: Iterable[bytes], hours: float, until_s: float) -> dict[str, object]:
-        """Read so many hours of sensor time from a pad, or until that monotonic time; returns the figures."""
+        """Read `hours` of sensor time from a pad, at most until `until_s`; return the figures."""
         began_s, began_cpu_s, frames = time.monotonic(), time.process_time(), 0
         self._measure()
         for data in line:

@@ -23,7 +23,7 @@ LOWER, LEFT = " ▁▂▃▄▅▆▇█", " ▏▎▍▌▋▊▉█"
 
 
 def picture(console: Console, view: View, path: Path) -> None:
-    """Save a view as PNG; block characters are drawn as rectangles, so that they meet as in a terminal."""
+    """Save a view as PNG; block characters are drawn as rectangles without gaps, as a terminal shows them."""
     image = Image.new("RGB", (console.width * WIDTH, console.height * HEIGHT), PAPER)
     draw = ImageDraw.Draw(image)
     column = row = 0

@@ -1,4 +1,4 @@
-"""How old frames are, by the pad's clock and the host's."""
+"""The age of frames, by the pad's clock and the host's."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is taken for an untouched pad: how fast it follows, and how far."""
+"""The baseline of an untouched pad: how fast and how far it follows the readings."""
 
 import numpy as np
 import pytest

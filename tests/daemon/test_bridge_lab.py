@@ -1,4 +1,4 @@
-"""What arrives at LSL's inlets, at ROS 2's readers and at rosbridge: times, bytes and names."""
+"""LSL, ROS 2 and rosbridge: the times, bytes and names that subscribers receive."""
 
 import base64
 import threading
@@ -20,11 +20,11 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
     bridge = peer.bridge()
     inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
     wait_for(lambda: bridge._pressure.have_consumers())
-    # LSL's clock was read no sooner than the first and no later than the last of these.
+    # The true arrival on LSL's clock lies between the first and the last of these.
     arrived: list[tuple[float, float]] = []
     for number in range(27):
         before_s, now_s, after_s = pylsl.local_clock(), time.monotonic(), pylsl.local_clock()
-        # Frames are sent up to a quarter of a second after they arrived.
+        # Send frames up to a quarter of a second after they arrived.
         late_s = 0.01 * (number % 27)
         arrived.append((before_s - late_s, after_s - late_s))
         bridge.put_frame(frame(number, now_s - late_s))

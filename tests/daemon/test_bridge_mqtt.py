@@ -49,7 +49,7 @@ def made(port: int, before: dict[Key, Bridge] | None = None, **settings: Any) ->
 
 @pytest.fixture
 def opened(port: int) -> Iterator[Open]:
-    """Opens a bridge as it is configured; afterwards all are closed."""
+    """Opens bridges with given settings; closes them after the test."""
     with ExitStack() as closing:
 
         def open_bridge(at: int = port, **settings: Any) -> Bridge:
@@ -223,7 +223,7 @@ def test_after_a_reload_the_daemon_publishes_what_it_prints(port: int, tmp_path:
         printed = daemon.finish()
         wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
         published = [decode(text) for text in payloads(messages, "touchd/pad/event")]
-    # The state of the pad, which was told before, is told to a new bridge too.
+    # A new bridge also gets the pad's last state.
     assert isinstance(published[0], SensorEvent)
     assert len(published) > 5
     assert published[1:] == printed[-len(published) + 1 :]
@@ -253,7 +253,7 @@ def test_one_broker_carries_fifty_pads(port: int) -> None:
         for bridge in opened:
             bridge.start()
         wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in opened), 30.0)
-        # Five events a touch, a touch a second on every pad: more than hands can do.
+        # Five events a touch and a touch a second on every pad: more than people can produce.
         began_s = time.monotonic()
         for number in range(touches):
             for _ in range(each):

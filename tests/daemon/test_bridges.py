@@ -1,4 +1,4 @@
-"""What holds for every bridge: it slows nobody, finds its peer again, and ends when told."""
+"""Every bridge: it never blocks, reconnects to its peer, and stops when asked."""
 
 import socket
 import threading
@@ -22,7 +22,7 @@ KINDS = {
 }
 ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 CONNECTING = [ALL[0], ALL[3]]
-# What a busy machine may take for what does not wait; daemon and robot are to end within two seconds.
+# Time that a busy machine may need for calls that do not wait.
 AT_ONCE_S = 2.0
 
 
@@ -33,13 +33,13 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
     before = set(threading.enumerate())
     with closing(kind(tmp_path)) as made:
         yield made
-    # Whatever the test came to, nothing of it is left for the next.
+    # Even after a failed test no thread is left.
     started = set(threading.enumerate()) - before
     wait_for(lambda: not any(thread.is_alive() for thread in started if thread.name.startswith("touchd-")))
 
 
 def put_until_heard(peer: Peer, bridge: Bridge, number: int) -> int:
-    """Put events until one is heard, as a peer without memory hears only what comes after it was found."""
+    """Put events until one arrives; a peer without memory misses those sent before it was found."""
     heard = len(peer.heard)
     while len(peer.heard) == heard:
         bridge.put(touch(number))

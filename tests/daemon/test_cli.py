@@ -1,4 +1,4 @@
-"""The command: what it offers, and one clear line with the right exit code for whatever goes wrong."""
+"""The command line: its commands, and for every mistake one clear line and the right exit code."""
 
 import json
 import subprocess
@@ -34,7 +34,7 @@ Refusal = Callable[..., str]
 
 @pytest.fixture
 def refusal(capfd: pytest.CaptureFixture[str]) -> Refusal:
-    """The one line on standard error of a command line that the user has to change."""
+    """Runs a command that must fail as a user's mistake; returns its one line on standard error."""
 
     def refusal(*arguments: str) -> str:
         assert cli.main(arguments) == 2
@@ -80,7 +80,7 @@ def test_an_internal_error_is_one_line_and_exit_1(
 
 
 def main(arguments: Sequence[str]) -> int:
-    """What the command "fail" of the test above runs."""
+    """The command "fail" of the test above."""
     raise KeyError("oops")
 
 
@@ -131,7 +131,7 @@ def test_a_missing_recording_is_one_line(refusal: Refusal) -> None:
 
 
 def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -> None:
-    # With each row come four seconds of quiet before and after it.
+    # Each row gets four seconds of quiet around it.
     one = Recording("p0", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
     parts = [replace(one, participant=f"p{number % 2}") for number in range(6000)]
     write_recordings(tmp_path / "rows.csv.gz", parts, {})

@@ -1,4 +1,4 @@
-"""The configuration: everything that is wrong with it is one line that names it and says what to do."""
+"""The configuration: each mistake is reported in one line that names it and says what to do."""
 
 import re
 from pathlib import Path

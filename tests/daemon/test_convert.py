@@ -1,4 +1,4 @@
-"""`touchd convert`: what pandas and Foxglove read is what was felt and said."""
+"""`touchd convert`: CSV and MCAP files hold the same events and frames as their sources."""
 
 import base64
 import csv
@@ -25,7 +25,7 @@ EVENTS = [
 @pytest.fixture
 def journal(tmp_path: Path) -> Path:
     path = tmp_path / "events.jsonl"
-    # As the journal writes them, and with what a power cut leaves.
+    # Lines as the journal writes them, the last one cut off by a power cut.
     path.write_bytes(b"  \n".join(map(encode, EVENTS)) + b'\n{"type":"touch_en')
     return path
 

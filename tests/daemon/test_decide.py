@@ -1,4 +1,4 @@
-"""What the robot is told and when it changes its mind, sequence by sequence."""
+"""Which answers are told to the robot, and when they are revised."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -15,14 +15,14 @@ SETTINGS = DecisionSettings(speak_above=0.6, revise_margin=0.15)
 
 
 def probabilities(**given: float) -> NDArray[np.float64]:
-    """Return probabilities with the rest of 1 shared among the labels not given."""
+    """Return probabilities; the labels not given share the rest equally."""
     rest = (1.0 - sum(given.values())) / (len(LABELS) - len(given))
     return np.array([given.get(label, rest) for label in LABELS])
 
 
 @dataclass(frozen=True)
 class Expected:
-    """A stage with its probabilities, and the answer that must follow."""
+    """A stage with its probabilities, and the expected answer."""
 
     stage: Stage
     given: dict[str, float]

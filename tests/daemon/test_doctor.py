@@ -1,4 +1,4 @@
-"""`touchd doctor`: one line for each thing looked at, and an exit code: is there anything to do?"""
+"""`touchd doctor`: one line for each check, and an exit code that says whether anything is to do."""
 
 import json
 import math
@@ -17,7 +17,7 @@ from daemon.doctor.examine import examine
 def test_a_sound_pad_passes_every_check(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A busy machine is told of, and rightly.
+    # On a busy machine the doctor would rightly warn.
     monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     with pad_of(resting(4.0)) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0

@@ -1,4 +1,4 @@
-"""The doctor at the pad's line: what is on it, how clean, how fast."""
+"""The doctor's checks of the pad's line: format, damage, rate."""
 
 import termios
 

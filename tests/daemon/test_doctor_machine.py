@@ -1,4 +1,4 @@
-"""The doctor beside the pad: the model, the robot, the service."""
+"""The doctor's checks of model, robot and service."""
 
 import math
 from pathlib import Path

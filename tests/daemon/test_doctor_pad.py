@@ -1,4 +1,4 @@
-"""The doctor at the pad itself: rest, noise, broken taxels, which way round it lies."""
+"""The doctor's checks of the pad itself: rest, noise, broken taxels, orientation."""
 
 from collections.abc import Callable
 

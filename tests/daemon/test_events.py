@@ -1,4 +1,4 @@
-"""Events as lines of JSON: what a reader of stdout or the journal can rely on."""
+"""Events as lines of JSON: the contract with readers of stdout and the journal."""
 
 import json
 import re
@@ -120,7 +120,7 @@ def test_the_events_page_lists_exactly_the_existing_fields() -> None:
     actions = words_of(typing.get_type_hints(RobotAction)["action"])
     everything = tags | fields | said | actions
     assert everything - set(re.findall(r"`(\w+)`", page)) == set()
-    # The first column of the tables that say what there is.
+    # The first column of the tables lists the names.
     named = {word for line in page.splitlines() if line.startswith("| `") for word in cell_words(line)}
     assert named - everything == set()
 
@@ -130,7 +130,7 @@ def cell_words(line: str) -> list[str]:
 
 
 def metadata(name: str, labels: list[str]) -> ModelMetadata:
-    """Return metadata as a model file would give it; raises msgspec.ValidationError."""
+    """Return metadata as read from a model file; raises msgspec.ValidationError."""
     others: dict[str, object] = {"frame_rate_hz": 54, "framing": "live", "lengths": [144], "max_length": 144}
     others |= {"temperatures": {}, "training": {}, "code_version": "", "data_sha256": "", "scores": {}}
     return msgspec.convert({"name": name, "labels": labels, **others}, ModelMetadata)

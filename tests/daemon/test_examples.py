@@ -1,4 +1,4 @@
-"""The examples that the pages show do what they say."""
+"""The examples in docs/examples work."""
 
 import sys
 from pathlib import Path

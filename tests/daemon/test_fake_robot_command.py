@@ -1,4 +1,4 @@
-"""`touchd fake-robot`: a lab sees what its robot would do, as lines."""
+"""`touchd fake-robot`: prints every call to the robot as a line."""
 
 import json
 import signal

@@ -1,4 +1,4 @@
-"""What a touch was like: measured on made touches, whose truth is known."""
+"""The features of a touch, measured on made touches with known features."""
 
 import time
 
@@ -28,7 +28,7 @@ def blob(row: float, column: float, counts: float) -> NDArray[np.float64]:
 
 
 def feel_of(frames: list[NDArray[np.float64]], size_mm: tuple[float, float] | None = None) -> Feel:
-    """What the pipeline says of these frames, after two seconds of rest and before two more."""
+    """Return the pipeline's features of these frames, with two seconds of rest on each side."""
     rest = [np.zeros((8, 8))] * (2 * RATE_HZ)
     rng = np.random.default_rng(0)
     events: list[Event] = []

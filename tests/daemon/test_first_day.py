@@ -1,4 +1,4 @@
-"""What somebody sees who tries touchd for the first time: help, mistakes, paths, commands to paste."""
+"""The first day with touchd: help, mistakes, paths, commands to paste."""
 
 import itertools
 import os
@@ -43,7 +43,7 @@ from drivers.robot.settings import RobotSettings
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "systemd" / "touchd.example.yaml"
-# An installation without any extra, as far as imports can tell.
+# Makes every extra's modules fail to import.
 WITHOUT_EXTRAS = """
 import importlib, importlib.abc, sys
 from drivers.extras import EXTRAS

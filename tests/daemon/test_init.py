@@ -1,4 +1,4 @@
-"""The first configuration: found by listening, and good to run as it is."""
+"""`touchd init`: finds pad and robot, and writes a configuration that runs."""
 
 import os
 import pty

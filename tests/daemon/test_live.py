@@ -1,4 +1,4 @@
-"""The live page's server: everyone who looks gets what there is room for, and nobody slows the daemon."""
+"""The live page's server: viewers get every event, and none of them slows the daemon."""
 
 import json
 import signal
@@ -122,7 +122,7 @@ def test_a_stalled_viewer_does_not_affect_the_others(served: Served) -> None:
                 backlog.append(slow.recv(timeout=0.1))
             except TimeoutError:
                 newest = served.put_frame()
-        # What waited for it is bounded, and what it missed is made up for by the state.
+        # Its backlog is bounded, and the state replaces the messages that it missed.
         assert len(backlog) < 1000
         told = [json.loads(message) for message in backlog if isinstance(message, str)]
         state = [message for message in told if message["type"] == "state"][-1]
@@ -140,7 +140,7 @@ def test_an_unresponsive_viewer_is_disconnected(monkeypatch: pytest.MonkeyPatch)
 
 @contextmanager
 def hung(server: LiveServer) -> Iterator[None]:
-    """The page's thread does nothing meanwhile."""
+    """Block the page's thread."""
     hangs, goes_on = threading.Event(), threading.Event()
 
     def hang() -> None:
@@ -237,7 +237,7 @@ def test_sighup_opens_and_closes_the_page_without_losing_touches(tmp_path: Path)
         daemon.await_reloads(1)
         assert "changed: live" in daemon.reloads()[0]
         with connect(f"{daemon.url.replace('http', 'ws')}/stream") as viewer:
-            # What the pad last said of itself is known there too.
+            # A new page also knows the pad's last state.
             state = await_message(viewer, "state")
             assert state["sensor"] or await_message(viewer, "sensor")
             daemon.configure()
@@ -249,7 +249,7 @@ def test_sighup_opens_and_closes_the_page_without_losing_touches(tmp_path: Path)
 def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
     with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
-        # Its daemon is ready, and the page there, once the pad is.
+        # The page is served once the pad is up.
         assert any(line.startswith("pad up") for line in demo.stdout)
         with urllib.request.urlopen(f"{served[1]}/", timeout=WITHIN_S) as answer:
             assert answer.status == 200

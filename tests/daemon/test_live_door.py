@@ -1,4 +1,4 @@
-"""Who gets to see the live page, from where, and what they may say: nothing."""
+"""Access to the live page: limits, origins, hosts, and no input from viewers."""
 
 import http.client
 import socket
@@ -54,7 +54,7 @@ def test_idle_connections_do_not_exhaust_descriptors(served: Served) -> None:
             closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S))
             for _ in range(MOST_CONNECTIONS)
         ]
-        # The viewer is inside as well, so that the last of these is one too many, and is not waited for.
+        # With the viewer, the last of these exceeds the limit and is closed before its handshake times out.
         idle[-1].settimeout(HANDSHAKE_S / 2)
         with suppress(ConnectionResetError):
             assert idle[-1].recv(1) == b""

@@ -1,4 +1,4 @@
-"""The live page in a real browser: what a person sees of a played recording, and of what may go wrong."""
+"""The live page in a real browser, with a played recording and with faults."""
 
 import itertools
 import json
@@ -52,7 +52,7 @@ STILL = Stream(
     (),
 )
 CANVAS = "return document.getElementById('heat').toDataURL()"
-# What a screen reader would say of its own accord, from the first word on.
+# Records every announcement of the live region, which a screen reader speaks by itself.
 LISTEN = """
   window.heard = [];
   const announcement = document.getElementById('announcement');
@@ -86,13 +86,13 @@ def text_of(chrome: Chrome, selector: str) -> str:
 
 
 def listed(chrome: Chrome) -> list[str]:
-    """The gestures of the last touches, the latest first."""
+    """Return the gestures of the last touches, latest first."""
     rows = "return [...document.querySelectorAll('#touches b')].map(row => row.textContent)"
     return list(chrome.execute_script(rows))
 
 
 def is_stale(chrome: Chrome) -> bool:
-    """Whether the page says that what it shows is not of this moment."""
+    """Whether the page marks its content as stale."""
     return bool(chrome.execute_script("return document.body.hasAttribute('data-stale')"))
 
 
@@ -104,13 +104,13 @@ def chrome() -> Iterator[Chrome]:
 
 @pytest.fixture(scope="module")
 def played(chrome: Chrome, tmp_path_factory: pytest.TempPathFactory) -> Iterator[WatchedPage]:
-    """The page as it is when the last of three touches has ended and the pad no longer sends."""
+    """The page after the last of three touches, when the pad no longer sends."""
     show_in(chrome, 1280, 800)
     with (
         playing(THREE_TOUCHES, SPEED) as pad,
         Daemon(tmp_path_factory.mktemp("played"), pad, live=LiveSettings(port=0)) as daemon,
     ):
-        # The new tab that a browser begins with asks for things as well.
+        # The browser's own new tab makes requests too.
         chrome.get("about:blank")
         chrome.get_log("performance")
         chrome.get(daemon.url)
@@ -138,7 +138,7 @@ def test_the_page_loads_without_errors_or_foreign_requests(played: WatchedPage) 
 
 
 def test_the_pad_moves_with_the_recording(played: WatchedPage) -> None:
-    # How often it is painted depends on what else the machine does; a still pad paints one picture.
+    # The frame rate depends on the machine's load; a still pad would give a single picture.
     assert len(set(played.pictures)) > 1
 
 
@@ -189,7 +189,7 @@ def test_the_answer_and_its_confidence_are_largest(played: WatchedPage) -> None:
         ".map(name => parseFloat(getComputedStyle(document.querySelector(name)).fontSize))"
     )
     assert sizes == sorted(sizes, reverse=True)
-    # A tenth of the window's height: 17 mm on a laptop, which reads from three metres and more.
+    # A tenth of the window's height: 17 mm on a laptop, readable from three metres.
     assert sizes[0] > 80
 
 
@@ -291,7 +291,7 @@ READ = [
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_has_contrast_in_light_and_dark(played: WatchedPage, scheme: str) -> None:
-    # Colours fade into one another, unless little motion is wished for.
+    # Reduced motion, because colours otherwise change gradually.
     prefer(played.chrome, color_scheme=scheme, reduced_motion="reduce")
     paper = played.run("return getComputedStyle(document.body).backgroundColor")
     brightness = np.mean([int(value) for value in re.findall(r"\d+", paper)])
@@ -450,7 +450,7 @@ def test_another_pad_can_be_selected(chrome: Chrome) -> None:
         wait_for(lambda: text_of(chrome, "#gesture") == "stroke")
         assert choices() == [("head: pat", "false"), ("arm: stroke", "true")]
         wait_for(lambda: chrome.execute_script(CANVAS) != untouched)
-        # What comes of the pad that is small leaves the large one alone.
+        # Events of a pad in the list do not change the selected one.
         served.sink.put(msgspec.structs.replace(prediction, gesture="rub", pad="head"))
         served.put_frame(rest, "head")
         wait_for(lambda: choices()[0] == ("head: rub", "false"))

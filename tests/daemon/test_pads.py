@@ -1,4 +1,4 @@
-"""Several pads in one daemon: each with its own touches, and none that suffers from another's faults."""
+"""Several pads in one daemon: separate touches, and no effect of one pad's faults on others."""
 
 import itertools
 import json
@@ -119,7 +119,7 @@ def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
 
 def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> None:
     encode, stream = encoder_for(SensorSettings()), stream_of(LENGTHS)
-    # As many frames as may wait in a daemon that the machine leaves no time.
+    # As many frames as the daemon's queue holds, for a busy machine.
     few = Stream(stream.counts[:540], stream.sensor_ms[:540], ())
     with (
         FakePort(stream_of(GESTURES), encode, speed=FLOOD_SPEED, loop=True) as flood,

@@ -1,4 +1,4 @@
-"""The pipeline from frames to events: what is asked of the model, and what is said when."""
+"""The pipeline from frames to events: the model's windows, and the answers at each stage."""
 
 import logging
 from collections.abc import Callable, Sequence
@@ -30,7 +30,7 @@ LEAD_FRAMES = 108
 
 
 class Bench:
-    """A pipeline with a made pad at 54 Hz before it, and what it said."""
+    """A pipeline fed by a made pad at 54 Hz, and its events."""
 
     def __init__(self, model: Scripted | None = None, settings: PipelineSettings | None = None) -> None:
         self.model = model or Scripted()
@@ -42,7 +42,7 @@ class Bench:
         self.feel(nothing(LEAD_FRAMES / 54))
 
     def feel(self, *pressures: Scans, skip: Sequence[int] = ()) -> list[Event]:
-        """Lay pressure on the pad, losing the frames in `skip` on the way; return what was said meanwhile."""
+        """Lay pressure on the pad, losing the frames in `skip`; return the new events."""
         said_before = len(self.said)
         for number, counts in enumerate(self.pad.counts(np.concatenate(pressures))):
             if number not in skip:
@@ -223,7 +223,7 @@ def test_viewers_get_the_models_own_probabilities() -> None:
 
 
 def when_sure(gesture: Callable[[int], str], confidence: float = 0.94, sure: Sure = "eager") -> list[Event]:
-    """Answer three seconds of palm; gesture: which one leads after so many frames."""
+    """Return the events of three seconds of palm; gesture: the most probable one at each length."""
 
     class Growing(Scripted):
         def answer(self) -> NDArray[np.float64]:
@@ -282,7 +282,7 @@ def test_a_lasting_change_of_gesture_is_told() -> None:
 
 
 class Counting(Scripted):
-    """Counts how many touches are asked about together."""
+    """Records the number of touches in each batch."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -296,7 +296,7 @@ class Counting(Scripted):
 
 
 class Wavering(Scripted):
-    """Sure of a stroke up to the final answer; after it, every other stretch is a rub."""
+    """Sure of a stroke up to the final answer; after it, every other window is a rub."""
 
     def __init__(self) -> None:
         super().__init__(lambda asked: "rub" if asked % 2 else "stroke")
@@ -430,7 +430,7 @@ def test_a_scene_chooses_when_to_answer(stages: tuple[int, int, int]) -> None:
 
 
 class Fickle(Scripted):
-    """A model that says something else each time."""
+    """A model with random answers."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         super().__init__()
@@ -470,7 +470,7 @@ def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
 
 
 def test_a_leaving_hand_does_not_count_as_restlessness() -> None:
-    # The recording ends with pats of a hand that rested, far lighter than the rest before.
+    # The recording ends with a resting hand's pats, far lighter than the pressure before.
     twice = splice(read_recordings(LENGTHS) * 2)
     events = answers(twice, Classifier.load())
     spans = [span for span in twice.spans if span.gesture != NO_TOUCH]

@@ -1,4 +1,4 @@
-"""`touchd plot`: a picture says when the pad was touched, what was said of it, and where it was pressed."""
+"""`touchd plot`: pictures of touches, answers and pressure over time."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -37,7 +37,7 @@ def felt() -> Trace:
 
 
 def words(figure: object) -> list[str]:
-    """Everything that is written in a figure."""
+    """Return all text in a figure."""
     from matplotlib.text import Text
 
     return [text.get_text() for text in figure.findobj(Text)]  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""`touchd record`: a person is guided from one recording to the next, and nothing kept is ever lost."""
+"""`touchd record`: the order of recordings, their files, and complaints about them."""
 
 import gzip
 from dataclasses import replace

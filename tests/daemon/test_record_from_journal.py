@@ -1,4 +1,4 @@
-"""`touchd record --from-journal`: what was misclassified is saved with the right label, and nothing twice."""
+"""`touchd record --from-journal`: kept touches are labelled and saved as recordings, each once."""
 
 import io
 from pathlib import Path
@@ -39,7 +39,7 @@ class Lab:
         self._lines = Journal(self.journal, max_bytes=100_000, keep=3)
 
     def touched(self, number: int, gesture: str = "pat", after_s: float = 0.0) -> FeltTouch:
-        """Journal and keep a touch that was taken for a gesture."""
+        """Journal and keep a touch that was classified as `gesture`."""
         touch = felt(number, after_s=after_s)
         self.journalled(touch, gesture)
         self.store.add(touch)
@@ -62,7 +62,7 @@ class Lab:
         return ["record", str(self.folder), "--from-journal", str(self.journal), *more]
 
     def label(self, *labels: str) -> int:
-        """Label without a question."""
+        """Label from the command line."""
         words = [word for label in labels for word in ("--label", label)]
         return cli.main(self.arguments("--participant", "anna", "--cover", "fur", *words))
 
@@ -244,7 +244,7 @@ def test_without_anybody_to_answer_it_lists_and_ends(
 
 
 def listed(lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """The lines of a session in which everything is left for later."""
+    """Return the output of a session in which every touch is left for later."""
     monkeypatch.setattr("sys.stdin", io.StringIO("l\n" * 100))
     assert cli.main(lab.arguments(*SAY_WHO)) == 0
     return capsys.readouterr().out.splitlines()
@@ -300,7 +300,7 @@ def test_deleted_and_damaged_touches_are_passed_over(
 
 
 def played(stream: Stream, folder: Path) -> list[Event]:
-    """What the spawned daemon says of a stream while it keeps touches in a folder."""
+    """Return the spawned daemon's events for a stream; it keeps touches in `folder`."""
     with playing(stream, SPEED) as port:
         journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=20)
         settings = Settings(sensor=SensorSettings(port=port.path), journal=journal, scene=PATIENT)

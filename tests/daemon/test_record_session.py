@@ -1,4 +1,4 @@
-"""A session of recordings on a terminal: asked, counted down, checked, redone, kept, gone on with."""
+"""A recording session on a terminal: questions, countdown, checks, repeats, files, resuming."""
 
 import gzip
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ SPEED = 6.0
 
 
 class Hand:
-    """Encodes a pad at rest, or under a palm, as the test says."""
+    """Encodes a pad at rest, or under a palm while `presses` is set."""
 
     def __init__(self) -> None:
         pad = MadePad()
@@ -101,13 +101,13 @@ GESTURES = ("pat", "notouch", "rub")
 
 
 def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
-    """Do it again, and again where a busy machine let the hand come too late."""
+    """Repeat the take until the touch is felt; on a busy machine the hand may come too late."""
     question = ""
     while "keep it" not in question:
         terminal.answer("", "Enter to begin")
         terminal.answer("")
         shown = terminal.until("pat now")
-        # The pad, and a beep for who looks at it.
+        # The picture of the pad, and a beep for people who look at their hand.
         assert "▀▀▀▀" in shown
         assert "\a" in shown
         hand.presses = True

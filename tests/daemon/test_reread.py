@@ -1,4 +1,4 @@
-"""SIGHUP: the configuration is read again, nothing of the stream is lost, a wrong one changes nothing."""
+"""SIGHUP: a reload loses no frame, and a wrong configuration changes nothing."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -27,7 +27,7 @@ from drivers.robot.settings import RobotSettings
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
     with Daemon(tmp_path) as daemon:
-        # Before it hears the pad it may not be listening to signals yet.
+        # Before its first event it may not handle signals yet.
         daemon.await_event(SensorEvent)
         yield daemon
 
@@ -132,7 +132,7 @@ def test_new_settings_apply_from_the_next_touch() -> None:
 
 
 class Made:
-    """What stands for parts."""
+    """Stands in for Parts."""
 
     changed = ("scene",)
 
@@ -179,5 +179,5 @@ def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCapture
         for thread in threading.enumerate():
             if thread.name == "touchd-reload":
                 thread.join(WITHIN_S)
-    # The older one, once it goes on, changes nothing.
+    # The older reload changes nothing when it continues.
     assert caplog.text.count("configuration read again") == 1

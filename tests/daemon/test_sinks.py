@@ -1,4 +1,4 @@
-"""Sinks: none slows the loop, each ends when told; the journal holds whole lines, and not too many."""
+"""Sinks never block the loop and stop when asked; the journal holds whole lines within its limit."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What the world can do to the daemon from outside: it goes on, says so, and destroys nothing."""
+"""External faults: the daemon keeps running, reports them, and destroys nothing."""
 
 import os
 import signal
@@ -60,7 +60,7 @@ def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
         with suppress(ConnectionError):
             while sent < 10_000_000:
                 sent += flood.send(said * 100)
-        # What the kernel holds on both sides, and no more.
+        # No more than the kernel's buffers on both sides.
         assert sent < 8_000_000
         frames_among(viewer, served.put_frame())
 
@@ -102,7 +102,7 @@ def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.Monke
     os.close(writer)
     with open(reader) as log:
         lines = log.read().splitlines()
-    # The end of the log may have taken the place of one more.
+    # The log's end marker may have replaced one more line.
     dropped = 11 - len(lines)
     assert lines[0].endswith(f"{dropped} lines of the log were dropped: nobody read them")
     assert dropped in (7, 8)
@@ -209,7 +209,7 @@ def test_a_clock_that_was_ahead_does_not_cost_new_touches(tmp_path: Path) -> Non
 
 
 class Line:
-    """A made pad on a line that can hold frames up, before a pipeline; clocks in seconds."""
+    """A pipeline fed by a made pad on a line that can delay frames; clocks in seconds."""
 
     def __init__(self, step_ms: float = 1000 / 54, clock_factor: float = 1.0) -> None:
         self.events: list[Event] = []
@@ -238,7 +238,7 @@ def test_old_touches_are_not_told_and_carry_their_age() -> None:
     fresh = line.predictions()
     assert fresh[0].told
     assert fresh[0].age_ms < 50
-    # The line stands still for as long as the touch and 9 s of rest take, and then all of it comes at once.
+    # The line stalls during the touch and 9 s of rest, then all frames arrive at once.
     line.now_s += 10.5
     line.feel(palm(1.2), nothing(9.3), held_up=True)
     old = line.predictions()[len(fresh) :]

@@ -1,4 +1,4 @@
-"""`touchd teach`: recordings, an adapted model, and a configuration that names it, from one command."""
+"""`touchd teach`: one command records, adapts a model and configures it."""
 
 import io
 import sys
@@ -70,7 +70,7 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
     resting, pressed = pad.counts(nothing(10.0)), pad.counts(palm(10.0, 60.0))
 
     def hand(counts: Counts, sensor_ms: int) -> bytes:
-        """Come and go every second, so that each gesture is touched and rests."""
+        """Press every other second, so that each take has touch and rest."""
         now = pressed if sensor_ms // 1000 % 2 else resting
         return encode_fabric_grid(now[sensor_ms // 19 % len(now)], sensor_ms)
 

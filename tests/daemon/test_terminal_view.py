@@ -1,4 +1,4 @@
-"""The terminal view: what it shows fits and stays, at any size and with any number of colours."""
+"""The terminal view: its content fits at every size and number of colours."""
 
 import io
 import os
@@ -31,7 +31,7 @@ SIZES = [(60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
 
 
-# A view on a terminal of its own, until a line is typed.
+# Shows a view until a line is typed.
 SHOWN = """
 from daemon.events import SensorEvent
 from daemon.terminal.view import View
@@ -184,7 +184,7 @@ def test_resizing_and_ending_leave_the_terminal_clean() -> None:
     ):
         show_until("pad up")
         resize(60, 24)
-        # A refresh begins at the top left; two later all is drawn anew.
+        # A refresh starts at the top left; after two more everything has been redrawn.
         drawn = b""
         while drawn.count(b"\x1b[H") < 4:
             assert select.select([master], [], [], WITHIN_S)[0], screen.display

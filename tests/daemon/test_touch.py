@@ -1,4 +1,4 @@
-"""When a touch begins and ends, on a made pad with HAART's noise: a newcomer sees each rule at work."""
+"""The rules for a touch's begin and end, each shown on a made pad with HAART's noise."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ from drivers.pad.grid import GridFrame
 
 
 class TrackedPad(MadePad):
-    """A tracker with a pad before it."""
+    """A made pad that feeds a tracker."""
 
     def __init__(
         self,
@@ -25,7 +25,7 @@ class TrackedPad(MadePad):
         self.gap_ms = 0.0
 
     def feel(self, *pressures: Scans | float, restarted: bool = False) -> list[Onset | Release]:
-        """Lay scans (T, 8, 8), or seconds of nothing, on the pad; return what the tracker says."""
+        """Feed scans (T, 8, 8), or seconds of nothing; return the tracker's changes."""
         changes = []
         for pressure in pressures:
             scans = nothing(pressure) if isinstance(pressure, float) else pressure
@@ -150,7 +150,7 @@ def test_an_object_left_on_the_pad_becomes_rest(pad: TrackedPad, noise: float) -
     assert isinstance(release, Release)
     assert release.reason == "settled"
     assert 10.0 <= (release.last_index - began) / 54 <= 11.0
-    # A touch beside the object, then the object goes.
+    # A touch beside the object; then the object is removed.
     beside = box[:54].copy()
     beside[:, 6:8, 0:2] += 30.0
     assert [type(change) for change in pad.feel(beside, box[:108])] == [Onset, Release]
@@ -232,7 +232,7 @@ def test_a_touch_ends_despite_shifted_rest_or_noise(
     assert isinstance(release, Release)
     assert release.reason == "released"
     assert abs(release.last_index - left) <= 54
-    # What the pad reads now is its rest, and the next touch is felt on it.
+    # The current reading is the new rest, and the next touch is felt on it.
     assert pad.feel(disturbed(fold(5.0))) == []
     assert isinstance(pad.feel(disturbed(fold(0.2) + palm(0.2, counts=40.0)))[0], Onset)
 
@@ -268,7 +268,7 @@ def test_a_touch_ends_at_the_longest_it_may_last() -> None:
 
 
 def faint(seconds: float) -> Scans:
-    """A hand that in no taxel is above the noise."""
+    """A hand whose pressure is below the noise in every taxel."""
     return nothing(seconds) + np.float32(0.5)
 
 
@@ -279,7 +279,7 @@ def breath(seconds: float, counts: float = 3.0) -> Scans:
 
 
 class Network:
-    """Sees a touch in windows that the test makes one; windows: what it was asked about."""
+    """Answers with `no_touch`; windows: the lengths of the windows it was asked about."""
 
     def __init__(self) -> None:
         self.no_touch = 0.9
@@ -297,7 +297,7 @@ def network() -> Network:
 
 @pytest.fixture
 def seen(network: Network) -> TrackedPad:
-    """A pad at rest that the network has known."""
+    """A pad whose rest the network has seen."""
     pad = TrackedPad(no_touch=network)
     assert pad.feel(2.0) == []
     return pad

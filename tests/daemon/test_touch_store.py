@@ -1,4 +1,4 @@
-"""The frames of touches, kept where a lab asks for it: the true ones, whole, bounded, at nobody's cost."""
+"""Kept touches: the frames as sent, whole files, a bounded number, no delay for the loop."""
 
 import os
 import random
@@ -34,7 +34,7 @@ TESTS = Path(__file__).parents[1]
 
 
 class StoreBench:
-    """A made pad at 54 Hz before a pipeline whose events and frames a touch sink gets, as in the daemon."""
+    """A pipeline fed by a made pad at 54 Hz, with a touch sink as in the daemon."""
 
     def __init__(self, store: TouchStore, clock_ms: float = 0.0) -> None:
         self.keep(store)
@@ -56,7 +56,7 @@ class StoreBench:
         self.sink.start()
 
     def end(self) -> list[KeptTouch]:
-        """End; return what was kept."""
+        """Stop; return the kept touches."""
         self.pipeline.flush()
         self.sink.stop(WITHIN_S)
         return kept_touches(self._folder)
@@ -195,7 +195,7 @@ def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: P
 
 
 def test_only_the_last_touches_are_kept() -> None:
-    # In memory where that can be had: a disk takes ten seconds for a thousand files that are safe on it.
+    # In memory if possible: syncing a thousand files to a disk takes ten seconds.
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as name:
         folder = Path(name)
@@ -225,7 +225,7 @@ def test_an_unusable_folder_is_one_line_naming_the_setting(tmp_path: Path) -> No
 
 
 class StuckStore(TouchStore):
-    """A store on a disk that hangs until it is told to go on."""
+    """A store whose disk hangs until `goes_on` is set."""
 
     def __init__(self, folder: Path) -> None:
         super().__init__(folder, 50, "")
@@ -260,7 +260,7 @@ def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
     each_s = (time.process_time() - begun_s) / len(frames)
     sink.put(SensorEvent(state="down", time=""))
     sink.stop(5.0)
-    # A microsecond is usual; the rest is for a busy machine.
+    # Usually a microsecond; the margin is for a busy machine.
     assert each_s < 20e-6
 
 

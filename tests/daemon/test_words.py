@@ -1,4 +1,4 @@
-"""Every text of terminal, page and robot is there in every language that ships."""
+"""Every text of terminal, page and robot exists in every shipped language."""
 
 import json
 import re

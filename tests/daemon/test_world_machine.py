@@ -1,4 +1,4 @@
-"""Pad, clock, line, robot, page, journal, disk, log and signals in any order; the events stay in order."""
+"""Random faults of pad, clock, line, robot, page, journal, disk, log and signals; events stay correct."""
 
 import itertools
 import os
@@ -49,7 +49,7 @@ PERIOD_MS = 1000 / 54
 OLDEST_TOLD_MS = 2800
 SECONDS = st.floats(0.1, 4.0)
 MOST_VIEWERS = 4
-# What a thousand touches, their answers and the viewers may take; the first example loads libraries.
+# Memory for a thousand touches and the viewers, and for libraries that the first example loads.
 MOST_GROWTH_MB = 60.0
 MOST_DAEMON_MB = 200.0
 memory_mb: list[float] = []
@@ -60,7 +60,7 @@ def resident_mb(pid: int | str = "self") -> float:
 
 
 def flood(port: int) -> socket.socket:
-    """A viewer that asks for the stream, sends far more than it may, and reads nothing."""
+    """Open a viewer that sends far more than allowed and reads nothing."""
     viewer = socket.create_connection(("127.0.0.1", port), timeout=2)
     with suppress(OSError):
         viewer.sendall(HANDSHAKE.format(port=port).encode() + (b"\x89\xbc" + bytes(64)) * 1000)
@@ -68,7 +68,7 @@ def flood(port: int) -> socket.socket:
 
 
 class World(RuleBasedStateMachine):
-    """What a lab can do to a daemon."""
+    """A state machine of everything that can happen to a daemon in a lab."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -161,7 +161,7 @@ class World(RuleBasedStateMachine):
 
     @rule(is_full=st.booleans())
     def disk(self, is_full: bool) -> None:
-        # No file may grow any more: a write fails as on a full disk.
+        # With this limit a write fails as on a full disk.
         hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
         resource.setrlimit(resource.RLIMIT_FSIZE, (1 if is_full else hard, hard))
 
@@ -209,11 +209,11 @@ World.TestCase.settings = settings(max_examples=200, stateful_step_count=30, dea
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 class TestWorld(World.TestCase):  # type: ignore[name-defined,misc]
-    """Whatever happens in whatever order, the events stay true."""
+    """Events stay correct after any sequence of rules."""
 
 
 class Process:
-    """The spawned daemon with a page and a journal, on a pad that is touched again and again."""
+    """The spawned daemon with a page and a journal, on a pad that repeats the demo."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.closing = folder, ExitStack()
@@ -277,7 +277,7 @@ def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
         process.daemon.process.send_signal(signal.SIGTERM)
         asked_s = time.monotonic()
         assert process.daemon.process.wait(WITHIN_S) == 0
-        # Ten times the pad's pace on a machine that others use: what waits is not all processed.
+        # At ten times the pad's rate on a shared machine, not all queued frames are processed.
         assert time.monotonic() - asked_s < 8.0
         process.reader.join()
     finally:
@@ -290,6 +290,6 @@ def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
         audit.see(event)
     assert (list(audit.wrong), audit.is_open) == ([], False)
     assert audit.touches > 20
-    # It may have been deleted after the last event.
+    # The journal may have been deleted after the last event.
     if process.journal.exists():
         assert all(line.startswith(b'{"type":') for line in process.journal.read_bytes().splitlines())

@@ -1,4 +1,4 @@
-"""Attempts back off while nobody is there, and begin anew once somebody was."""
+"""Retries back off while a peer is missing, and start again quickly after it was there."""
 
 import time
 from collections.abc import Callable
@@ -22,7 +22,7 @@ Paused = Callable[[str], list[float]]
 
 @pytest.fixture
 def paused(monkeypatch: pytest.MonkeyPatch) -> Paused:
-    """Returns the pauses that a module takes from now on."""
+    """Records the pauses that a module takes."""
 
     def record(module: str) -> list[float]:
         pauses: list[float] = []

@@ -1,4 +1,4 @@
-"""Frames whose clock jumps: after a wrap, a gap or a restart none is lost, and a damaged clock is refused."""
+"""Clock checks: no frame is lost after a restart, and frames with a damaged clock are refused."""
 
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid

@@ -1,4 +1,4 @@
-"""Lines of numbers become frames: whole lines once and in order, bad ones counted, none too long kept."""
+"""Lines of numbers become frames, whole and in order; bad lines are counted."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Bytes that hold no frame are named for what they look like."""
+"""Bytes without frames are diagnosed by their appearance."""
 
 import msgspec
 import numpy as np

@@ -1,4 +1,4 @@
-"""Bytes become frames: every intact one once and in order, nothing damaged, whatever the line does."""
+"""Binary frames: every intact one arrives once and in order, and no damaged one."""
 
 import numpy as np
 import pytest

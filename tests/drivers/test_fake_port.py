@@ -1,4 +1,4 @@
-"""The fake port behaves on its pty as a pad does on its cable: its pace, its bytes, its faults, its end."""
+"""The fake port behaves on its pty as a pad on its cable: pace, bytes, disconnection."""
 
 import threading
 import time
@@ -34,7 +34,7 @@ def read_to_end(port: FakePort, reader: serial.Serial) -> bytes:
     while not port.wait(0.0):
         data += reader.read(1)
         data += reader.read(reader.in_waiting)
-    # The kernel may still be carrying the last bytes across when the port has sent them.
+    # The kernel may still buffer the last bytes after the port has sent them.
     reader.timeout = 0.1
     while more := reader.read(4096):
         data += more
@@ -42,7 +42,7 @@ def read_to_end(port: FakePort, reader: serial.Serial) -> bytes:
 
 
 def played(stream: Stream, faults: Faults) -> bytes:
-    """What a reader gets of a stream played flat out."""
+    """Return the bytes that a reader gets of a stream played at full speed."""
     with FaultyPort(stream, encode_fabric_grid, speed=None, faults=faults) as port, opened(port) as reader:
         return read_to_end(port, reader)
 

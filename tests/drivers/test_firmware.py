@@ -1,4 +1,4 @@
-"""The sketch on its board: what it reads on the pins is what touchd feels, 54 times a second, none lost."""
+"""The firmware on a simulated board: pin values arrive as frames at 54 Hz, without loss."""
 
 import json
 import os
@@ -36,7 +36,7 @@ MakeBoard = Callable[..., Board]
 
 
 def pictures_of(rows: int, columns: int, count: int = 300) -> NDArray[np.uint16]:
-    """Raw values, another picture for each scan; the first two hold the least and the greatest."""
+    """Return random raw values for each scan; the first two are all minimum and all maximum."""
     pictures = np.random.default_rng(7).integers(0, MAX_COUNT + 1, (count, rows, columns)).astype(np.uint16)
     pictures[0], pictures[1] = 0, MAX_COUNT
     return pictures
@@ -52,7 +52,7 @@ def steps_ms(frames: list[Frame]) -> NDArray[np.int64]:
 
 @contextmanager
 def port_of(start: Callable[[int], subprocess.Popen[str]]) -> Iterator[str]:
-    """The serial port of a board that `start` switches on, given where it is to send."""
+    """Yield the serial port of a board; `start` gets the file descriptor that it sends to."""
     master, slave = pty.openpty()
     tty.setraw(slave)
     process = start(master)
@@ -217,6 +217,6 @@ def test_the_doctor_finds_the_board_in_order(board: MakeBoard, capsys: pytest.Ca
     checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
     in_order = ("port", "protocol", "line", "quiet", "rest", "noise", "taxels")
     assert [checks[name]["verdict"] for name in in_order] == ["ok"] * len(in_order)
-    # Not its verdict: on a busy machine the simulated board falls behind ours, and the doctor says so.
+    # Its verdict may be a warning: on a busy machine the simulated board lags.
     rate = checks["rate"]["figures"]
     assert (rate["rate_hz"], rate["lost"]) == (pytest.approx(FRAME_RATE_HZ, abs=0.3), 0)

@@ -22,7 +22,7 @@ SWING_HZ = 3.5
 SLOWEST_PERIOD_S = 1 / 50
 INTERPOLATION_COUNTS = SWING_COUNTS * (2 * np.pi * SWING_HZ * SLOWEST_PERIOD_S) ** 2 / 8
 ROUNDING_COUNTS = 1.0
-# What the fastest slope of the swing makes of a frame this much off its time.
+# Error of a frame that is 1 ms off its time, at the steepest slope.
 COUNTS_PER_MS = SWING_COUNTS * 2 * np.pi * SWING_HZ / 1000
 
 

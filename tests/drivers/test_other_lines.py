@@ -1,4 +1,4 @@
-"""Pads on a network, and pads that only answer when they are asked."""
+"""Pads on a network, and polled pads."""
 
 import os
 import pty
@@ -61,7 +61,7 @@ def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
 
 @contextmanager
 def udp_pad() -> Iterator[tuple[str, Callable[[bytes], object]]]:
-    """An address to listen at, and what sends a datagram there, each from a socket of its own."""
+    """Yield an address to listen at, and a function that sends a datagram there from a new socket."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         where = probe.getsockname()
@@ -80,7 +80,7 @@ def test_a_lost_datagram_costs_its_frame_alone() -> None:
         frames = []
         for number in range(60):
             half = len(PACKETS[number]) // 2
-            # Of a frame in two datagrams, the second is lost.
+            # The second of a frame's two datagrams is lost.
             give(PACKETS[number] if number in kept else PACKETS[number][:half])
             frames += parser.feed(read_waiting(opened, parser), time.monotonic())
     assert_played(frames, STREAM, kept)
@@ -120,7 +120,7 @@ def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
 
 
 def answered(described: PadFormat, number: int) -> bytes:
-    """What arrives of the answer to a question of that number, counted from 0."""
+    """Return the expected frame for a poll, counted from 0."""
     layout = layout_of(described)
     return layout.pressure(layout.values(STREAM.counts[number + 1]).ravel()).tobytes()
 
@@ -133,7 +133,7 @@ def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
     try:
         yield os.ttyname(slave), pad
     finally:
-        # The reader of a pty whose other end is closed everywhere gets an error.
+        # Closing this end makes the pad's read fail, which ends its thread.
         os.close(slave)
         pad.join()
         os.close(master)
@@ -145,7 +145,7 @@ def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
         frames = next_frames(queue, 30)
         for number, frame in enumerate(frames):
             assert frame.pressure.tobytes() == answered(described, number)
-        # One question a frame, never sooner than its rate says.
+        # One poll a frame, at most at the pad's rate.
         steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
         assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
 

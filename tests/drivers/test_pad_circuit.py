@@ -1,4 +1,4 @@
-"""What the firmware's page says of wiring and resistors is what the circuit gives and the sketch uses."""
+"""The firmware's page: its wiring and figures match the sketch and the simulated circuit."""
 
 import re
 from itertools import pairwise
@@ -26,7 +26,7 @@ def counts(taxels_ohm: NDArray[np.float64], *, others_high: bool = True) -> NDAr
 
 
 def said(pattern: str) -> list[float]:
-    """The figures that the page gives in words that match."""
+    """Return the figures in the page's text that match a pattern."""
     found = re.search(pattern, PAGE)
     assert found is not None, pattern
     return [float(figure) for figure in found.groups()]
@@ -75,7 +75,7 @@ def pins(name: str) -> list[str]:
 
 
 def words_of(picture: str) -> list[str]:
-    """What is written in a picture, in the order in which it was drawn."""
+    """Return the text of a picture in drawing order."""
     return re.findall(r">([^<>]+)</text>", (FIRMWARE / picture).read_text())
 
 

@@ -1,4 +1,4 @@
-"""Every promise of the parser, for every format: frames once and in order, damage counted, memory bounded."""
+"""Every parser's promises for every format: frames in order, damage counted, memory bounded."""
 
 import random
 from collections.abc import Sequence
@@ -44,7 +44,7 @@ def felt(number: int) -> Counts:
 
 @cache
 def laid(described: PadFormat, number: int) -> bytes:
-    """What comes out of a frame that shows `felt(number)` as well as this grid can."""
+    """Return the pressure that this format's grid can carry of `felt(number)`."""
     layout = layout_of(described)
     return layout.pressure(layout.values(felt(number)).ravel()).tobytes()
 
@@ -55,7 +55,7 @@ def sent(described: PadFormat, number: int) -> bytes:
 
 
 def stream(described: PadFormat, numbers: Sequence[int]) -> bytes:
-    """Frames as they come, after the second half of one for those that need a beginning."""
+    """Return frames, after half a frame for formats that are found by their ends."""
     begun = sent(described, 99)[-9:] if described.footer or described.framing != "binary" else b""
     return begun + b"".join(sent(described, number) for number in numbers)
 
@@ -96,14 +96,14 @@ def test_a_frame_cut_off_costs_itself_and_is_counted(described: PadFormat, kept:
     parser = parser_of(described)
     whole = sent(described, 2)
     broken = whole[: max(1, round(kept * len(whole)))]
-    # A printed line that lost its end is one with the next.
+    # A printed line without its end would merge with the next.
     if described.framing != "binary":
         broken += encode_frame(described, felt(0), None)[-1 - len(described.end) :]
         broken = broken if described.framing == "line" else broken + b"\n" + described.end.encode() + b"\n"
     data = stream(described, [0, 1]) + broken + b"".join(sent(described, n) for n in (3, 4, 5))
     came = {frame.pressure.tobytes() for frame in feed(parser, data, range(0, len(data), 97))}
     assert {laid(described, number) for number in (0, 1, 4, 5)} <= came
-    # A frame that lost the end of its footer is whole itself.
+    # A frame that lost the end of its footer is complete.
     assert laid(described, 2) not in came or (described.footer and kept > 0.9)
     assert parser.counts.bad >= 1
 
@@ -228,7 +228,7 @@ def test_a_description_that_contradicts_itself_is_refused(fields: dict[str, obje
 
 
 def moving(described: PadFormat, count: int = 40) -> bytes:
-    """A pad at rest with a little noise, on which a hand lies now and then."""
+    """Return frames of a pad with a little noise, pressed in every fourth."""
     rng = np.random.default_rng(3)
     frames = []
     for number in range(count):

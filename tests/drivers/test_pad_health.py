@@ -24,7 +24,7 @@ Damage = Callable[[Counts], None]
 
 
 def sound_pad(seconds: int) -> Counts:
-    """A pad at rest as HAART's: a few counts of offset a taxel and noise on each."""
+    """A pad at rest like HAART's: a few counts of offset and noise per taxel."""
     rng = np.random.default_rng(5)
     rest = rng.uniform(1.0, 6.0, (8, 8))
     counts = np.rint(rest + rng.normal(0.0, 1.2, (seconds * RATE_HZ, 8, 8)))
@@ -74,7 +74,7 @@ def saturated(counts: Counts) -> None:
 
 
 def pad_with_dead_row(seconds: int, *broken: tuple[int, int]) -> Counts:
-    """A pad whose seventh row is dead from each of these seconds to the other."""
+    """A pad whose seventh row is dead in each of these spans of seconds."""
     counts = sound_pad(seconds)
     for begin_s, end_s in broken:
         dead_row(counts[begin_s * RATE_HZ : end_s * RATE_HZ])

@@ -1,4 +1,4 @@
-"""Long runs of random damage into one parser: it never raises, never grows, and loses no intact frame."""
+"""Fuzzing: a parser never raises or grows, and loses no intact frame."""
 
 import os
 import random
@@ -15,9 +15,9 @@ INNER_BYTES = range(8, SIZE - 9)
 
 
 class BadLine:
-    """An endless stream of frames with random damage between and in them; knows which are intact.
+    """An endless stream of frames with random damage; `intact` lists the undamaged ones.
 
-    After a frame that lacks bytes comes an intact one: garbage in their place would pass one time in 256, by
+    A frame that lacks bytes is followed by an intact one: garbage would pass one time in 256, by
     the one-byte checksum.
     """
 
@@ -28,7 +28,7 @@ class BadLine:
         self.intact: list[int] = []
 
     def stretch(self) -> bytes:
-        """Two intact frames, some of any kind, two intact ones; now and then the pad restarted before it."""
+        """Return some frames of any kind between two intact pairs; sometimes the pad restarts first."""
         if self._rng.random() < 0.1:
             self._ms = self._rng.randrange(2**32)
         pieces = [self._frame(), self._frame()]
@@ -72,7 +72,7 @@ class BadLine:
 
 
 def assert_survives(chunks: int, seed: int) -> None:
-    """Feed at least so many random chunks; check frames, counts and memory as they go."""
+    """Feed at least `chunks` random chunks; check frames, counts and memory."""
     rng = random.Random(seed)
     line, parser = BadLine(seed), FabricGrid()
     fed = 0

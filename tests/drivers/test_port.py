@@ -1,4 +1,4 @@
-"""A port is looked at before anything starts, and what is wrong with it is said in one line."""
+"""A port is checked before anything starts, and each fault is reported in one line."""
 
 import logging
 import os

@@ -1,4 +1,4 @@
-"""Telling the robot something takes the daemon next to no time, whatever the robot does; on real qi."""
+"""publish() never waits for the robot; on real qi."""
 
 import pytest
 from by_hand.robot_figures import STATES, in_state, publishes
@@ -11,7 +11,7 @@ LIMIT_S = 0.005
 def test_publish_never_takes_five_milliseconds_by_itself(state: str) -> None:
     with in_state(state) as link:
         taken = list(publishes(link, 1000))
-    # Where others take every core, the kernel may put any thread aside for longer than that.
+    # If other processes use every core, the kernel may preempt any thread for longer.
     ours = [publish for publish in taken if not publish.put_aside]
     assert ours
     assert max(publish.wall_s for publish in ours) < LIMIT_S

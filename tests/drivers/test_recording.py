@@ -1,4 +1,4 @@
-"""Recordings are read in each layout they come in, written back whole, realigned, and joined into streams."""
+"""Recordings: every layout is read and written back, realigned, and joined into streams."""
 
 import gzip
 import hashlib
@@ -75,7 +75,7 @@ def test_only_what_is_selected_is_read(tmp_path: Path) -> None:
 def test_a_damaged_archive_is_one_clear_line(tmp_path: Path) -> None:
     path = tmp_path / "pad.csv.gz"
     write_recordings(path, [made("P1", "rub")], {})
-    # A block of the kind that deflate (RFC 1951) reserves, right after the archive's header and name.
+    # A reserved block type of deflate (RFC 1951), right after the archive's header and name.
     written = path.read_bytes()
     path.write_bytes(written[: written.index(b"\0", 10) + 1] + b"\x07" + written[30:])
     for read in (read_recordings, read_provenance):

@@ -1,4 +1,4 @@
-"""What a robot is told and does; on real qi."""
+"""Events and actions on the robot; on real qi."""
 
 import sys
 import threading
@@ -26,7 +26,7 @@ def running_robot() -> Iterator[Robot]:
 
 @pytest.fixture
 def robot(running_robot: Robot) -> Iterator[Robot]:
-    """A robot that nothing was asked yet and that nobody is linked to any more when the test is over."""
+    """A robot without earlier calls; after the test its link has ended."""
     calls = running_robot.calls
     yield running_robot
     if calls.raised(STATUS):

@@ -1,4 +1,4 @@
-"""Which answers have the robot do what, and how the configuration says it."""
+"""Actions: which answers trigger them, and their configuration."""
 
 from typing import Any
 
@@ -21,7 +21,7 @@ def rules(text: str) -> Rules:
 
 
 def done(chosen: Reactions, *args: Any, now_s: float = 0.0, **other: Any) -> list[str]:
-    """What a message has the robot say."""
+    """Return what the robot says to a message."""
     is_told = other.pop("is_told", True)
     reaction = chosen.choose(message(*args, **other), now_s, is_told=is_told)
     return [str(action.say) for action in reaction.actions] if reaction else []

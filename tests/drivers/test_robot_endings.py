@@ -1,4 +1,4 @@
-"""Leaving takes little time and is clean whatever the robot does; on real qi."""
+"""Stopping the link is quick and clean in every state of the robot; on real qi."""
 
 import os
 import socket
@@ -45,7 +45,7 @@ EXIT_STATES = (
 
 
 def _exits_cleanly(state: str) -> str:
-    """Run a program that ends while the link is in a state; returns what is not clean about it."""
+    """Run a program that ends while its link is in a state; return how it failed, "" if it ended cleanly."""
     script = Path(__file__).parents[1] / "rigs" / "robot_exit.py"
     environment = os.environ | {"ROBOT_TOKEN": LOGIN.token}
     done = ran(

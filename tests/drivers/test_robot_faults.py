@@ -1,4 +1,4 @@
-"""Whatever becomes of the robot, the daemon goes on and the link comes back; on real qi."""
+"""Faults of the robot: the daemon continues and the link recovers; on real qi."""
 
 import logging
 import time
@@ -52,7 +52,7 @@ def test_a_kill_during_a_call_is_survived() -> None:
         states.wait_for("up", "down", "up")
         link.publish(message("pat"))
         robot.calls.wait_for_raise(GESTURE, "pat")
-        # What was under way may have been carried out, so it is not repeated.
+        # A call in progress may have been carried out, so it is not repeated.
         assert robot.calls.raised(GESTURE) == ["pat"]
         assert link.counts["failed"] == 1
 
@@ -183,7 +183,7 @@ def test_publishing_to_a_hung_robot_returns_at_once() -> None:
         started_s = time.monotonic()
         for number in range(500):
             link.publish(message(f"gesture {number}", number))
-        # A thousandth of the time that a single call to the robot may take, each, and generously so.
+        # A generous limit: a single call to the robot may take as long as this.
         assert time.monotonic() - started_s < AT_ONCE_S
         assert link.counts["dropped"] == 495
         robot.resume()

@@ -1,4 +1,4 @@
-"""The sensor delivers every intact frame of whatever speaks the pad's language, at once, and ends at once."""
+"""The sensor delivers every intact frame at once, and stops at once."""
 
 import socket
 import time
@@ -119,7 +119,7 @@ def test_any_pyserial_address_works() -> None:
                     connection.sendall(encode_fabric_grid(counts, ms))
                     time.sleep(0.002)
                 frames = next_frames(queue, 10)
-    # What is sent while the port is being opened is discarded, as on a cable.
+    # Bytes sent while the port is being opened are discarded, as on a cable.
     first = stream.sensor_ms.tolist().index(frames[0].sensor_ms)
     assert_played(frames, stream, range(first, first + 10))
 

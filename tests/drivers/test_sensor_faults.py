@@ -1,4 +1,4 @@
-"""Whatever a lab does to the pad's cable: it is said once, and right frames come again when it is over."""
+"""Faults of the pad's cable are reported once, and frames arrive again when they are over."""
 
 import logging
 import time
@@ -30,7 +30,7 @@ from drivers.recording import Stream
 
 
 def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels: str) -> None:
-    """Right frames come before the port would be opened anew, and this is all that was logged."""
+    """Assert that frames arrive before the port would be reopened, with these log levels only."""
     begun_s = time.monotonic()
     assert next_state(queue).state == "up"
     next_frames(queue, 5)
@@ -88,7 +88,7 @@ def test_a_replugged_pad_is_found_by_its_link(tmp_path: Path, caplog: pytest.Log
     link = tmp_path / "touchd-pad"
     first, second = (FakePort(stream_of(), encode_fabric_grid) for _ in range(2))
     link.symlink_to(first.path)
-    # As the daemon does it: the pause between two looks has grown to what it is at most.
+    # The pause between two retries has grown to the daemon's maximum.
     with sensing(str(link), longest_retry_s=1.0) as queue:
         first.start()
         next_frames(queue, 5)

@@ -1,4 +1,4 @@
-"""Mains hum and a motor are taken out of the grid's frames, and nothing else is."""
+"""Mains hum and a motor's vibration are removed from the grid's frames, and nothing else."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def hand_over_most(seconds: float) -> Scans:
 
 
 def laid(counts: Counts) -> NDArray[np.float32]:
-    """Return the frames (T, 8, 8) that the grid makes of counts that come at 54 Hz."""
+    """Return the grid's frames (T, 8, 8) for counts at 54 Hz."""
     ring = Ring(RingSettings(), capacity=1)
     stamps = ideal_clock_ms(len(counts)).tolist()
     frames = [ring.push(Frame(n, ms, 0.0, counts[n]))[0] for n, ms in enumerate(stamps)]
@@ -37,7 +37,7 @@ def laid(counts: Counts) -> NDArray[np.float32]:
 
 
 def off(pressure: Scans, vibration: Scans) -> tuple[float, float]:
-    """Return the mean error in counts that a vibration makes in the last frames, raw and on the grid."""
+    """Return a vibration's mean error in the last frames, in counts: raw and on the grid."""
     clean, shaken = MadePad().counts(pressure), MadePad().counts(pressure + vibration)
     last = slice(-108, None)
     raw = np.abs(shaken[last].astype(np.float32) - clean[last]).mean()

@@ -1,4 +1,4 @@
-"""What README and the pages name is there: tests, files, commands and their options."""
+"""The documentation names only existing tests, files, commands and options."""
 
 import importlib
 import re
@@ -17,7 +17,7 @@ TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MUL
 
 
 def typed(page: Path) -> list[list[str]]:
-    """The commands of a page's shell blocks, as words."""
+    """Return the commands of a page's shell blocks as words."""
     blocks = re.findall(r"```sh\n(.*?)```", page.read_text(), re.DOTALL)
     lines = "".join(blocks).replace("\\\n", " ").splitlines()
     words = [shlex.split(line, comments=True) for line in lines]

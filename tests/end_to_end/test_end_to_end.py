@@ -25,7 +25,7 @@ from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read
 from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
 
-# The sensor's clock counts, not the arrival.
+# Faster than real time: answers depend on the sensor's clock, not on the arrival.
 SPEED = 100.0
 BEGINNING = 650
 
@@ -36,7 +36,7 @@ def beginning(stream: Stream) -> Stream:
 
 
 def touches(events: list[Event]) -> list[int]:
-    """The numbers of the touches that came to an end."""
+    """Return the numbers of the ended touches."""
     return [event.touch for event in events if isinstance(event, TouchEnded)]
 
 
@@ -45,7 +45,7 @@ requires_haart = pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TO
 
 @pytest.fixture
 def run(tmp_path: Path) -> Callable[..., list[Event]]:
-    """What the spawned daemon says to a stream that a fake port plays to it."""
+    """Plays a stream to the spawned daemon; returns its events."""
 
     def run(
         stream: Stream,
@@ -72,7 +72,7 @@ def test_shipped_recordings_give_the_expected_events(
 def in_use(
     run: Callable[..., list[Event]], recordings: list[Recording], settings: SessionSettings
 ) -> SessionScore:
-    """How touch after touch of one person fares through the port."""
+    """Score a session of one person's touches, played through the port."""
     session = next(sessions(recordings, settings))
     clock_ms = ideal_clock_ms(len(session.counts))
     return score([judge(session, run(Stream(session.counts, clock_ms, ())))])

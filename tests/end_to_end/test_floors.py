@@ -1,4 +1,4 @@
-"""The floors: drivers are the ground, the model stands on them, the daemon on both; none imports upward."""
+"""The layers: model may import drivers, daemon both, and nothing imports upward."""
 
 import ast
 import re
@@ -31,7 +31,7 @@ WINGS = (
 
 
 def imports(path: Path) -> set[str]:
-    """The dotted names of the modules that a file imports, wherever in it."""
+    """Return the dotted names of all modules that a file imports."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
@@ -79,7 +79,7 @@ print(*sys.modules)
 
 @pytest.fixture(scope="module")
 def loaded() -> set[str]:
-    """The modules in the process of a daemon that is ready to run."""
+    """The modules that a daemon has loaded when it is ready."""
     done = ran([sys.executable, "-c", WHAT_IS_LOADED], check=True)
     return set(done.stdout.split())
 

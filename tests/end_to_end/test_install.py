@@ -155,7 +155,7 @@ def test_the_lock_satisfies_what_the_project_asks_for() -> None:
         if match := re.match(r"([\w.-]+)==([\w.]+)", line):
             locked.setdefault(match[1], []).append(match[2])
     extras = project["optional-dependencies"]
-    # What installs and builds is locked as well: it runs with the same rights.
+    # Installers and build tools are locked as well: they run with the same rights.
     tools = ["pip", *pyproject["build-system"]["requires"]]
     wanted = [
         *tools,
@@ -181,7 +181,7 @@ def test_there_are_wheels_for_every_python_and_processor(version: str, machine: 
     platform = [f"--python-version={version}", f"--python-platform={machine}-unknown-linux-gnu"]
     done = ran([*command, *platform], cwd=ROOT)
     assert done.returncode == 0, done.stderr
-    # Where there is no qi, the robot is the stand-in.
+    # qi has no wheels for the others.
     assert ("\nqi==" in done.stdout) == (machine == "x86_64" and version != "3.13")
 
 

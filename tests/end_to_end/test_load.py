@@ -1,4 +1,4 @@
-"""The real daemon while both cores are taken by others, at the pad's rate and far beyond it.
+"""The real daemon under load, at the pad's rate and far beyond it.
 
 To see the figures: pytest -m slow tests/end_to_end/test_load.py -s
 """
@@ -31,7 +31,7 @@ Play = Callable[[float], tuple[list[Event], int, int]]
 
 @pytest.fixture
 def busy() -> Iterator[None]:
-    """Every core is taken."""
+    """Keep every core busy."""
     burners = [
         subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 2)
     ]
@@ -43,7 +43,7 @@ def busy() -> Iterator[None]:
 
 @pytest.fixture
 def play(tmp_path: Path) -> Play:
-    """Plays a recording to the daemon so many times faster; returns events, frames processed and dropped."""
+    """Plays a recording to the daemon at a speed; returns events, frames processed and dropped."""
 
     def play(speed: float) -> tuple[list[Event], int, int]:
         with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=speed) as port:
@@ -84,7 +84,7 @@ HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
 
 @pytest.mark.slow
 def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
-    # Held up for eight turns of the recording, it then gets all of them as fast as the line can carry.
+    # Stopped for eight repetitions of the recording, it then gets them as fast as the line can carry.
     stream = splice(read_recordings(LENGTHS) * TURNS)
     held_up_s = HELD_UP_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / SPEED
     with (
@@ -115,7 +115,7 @@ def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
 
 
 def _last_turn(events: list[Event]) -> list[dict[str, object]]:
-    """Return the outline of the last touches, as many as one turn of the recording has, numbered from 1."""
+    """Return the outline of the last repetition's touches, numbered from 1."""
     touches = max(int(str(entry["touch"])) for entry in expected(LENGTHS))
     before = max(event.touch for event in events if isinstance(event, TouchBegan)) - touches
     last = [entry | {"touch": int(str(entry["touch"])) - before} for entry in outline(events)]

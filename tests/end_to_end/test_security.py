@@ -1,4 +1,4 @@
-"""What comes from outside is data: nothing listens, nothing is run, nothing is without bound."""
+"""External input is only data: nothing listens, nothing is executed, everything is bounded."""
 
 import ast
 import json
@@ -31,12 +31,12 @@ SOURCES = sorted(
     for floor in ("daemon", "drivers", "model", "docs/studies/training")
     for path in (ROOT / floor).rglob("*.py")
 )
-# Modules that run what they read.
+# Modules that execute their input.
 RUNS_WHAT_IT_READS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 
 
 def dangers(source: str) -> Iterator[str]:
-    """Yield what in a source file could run what it reads."""
+    """Yield the calls and imports in a source file that could execute their input."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             yield from (name.name for name in node.names if name.name.split(".")[0] in RUNS_WHAT_IT_READS)
@@ -137,7 +137,7 @@ def test_a_listening_socket_is_detected() -> None:
 
 
 def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
-    # It sends from a database in the home folder, and is silent by itself where it takes this for a test.
+    # It sends from a database in the home folder, and stays silent if it detects a test.
     silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
     load = "from daemon.setup.parts import load_model, Settings; load_model(Settings())"
@@ -168,7 +168,7 @@ def test_the_daemon_listens_nowhere(tmp_path: Path) -> None:
 
 
 def await_both(daemon: SpawnedDaemon) -> None:
-    """Wait until pad and robot are there."""
+    """Wait until pad and robot are connected."""
     waited_for = {SensorEvent, RobotEvent}
     for event in daemon.events():
         waited_for.discard(type(event))

@@ -1,4 +1,4 @@
-"""The service: systemd hears the truth, the unit is sound, and the daemon ends when told."""
+"""The service: notifications to systemd, the unit files, and stopping."""
 
 import fcntl
 import os
@@ -149,7 +149,7 @@ Spawn = Callable[[Settings], SpawnedDaemon]
 
 @pytest.fixture
 def spawn(tmp_path: Path, manager: Manager) -> Iterator[Spawn]:
-    """Spawns a daemon; afterwards none is left."""
+    """Spawns daemons; stops them after the test."""
     with ExitStack() as closing:
 
         def spawn(settings: Settings) -> SpawnedDaemon:

@@ -1,4 +1,4 @@
-"""The soak itself: minutes of it hold, and what it looks for would be found."""
+"""The soak: a short run passes, and its audit detects wrong events."""
 
 import json
 from pathlib import Path

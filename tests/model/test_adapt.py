@@ -1,4 +1,4 @@
-"""Adapting to a lab's own recordings: another label set, a file that runs, honest figures, clear refusals."""
+"""Adapting to a lab's own recordings: labels, model file, figures, and clear refusals."""
 
 import hashlib
 import json
@@ -30,7 +30,7 @@ from model.adapt.plan import plan  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
 
-# What a simulated hand does when it "hugs": nothing the shipped model was ever shown under that name.
+# The simulated gesture behind each label; "hug" is new to the shipped model.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
 SETTINGS = AdaptSettings(crops=2, steps=40)
 SECONDS = 3.0
@@ -39,7 +39,7 @@ SECONDS = 3.0
 def simulated(
     participants: Sequence[str], each: int, gestures: Sequence[str] = tuple(DONE)
 ) -> list[Recording]:
-    """Recordings of a lab of its own: each participant does every gesture `each` times."""
+    """A lab's recordings: each participant does every gesture `each` times."""
     made = []
     for seed, participant in enumerate(participants):
         for number in range(each):
@@ -53,7 +53,7 @@ def simulated(
 
 
 def keep(folder: Path, recordings: Sequence[Recording]) -> Path:
-    """A folder as `touchd record` leaves it: a file a recording."""
+    """Write a folder as `touchd record` does, one file a recording."""
     folder.mkdir(exist_ok=True)
     for number, recording in enumerate(recordings):
         write_recordings(folder / f"{number:03}.csv.gz", [recording], {"source": "made for a test"})
@@ -74,12 +74,12 @@ def material(pretrained: Pretrained) -> Features:
     return prepare(pretrained, simulated(("Ann", "Bo"), 2), SETTINGS)
 
 
-# --- the whole way, as a lab goes it ---
+# --- the whole command ---
 
 
 @pytest.fixture(scope="module")
 def adapted_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """What `touchd train --extra` wrote for two people and five gestures, one new, and what it said."""
+    """The file and output of `touchd train --extra` for two people and five gestures, one of them new."""
     home = tmp_path_factory.mktemp("lab")
     lab, output = keep(home / "lab", simulated(("Ann", "Bo"), 2)), home / "lab.onnx"
     with pytest.MonkeyPatch.context() as patch:
@@ -138,7 +138,7 @@ def test_touchd_classify_answers_with_the_new_gesture(
 def test_the_doctor_finds_that_the_model_fits(
     adapted_file: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # A busy machine is told of, and rightly.
+    # On a busy machine the doctor would rightly warn.
     monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     check = check_model(Settings(model=str(adapted_file[0])))
     assert check.verdict == "ok"
@@ -166,7 +166,7 @@ def test_an_existing_file_is_not_overwritten(
     assert sorted(path.name for path in adapted_file[0].parent.iterdir()) == ["lab", "lab.onnx"]
 
 
-# --- what is learnt ---
+# --- training ---
 
 
 def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained, material: Features) -> None:
@@ -200,7 +200,7 @@ def test_fewer_recordings_change_the_network_less(pretrained: Pretrained, materi
 
 
 def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, material: Features) -> None:
-    """A lab that recorded no pad at rest keeps what the shipped model knows of it."""
+    """A lab without recordings at rest keeps the shipped model's knowledge of it."""
     touching = [i for i, recording in enumerate(material.recordings) if recording.gesture != "notouch"]
     recordings = [material.recordings[i] for i in touching]
     adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
@@ -237,7 +237,7 @@ def test_short_touches_are_used_for_training(pretrained: Pretrained) -> None:
     assert adapted.temperatures[144] == pretrained.temperatures[144]
 
 
-# --- what is measured ---
+# --- figures ---
 
 
 def labelled(*people_and_gestures: tuple[str, str]) -> list[Recording]:
@@ -302,7 +302,7 @@ def test_three_right_of_three_have_a_wide_interval() -> None:
     assert wilson_interval(3, 3) == (pytest.approx(0.438, abs=1e-3), 1.0)
 
 
-# --- what a lab is warned of ---
+# --- warnings ---
 
 
 @pytest.mark.parametrize(
@@ -330,7 +330,7 @@ def test_too_few_recordings_are_reported(
     assert [line for line in said if line not in report] == []
 
 
-# --- what cannot be learnt from ---
+# --- unusable recordings ---
 
 Make = Callable[[Path], object]
 

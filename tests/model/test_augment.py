@@ -1,4 +1,4 @@
-"""What training varies and what robustness is measured with: what a pad can send, and what the name says."""
+"""Augmentations and disturbances stay within a pad's range and do what their names say."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ PRESSED = torch.full((32, 54, 8, 8), 100.0)
 
 
 def varied(**settings: float) -> torch.Tensor:
-    """What one kind of variation does to an even pressure."""
+    """Apply one kind of variation to an even pressure."""
     own = AugmentationSettings(**{**{name: getattr(OFF, name) for name in OFF.__struct_fields__}, **settings})
     return vary(PRESSED, own, torch.Generator().manual_seed(0))
 

@@ -1,4 +1,4 @@
-"""The shipped model and what runs it: answers at any length, and one clear line for what it cannot take."""
+"""The classifier: answers at any length, and one clear line for unusable files and windows."""
 
 from pathlib import Path
 
@@ -142,7 +142,7 @@ def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
 
 
 class TestOtherModels:
-    """Models that ONNX Runtime takes and touchd cannot; made from the shipped one with the package onnx."""
+    """Models that ONNX Runtime accepts and touchd refuses; made from the shipped one with onnx."""
 
     @pytest.fixture(autouse=True)
     def _onnx(self) -> None:
@@ -195,7 +195,7 @@ class TestOtherModels:
             assert answer == pytest.approx(before.probabilities(window), abs=1e-5)
 
     def broken(self, path: Path, values: list[float], shape: list[int], endless: bool = False) -> str:
-        """Why a model that answers these values, or never, is refused."""
+        """Return why a model that answers these values, or never, is refused."""
         self.tiny_graph(path, "counts", ["batch", "frames", 8, 8], 7)
         proto, helper, kind = self.onnx.load(path), self.onnx.helper, self.onnx.TensorProto
         proto.graph.initializer[0].CopyFrom(helper.make_tensor("even", kind.FLOAT, shape, values))

@@ -37,7 +37,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def random_network(settings: NetworkSettings = SMALL) -> TGC:
-    """A network whose every parameter is random, so that none hides behind a zero or a one."""
+    """A network with all parameters random, so that none is hidden by a zero or a one."""
     torch.manual_seed(0)
     network = TGC(settings, len(LABELS))
     with torch.no_grad():

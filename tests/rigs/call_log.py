@@ -1,4 +1,4 @@
-"""The calls that a stand-in robot got."""
+"""The calls that a stand-in robot received."""
 
 import threading
 from collections.abc import Callable
@@ -14,7 +14,7 @@ class CallLog:
         self._grew = threading.Condition()
 
     def add(self, call: Call) -> None:
-        """Note a call."""
+        """Record a call."""
         with self._grew:
             self._calls.append(call)
             self._grew.notify_all()
@@ -25,7 +25,7 @@ class CallLog:
             return list(self._calls)
 
     def clear(self) -> None:
-        """Forget the calls so far."""
+        """Clear the calls so far."""
         with self._grew:
             self._calls.clear()
 
@@ -38,7 +38,7 @@ class CallLog:
         return [call.arguments[0] for call in self.all() if call.method == "say"]
 
     def wait_for(self, wanted: Callable[[Call], bool], timeout_s: float = 50.0) -> Call:
-        """Return the first call that is wanted, past or to come; raises TimeoutError with the last ones."""
+        """Return the first matching call, waiting for it; raises TimeoutError with the last calls."""
         with self._grew:
             if not self._grew.wait_for(lambda: any(map(wanted, self._calls)), timeout_s):
                 raise TimeoutError(f"not within {timeout_s:g} s; the last calls were {self._calls[-5:]}")

@@ -1,4 +1,4 @@
-"""Pads for the doctor to listen to, over a pty, and a systemctl that answers as a test wants."""
+"""Pads on a pty for the doctor, and a fake systemctl."""
 
 import os
 import termios
@@ -26,7 +26,7 @@ SETTINGS = Settings()
 
 
 def resting(seconds: float = 8.0) -> Counts:
-    """Counts of a sound pad that nothing touches."""
+    """Return counts of an intact, untouched pad."""
     (recording,) = simulate((("notouch", seconds),), seed=3)
     return np.array(recording.counts)
 
@@ -37,7 +37,7 @@ def pad_of(counts: Counts, encode: Encode = encode_fabric_grid, **options: Any) 
 
 
 def pad_at_baud(counts: Counts, speed: int) -> FakePort:
-    """A pad that sends noise unless its line is set to a speed of termios's."""
+    """A pad that sends noise unless its line has this speed of termios."""
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:
         line = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
@@ -52,7 +52,7 @@ def pad_at_baud(counts: Counts, speed: int) -> FakePort:
 def heard(
     counts: Counts, encode: Encode = encode_fabric_grid, rate_hz: float = 54.0, faults: Faults = NO_FAULTS
 ) -> Heard:
-    """What the doctor hears of these counts over a pty, as fast as possible."""
+    """Return what the doctor reads of these counts over a pty, at full speed."""
     clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
     almost_all_s = (len(counts) - 3) / rate_hz
     with (
@@ -68,7 +68,7 @@ def the(name: str, checks: Iterator[Check]) -> Check:
 
 
 def systemd_says(answer: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put a systemctl first on the path that gives this answer, and fails when it is empty."""
+    """Put a systemctl first on the path that prints this answer, and fails if it is empty."""
     program = folder / "systemctl"
     program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
     program.chmod(0o755)

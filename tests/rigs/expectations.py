@@ -3,7 +3,7 @@
     PYTHONPATH=tests python -m rigs.expectations             rebuilds the expected events (make expectations)
     PYTHONPATH=tests python -m rigs.expectations --record    first records the simulated hands anew
 
-Read the difference before committing it: every changed line is a changed answer.
+Read the diff before committing it: every changed line is a changed answer.
 """
 
 import json
@@ -36,7 +36,7 @@ def _with_gaps(touches: Script) -> Script:
 
 
 GESTURES, LENGTHS = FOLDER / "gestures.csv.gz", FOLDER / "lengths.csv.gz"
-# Touches that end in each stage, and one in which a resting hand begins to pat.
+# Touches that end in each stage, and one in which a resting hand starts to pat.
 TOUCH_LENGTHS = [("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]
 TOUCH_GESTURES = [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
 RECORDINGS: dict[Path, tuple[Script, int]] = {
@@ -69,7 +69,7 @@ def answers(stream: Stream, classifier: Classifier) -> list[Event]:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Rebuild what was asked for."""
+    """Rebuild the expected events, with --record after the recordings."""
     if "--record" in arguments:
         for path, (script, seed) in RECORDINGS.items():
             path.unlink(missing_ok=True)

@@ -11,7 +11,7 @@ FIRST_S = 1795168800.0
 
 
 def felt(number: int, rest_frames: int = 10, after_s: float = 0.0) -> FeltTouch:
-    """Touch `number`, a second after the previous: 20 frames, with so many of rest around."""
+    """Return touch `number`: 20 frames between `rest_frames` of rest, a second after the previous one."""
     counts = np.full((8, 8), number % 1024, np.uint16)
     frames = tuple(Frame(i, 19 * i, 0.0, counts) for i in range(FRAMES + 2 * rest_frames))
     first_ms, last_ms = 19 * rest_frames, 19 * (rest_frames + FRAMES - 1)

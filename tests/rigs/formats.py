@@ -1,4 +1,4 @@
-"""The lab's pads by the names under which the tests know them."""
+"""Parsers and encoders of the lab's pads."""
 
 import msgspec
 

@@ -1,4 +1,4 @@
-"""What can go wrong on a serial line, done on purpose."""
+"""Faults of a serial line, injected at fixed intervals."""
 
 import itertools
 import random
@@ -10,13 +10,13 @@ from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
 from drivers.recording import Stream
 
-# Of a fabric-grid frame, the low bytes of the values and the checksum: a bit flipped there is always noticed.
+# The checksum detects every bit flipped in the low bytes of a fabric-grid frame's values.
 FIRST_LOW_BYTE = 8
 
 
 @dataclass(frozen=True)
 class Faults:
-    """Which fabric-grid frames are damaged: every n-th for each kind, 0 for none; the same in each run.
+    """Which frames are damaged: every n-th for each kind, 0 for none; reproducible.
 
     flip_bit_every: a bit is flipped where the checksum sees it. drop_frame_every: the frame is not sent.
     repeat_frame_every: it is sent twice. cut_frame_every: it ends early. garbage_every: random bytes come
@@ -52,7 +52,7 @@ NO_FAULTS = Faults()
 
 
 class FaultyPort(FakePort):
-    """A fake port on such a line."""
+    """A fake port on a faulty line."""
 
     def __init__(
         self,

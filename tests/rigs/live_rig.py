@@ -36,7 +36,7 @@ class Served:
         self._frames = 0
 
     def serve(self, settings: Settings, before: LiveServer | None = None) -> LiveServer:
-        """A started page."""
+        """Return a started page."""
         server = open_live_page(settings, self.models, before)
         assert server is not None
         server.start()
@@ -65,7 +65,7 @@ class Served:
 
 @contextmanager
 def serving(**settings: Any) -> Iterator[Served]:
-    """A served page; stopped and checked to leave nothing at the end."""
+    """Yield a served page; afterwards no thread of it is left."""
     served = Served(load_model(Settings()), **settings)
     try:
         yield served

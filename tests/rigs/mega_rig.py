@@ -47,7 +47,7 @@ def build_board(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class Board:
-    """A simulated Mega with the sketch on it.
+    """A simulated Mega that runs the sketch.
 
     rows, columns: as compiled. Its pins read raw values (pictures, rows, columns), one picture a scan,
     repeating.
@@ -62,7 +62,7 @@ class Board:
     def start(
         self, pictures: NDArray[np.uint16], seconds: float, output: int, *, paced: bool = False
     ) -> subprocess.Popen[str]:
-        """Run it for so many seconds of its own time; it sends to the file descriptor `output`."""
+        """Run it for `seconds` of its own time; it sends to the file descriptor `output`."""
         path = self.folder / "pictures"
         path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
         grid = [str(self.rows), str(self.columns)]
@@ -77,7 +77,7 @@ class Board:
         return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
 
     def run(self, pictures: NDArray[np.uint16], seconds: float) -> "Run":
-        """Run it for so many seconds of its own time; return what it sent and when."""
+        """Run it for `seconds` of its own time; return what it sent and when."""
         with (self.folder / "sent").open("w+b") as sent:
             board = self.start(pictures, seconds, sent.fileno())
             _, said = board.communicate()

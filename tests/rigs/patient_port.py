@@ -1,4 +1,4 @@
-"""A fake pad that loses no frame on a busy machine: it waits for the daemon that reads it."""
+"""A fake pad that waits for the daemon, so that a busy machine loses no frame."""
 
 import math
 import time
@@ -19,7 +19,7 @@ LOOK_S = 0.002
 LONGEST_S = 0.5
 
 
-# However late the machine makes an answer, it is told.
+# Tell every answer, however late on a busy machine.
 PATIENT = SceneSettings(stale_s=60.0)
 
 

@@ -1,4 +1,4 @@
-"""What the bridges talk to, each a real one that a test can kill and bring back."""
+"""Real peers of the bridges, which a test can stop and restart."""
 
 import json
 import os
@@ -45,7 +45,7 @@ def frame(number: int, host_s: float | None = None) -> Frame:
 
 
 class Peer(ABC):
-    """Somebody who listens; `heard` counts and keeps across its deaths."""
+    """A subscriber; `heard` is kept across restarts."""
 
     port: int
 
@@ -58,25 +58,25 @@ class Peer(ABC):
     def make(self) -> Bridge: ...
 
     def bridge(self) -> Bridge:
-        """A started bridge to this peer."""
+        """Return a started bridge to this peer."""
         bridge = self.make()
         self._bridges.append(bridge)
         bridge.start()
         return bridge
 
     def start(self) -> None:
-        """Be there, and listen."""
+        """Start, and subscribe."""
         self._start()
         self._is_there = True
 
     def stop(self) -> None:
-        """Go away; may be repeated."""
+        """Stop; may be repeated."""
         if self._is_there:
             self._is_there = False
             self._stop()
 
     def close(self) -> None:
-        """End the bridges, and go away."""
+        """Stop the bridges and the peer."""
         for bridge in self._bridges:
             bridge.stop(2.0)
         self.stop()
@@ -93,7 +93,7 @@ class Peer(ABC):
 
 @contextmanager
 def broker(folder: Path, port: int, lines: str = "allow_anonymous true\n") -> Iterator[None]:
-    """A mosquitto on this port."""
+    """Run a mosquitto on this port."""
     assert MOSQUITTO is not None
     file = folder / f"mosquitto-{port}.conf"
     file.write_text(f"listener {port} 127.0.0.1\n{lines}")
@@ -102,7 +102,7 @@ def broker(folder: Path, port: int, lines: str = "allow_anonymous true\n") -> It
             wait_for(lambda: _listens(port))
             yield
         finally:
-            # It writes down what it is to remember.
+            # On SIGTERM it saves its sessions.
             process.terminate()
 
 
@@ -115,7 +115,7 @@ def _listens(port: int) -> bool:
 def subscribed(
     port: int, topic: str, hear: Callable[[Any], None] | None = None, session: str = "", **options: Any
 ) -> Iterator[list[Any]]:
-    """A client of its own on a broker; yields the messages it gets, unless `hear` is to get them.
+    """Subscribe to a topic; yields the list of messages, unless `hear` gets them.
 
     session: a name under which the broker remembers the subscription while the client is away.
     """
@@ -143,9 +143,9 @@ def subscribed(
 
 
 class MqttPeer(Peer):
-    """A mosquitto and a client that has subscribed.
+    """A mosquitto and a subscribed client.
 
-    The broker remembers the subscription: what a bridge publishes before the client is back waits for it.
+    The broker keeps the subscription and queues messages while the client is away.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -261,7 +261,7 @@ class Ros2Peer(Peer):
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        # A domain for each test, away from the one that a lab may use here.
+        # A domain of its own for each test, unlike a lab's.
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:
@@ -292,7 +292,7 @@ class Ros2Peer(Peer):
 
 
 def reader_of(participant: Any, topic: str, kind: Any) -> Any:
-    """A reliable, volatile reader of the last ten, which is what ROS 2 takes by default."""
+    """Return a reliable, volatile reader of the last ten samples, ROS 2's default."""
     from cyclonedds.qos import Policy, Qos
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic

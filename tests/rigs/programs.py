@@ -1,4 +1,4 @@
-"""Programs in processes of their own: run to their end, or started."""
+"""Other programs, run to their end or started."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""A program that ends while its link to a robot is in the state named on the command line."""
+"""Ends while its link to a robot is in the state named on the command line."""
 
 import logging
 import socket
@@ -21,7 +21,7 @@ SAY = ActionRule(do=(Action(say="{gesture}"),))
 def main(state: str) -> int:
     encrypted = state in ("tls", "wrong-token")
     login = Login("nao" if state == "tls" else "nobody", "s3cret-token") if encrypted else None
-    # A clean end logs nothing, so the link must not warn either.
+    # Nothing may be printed at a clean end, so the link's warnings are off.
     logging.disable()
     mute = socket.create_server(("127.0.0.1", 0))
     with Robot(login=login, say_s=60) as robot:

@@ -65,11 +65,11 @@ class Robot(LoopbackRobot):
         self.stop()
 
     def hang(self) -> None:
-        """Stop answering while the connections stay."""
+        """Stop answering; the connections stay open."""
         self._signal(signal.SIGSTOP)
 
     def resume(self) -> None:
-        """Answer again, first what was asked meanwhile."""
+        """Answer again, queued calls first."""
         self._signal(signal.SIGCONT)
 
     def _signal(self, number: signal.Signals) -> None:
@@ -78,7 +78,7 @@ class Robot(LoopbackRobot):
 
 
 LOGIN = Login("nao", "s3cret-token")
-# For tests of what follows a noticed hang; noticing takes 1.3 s by default.
+# Notices a hang quickly; by default it takes 1.3 s.
 IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
 GESTURE, DETAIL, STATUS = "TouchGesture/Gesture", "TouchGesture/Detail", "TouchGesture/Status"
 
@@ -89,7 +89,7 @@ def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessa
 
 
 class States:
-    """The states that a link reports, and when."""
+    """The states that a link has reported."""
 
     def __init__(self) -> None:
         self.told: list[tuple[str, str]] = []

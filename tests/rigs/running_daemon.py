@@ -60,7 +60,7 @@ class Daemon:
         return wait_for(served)[1]  # type: ignore[index]
 
     def configure(self, **changes: Any) -> None:
-        """Write other settings and make the daemon reread them."""
+        """Write other settings and make the daemon reload them."""
         self.write(yaml.safe_dump(msgspec.to_builtins(msgspec.structs.replace(self.settings, **changes))))
 
     def write(self, text: str) -> None:
@@ -80,7 +80,7 @@ class Daemon:
         wait_for(came)
 
     def reloads(self) -> list[str]:
-        """Its log lines about its configuration so far."""
+        """Return its log lines about reloads."""
         return [line for line in self.log.splitlines() if "daemon.setup.reread" in line]
 
     def await_reloads(self, count: int) -> None:
@@ -95,7 +95,7 @@ class Daemon:
         return self.events
 
     def stop(self) -> int:
-        """End it, and return its exit code; may be repeated."""
+        """Stop it, and return its exit code; may be repeated."""
         if self.process.poll() is None:
             self.process.terminate()
         code = self.process.wait(WITHIN_S)

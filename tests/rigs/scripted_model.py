@@ -1,4 +1,4 @@
-"""A model whose answers a test sets."""
+"""A model with scripted answers."""
 
 from collections.abc import Callable, Sequence
 

@@ -29,7 +29,7 @@ def stream_of(frames: int = 4000) -> Stream:
 def sensing(
     port: str, protocol: FrameParser | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
 ) -> Iterator[FrameQueue]:
-    """A running sensor's queue; stopped and checked to leave nothing at the end."""
+    """Yield a running sensor's queue; afterwards no thread or descriptor of it is left."""
     before = set(os.listdir("/proc/self/fd"))
     queue = FrameQueue(100_000)
     sensor = Sensor(
@@ -70,7 +70,7 @@ def assert_played(frames: list[Frame], stream: Stream, indices: range | list[int
 
 
 class Switch:
-    """An encoding that can be changed while it plays."""
+    """An encoding that a test can change while it plays."""
 
     def __init__(self, encode: Encode) -> None:
         self.encode = encode
@@ -92,7 +92,7 @@ def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
 
 
 class PolledPad:
-    """Sends nothing unasked; answers queries with one frame, however many queries wait."""
+    """Answers each read of polls with one frame, however many polls it holds."""
 
     def __init__(
         self, described: PadFormat, receive: Callable[[], bytes], give: Callable[[bytes], object]

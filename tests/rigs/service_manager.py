@@ -20,7 +20,7 @@ class Manager:
         return self._socket.recv(4096).decode()
 
     def heard(self) -> list[str]:
-        """Everything received so far."""
+        """Return everything received so far."""
         self._socket.setblocking(False)
         messages = []
         while True:

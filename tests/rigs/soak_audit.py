@@ -1,4 +1,4 @@
-"""Checks every event of the soak, and is a viewer of the live page that comes and goes."""
+"""An audit of a pad's events, and a viewer of the live page."""
 
 import math
 import threading
@@ -9,7 +9,7 @@ from websockets.sync.client import connect
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
 
-# A touch of this many frames has had its final answer; two to spare for the median that smooths its end.
+# A touch this long has had its final answer; two frames allow for the median at its end.
 FINAL_FRAMES = 144 + 2
 LEAVE_S = 10.0
 ORDER = {"early": 0, "revised": 1, "final": 2, "ongoing": 3, "released": 4, "uncertain": 4}

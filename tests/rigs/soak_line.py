@@ -1,6 +1,6 @@
-"""The pad of the soak, another program: its memory does not count as the daemon's.
+"""The soak's pad, in a process of its own, so that its memory is not counted.
 
-Its bytes go to standard output for ever: a repeating stream with a continuous clock, and some garbage.
+Writes a repeating stream with a continuous clock and some garbage to standard output.
 """
 
 import os
@@ -25,7 +25,7 @@ GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
 
 
 def recorded() -> Stream:
-    """HAART's test participants if the folder is set, else ten minutes of a simulated hand."""
+    """Return HAART's test participants if the folder is set, else ten minutes of a simulated hand."""
     if folder := os.environ.get("TOUCHD_HAART"):
         path = Path(folder) / "testWITHLABELS.csv.gz"
         found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]
@@ -56,7 +56,7 @@ def line(stream: Stream, settings: SensorSettings) -> Iterator[bytes]:
 
 @contextmanager
 def pad() -> Iterator[Iterator[bytes]]:
-    """Start the pad and give its bytes, in pieces as a serial port would; ends it with the block."""
+    """Run the pad; yields its bytes in pieces, as a serial port does."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE, env=environment) as process:
         assert process.stdout is not None

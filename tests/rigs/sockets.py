@@ -8,7 +8,7 @@ from pathlib import Path
 
 LISTENS = "0A"
 LOOPBACK = "0100007F"
-# Below the kernel's ephemeral ports, so that nobody is given one in the meantime; each test process begins
+# Below the kernel's ephemeral ports, so that no other program is given one; each test process starts
 # elsewhere.
 _ports = itertools.count(10_000 + os.getpid() * 977 % 20_000)
 

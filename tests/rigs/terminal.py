@@ -1,4 +1,4 @@
-"""A program on its own terminal: a test waits for what it shows, and answers as a person would."""
+"""A program on a terminal, which a test reads and types at."""
 
 import os
 import pty

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
-# Not a specification: the time that a very busy machine may take.
+# No specification: the time that a very busy machine may need.
 WITHIN_S = 100.0
-# Of what waits for nobody, too; systemd kills the daemon when its end takes as long.
+# The same for stopping, after which systemd would kill the daemon.
 AT_ONCE_S = 5.0
 
 

@@ -1,4 +1,4 @@
-"""Frames on a wire, whole and damaged, and what must be read of them, for the tests of the protocols."""
+"""Whole and damaged frames on a wire, for the tests of the parsers."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -11,7 +11,7 @@ from drivers.frame import Counts, Frame
 from drivers.pad.parser import FrameParser
 
 PERIOD_MS = 19
-# A busy machine is no failure: examples have no deadline, only the test has a timeout.
+# Examples have no deadline, as the machine may be busy.
 UNHURRIED = settings(deadline=None)
 SIZE = 4 + 4 + 2 * 100 + 1
 TIME_BITS = range(32, 64)

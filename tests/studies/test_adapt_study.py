@@ -1,4 +1,4 @@
-"""The figures of docs/adapt.md: of the settings that ship, of everybody, and what the page claims of them."""
+"""The figures of docs/adapt.md are complete and of the shipped settings."""
 
 import msgspec
 import numpy as np

@@ -1,4 +1,4 @@
-"""`data`: the published recordings in a folder, whole and checked, or one line that says why not."""
+"""`data`: fetches and checks the published recordings, or says in one line why not."""
 
 import io
 import threading

@@ -1,4 +1,4 @@
-"""Stopping rules are told apart on made-up streams of probabilities, and fill their pages by themselves."""
+"""Stopping rules, compared on made-up streams of probabilities, and their pages."""
 
 import shutil
 from dataclasses import replace
@@ -15,7 +15,7 @@ LABELS = ("notouch", "pat", "rub", "stroke")
 
 
 def streams_sure_from(frames: list[int], sure: float, always_right: bool = True) -> Streams:
-    """Touches of four people whose gesture leads from the first frame, and is sure from these frames on."""
+    """Touches of four people; their gesture leads from the first frame and is sure from these frames on."""
     rng = np.random.default_rng(1)
     truth = rng.integers(1, len(LABELS), len(frames))
     said = np.full((len(frames), FRAMES, len(LABELS)), 0.15)
@@ -67,7 +67,7 @@ def test_no_rule_is_better_than_the_oracle(late: Streams) -> None:
 
 
 def other_gesture(streams: Streams, frames: slice) -> Streams:
-    """The same touches, of which something else is said in these frames."""
+    """Return the same touches with another gesture predicted in these frames."""
     said = streams.probabilities.copy()
     said[:, frames, 1:] = np.roll(said[:, frames, 1:], 1, axis=2)
     return replace(streams, probabilities=said)

@@ -1,4 +1,4 @@
-"""The simulated hand: the same for a seed, within what a pad can send, and felt as what it means to do."""
+"""The simulated hand: reproducible, within a pad's range, and recognised as intended."""
 
 import os
 from pathlib import Path
@@ -29,7 +29,7 @@ def load(touch: Recording, rest: Recording) -> float:
 
 
 def pace_hz(touch: Recording) -> float:
-    """The frequency at which most of the change of the whole pad's pressure happens."""
+    """Return the frequency with the most power in the whole pad's pressure."""
     total = touch.counts.sum(axis=(1, 2), dtype=np.float64)
     power = np.abs(np.fft.rfft((total - total.mean()) * np.hanning(len(total)))) ** 2
     hz = np.fft.rfftfreq(len(total), 1.0 / FRAME_RATE_HZ)
@@ -135,7 +135,7 @@ def test_simulated_hands_move_as_haarts_do() -> None:
         loads = [load(touch, at_rest[touch.participant, touch.substrate]) for touch in real]
         made_load = float(np.median([load(touch, rest) for rest, touch in made]))
         assert np.quantile(loads, 0.25) <= made_load <= np.quantile(loads, 0.75), gesture
-        # A hand that lies still has no pace.
+        # A still hand has no pace.
         if gesture != "constant":
             paces = [pace_hz(touch) for touch in real]
             made_pace = float(np.median([pace_hz(touch) for _, touch in made]))

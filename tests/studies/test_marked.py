@@ -1,4 +1,4 @@
-"""Tables go into their places in a page that is written by hand."""
+"""Tables are filled into marked places of a hand-written page."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The ladder of simulated pads: a pad that ruins the answers is seen in its table."""
+"""The ladder of simulated pads: its table marks a pad that ruins the answers."""
 
 import numpy as np
 
@@ -27,5 +27,5 @@ def test_every_pad_is_given_the_same_hand() -> None:
         felt = np.stack([frame.pressure for frame in frames_of(rung, ["constant"])]).astype(float)
         at = round(3.0 * rung.described.rate_hz)
         loads.append((felt[at : at + 40].mean() - felt[:40].mean()) / rung.gain)
-    # The same load on all, whatever their cells, within what their taxels' unequal feeling makes of it.
+    # All read the same load, within the differences of their taxels' sensitivity.
     assert max(loads) < 1.35 * min(loads)

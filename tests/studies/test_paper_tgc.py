@@ -1,4 +1,4 @@
-"""The paper's network, to compare with: the one it prints, and the one of its public code."""
+"""The paper's network, as printed and as in its public code."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Training the paper's networks: as its code does, resumable to the same weights, every epoch kept."""
+"""Training the paper's networks: resumable to the same weights, with every epoch kept."""
 
 from pathlib import Path
 

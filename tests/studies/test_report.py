@@ -116,5 +116,5 @@ def test_the_nearest_windows_are_sought_among_other_participants_alone() -> None
     labels = np.array([0, 1, 1, 0])
     people = np.array(["T1", "T1", "T2", "T2"])
     windows = haart.Windows(np.zeros((4, 1, 8, 8), dtype=np.uint16), labels, people, people)
-    # Each is nearest to one of its own participant; of the other's, the first two to the third, and so on.
+    # Each window's nearest neighbour is its own participant's, and must be skipped.
     assert representation.nearest_agree(features, windows) == 0.5

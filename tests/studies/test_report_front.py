@@ -1,4 +1,4 @@
-"""Speed against error, and cost: what is counted, fitted and shown is right; what is stored still holds."""
+"""Speed, error and cost: counts and fits are right, and stored figures still hold."""
 
 from pathlib import Path
 from typing import Any

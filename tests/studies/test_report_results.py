@@ -1,4 +1,4 @@
-"""The file of results: every cell says how it was made, and several processes may add to it at once."""
+"""The file of results: cells name their origin, and several processes may add at once."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The scores that stand beside the shipped model are that file's own, and hold when measured again."""
+"""The scores beside the shipped model belong to that file, and hold when measured again."""
 
 import hashlib
 from pathlib import Path
@@ -68,12 +68,12 @@ def test_a_fold_network_never_saw_the_participants_it_scores() -> None:
 
 
 def of(person: str | None, row: evaluate.Score) -> float:
-    """The accuracy of one person, or of all."""
+    """Return the accuracy of one person, or of all."""
     return row.per_participant[person] if person else row.accuracy
 
 
 def on(person: str) -> pytest.MarkDecorator:
-    """One person quickly, or everyone."""
+    """Parametrize: one person in the quick suite, everyone if slow."""
     return pytest.mark.parametrize("person", [person, pytest.param(None, marks=pytest.mark.slow)])
 
 
@@ -121,7 +121,7 @@ def test_the_second_study_scores_as_published(scores: evaluate.Scores, person: s
 
 
 def left_out_of(recordings: list[Recording]) -> evaluate.Split:
-    """The networks that never saw those whose recordings these are, with what each is asked about."""
+    """Return the networks that never saw these participants, with the recordings for each."""
     return [(model, asked) for model, asked in left_out_split(SHIPPED_MODEL.parent, recordings) if asked]
 
 

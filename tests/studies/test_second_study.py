@@ -1,4 +1,4 @@
-"""Which parts of the second study's recordings are learnt from, and which are scored."""
+"""The parts of the second study's recordings that are trained on, and those that are scored."""
 
 import numpy as np
 import pytest

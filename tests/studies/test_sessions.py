@@ -1,4 +1,4 @@
-"""Sessions of a pad in use: how they are made and scored, and that the daemon keeps the touches apart."""
+"""Sessions of a pad in use: how they are made and scored, and that touches stay separate."""
 
 import os
 from pathlib import Path
@@ -101,7 +101,7 @@ def test_quiet_alone_has_no_false_touch() -> None:
 
 
 class HearsPats(Scripted):
-    """Takes what comes and goes for a pat, anything else for a constant touch."""
+    """Takes varying pressure for a pat, anything else for a constant touch."""
 
     def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
         pressure = frames.sum(axis=(1, 2))

@@ -1,4 +1,4 @@
-"""One answer of ours against the paper's network, fairly."""
+"""The time of one answer, compared with the paper's network."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The shipped model on windows that strain its arithmetic."""
+"""The shipped model's arithmetic on extreme windows."""
 
 import io
 import math
@@ -15,7 +15,7 @@ from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, CaseResult
 from drivers.frame import MAX_COUNT
 from model.classifier import SHIPPED_MODEL, Classifier, ModelError, State
 
-# Every case is asked in both runtimes; a busy machine takes its time.
+# Every case runs in both runtimes.
 pytestmark = pytest.mark.timeout(300)
 CASES = {case.name: case for case in hard_cases(longest=432)}
 
@@ -100,7 +100,7 @@ def test_an_answer_does_not_drift_over_hundreds_of_hours() -> None:
     _, state = classifier.step(hand(400))
     _, exact_state = exact.step(hand(400), exact.initial_state())
     for times in (1, 1_000, 3_000, 30_000, 100_000):
-        # As if these frames had come so many times over.
+        # The state after these frames repeated `times` times.
         longer = np.array([[[1], [times], [1]]], np.float64)
         tensors = {"pooled": state.tensors["pooled"].numpy() * longer, "frames": np.array([400.0 * times])}
         older = {name: OrtValue.ortvalue_from_numpy(tensor) for name, tensor in tensors.items()}

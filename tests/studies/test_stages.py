@@ -1,4 +1,4 @@
-"""Where the time of an answer goes is measured at every stage, and shown as a bar each."""
+"""The time of each stage of an answer, measured and shown as bars."""
 
 import pytest
 from rigs.robots import needs_qi

@@ -1,4 +1,4 @@
-"""What the robot hears over a touch was measured, and the defaults are what the measurement says."""
+"""The measured decisions over a touch, and the defaults chosen from them."""
 
 import os
 from pathlib import Path

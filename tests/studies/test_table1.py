@@ -1,4 +1,4 @@
-"""Table 1 of the report: features with known answers, systems that learn, and figures that still hold."""
+"""Table 1 of the report: features, training, and stored figures."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -38,7 +38,7 @@ FEATURES = {challenge_ta.features: 273, challenge_balli.features: 81, challenge_
 
 
 def pressed(series: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A pad (1, L, 8, 8) of which every taxel feels the same."""
+    """Return a pad (1, L, 8, 8) with equal pressure on every taxel."""
     return np.broadcast_to(series[np.newaxis, :, np.newaxis, np.newaxis], (1, len(series), 8, 8))
 
 
@@ -197,7 +197,7 @@ def test_the_cnn_sees_45_frames_the_others_all() -> None:
 
 
 def made(participants: Sequence[str]) -> list[Recording]:
-    """Recordings of a still pad, a tapped one and a busy one, made up."""
+    """Return made-up recordings of a still pad, a tapped one and a busy one."""
     rng = np.random.default_rng(len(participants))
     recordings = []
     for participant in participants:
@@ -210,7 +210,7 @@ def made(participants: Sequence[str]) -> list[Recording]:
 
 
 class MadeUp(Data):
-    """Made-up recordings instead of a folder's; the test part may be out of reach."""
+    """Made-up recordings instead of a folder's; the test part can be left out."""
 
     def __init__(self, with_test: bool = True) -> None:
         super().__init__(Path("nowhere"))
@@ -224,7 +224,7 @@ def few_features(counts: NDArray[np.uint16]) -> NDArray[np.float64]:
 
 
 def small(system: System) -> System:
-    """The system, made quick."""
+    """Return a quicker variant of a system."""
     match system:
         case Searched():
             return dataclasses.replace(system, most=1, features=few_features)
@@ -281,7 +281,7 @@ def test_a_system_learns_reproducibly(system: System) -> None:
 
 @dataclasses.dataclass(frozen=True)
 class Counted(System):
-    """A system that says "constant" of everything and remembers how often it was trained."""
+    """A system that answers "constant" to everything and records its trainings."""
 
     trained: list[tuple[int, tuple[int, ...]]] = dataclasses.field(default_factory=list)
 

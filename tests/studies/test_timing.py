@@ -1,4 +1,4 @@
-"""Timing answers: all in turn, on the clock and in processor time."""
+"""Timing answers in turn, by wall clock and processor time."""
 
 import time
 

@@ -1,4 +1,4 @@
-"""The tracker's committed figures, checked again on a part of the recordings that they came from."""
+"""The tracker's committed figures, checked again on a part of their recordings."""
 
 import os
 import statistics
@@ -51,7 +51,7 @@ def test_the_committed_figures_meet_the_targets_on_participants_left_out(
     touches, minutes = sum(row.touches for row in points), sum(row.notouch_min for row in points)
     assert sum(row.missed for row in points) <= MAX_MISSED * touches
     assert 10 * sum(row.false_touches for row in points) <= MAX_FALSE_PER_10_MIN * minutes
-    # Light contact waits until it moves, else a shifted rest would be a touch: one participant takes 130 ms.
+    # Light contact must move, or a shifted rest would be a touch; for one participant this takes 130 ms.
     assert statistics.median(row.delay_ms_median for row in points) <= MAX_DELAY_MS
     unseen = committed.unseen[splice]
     assert unseen.missed <= MAX_MISSED * unseen.touches
@@ -79,7 +79,7 @@ def test_a_minute_of_notouch_tells_the_robot_nothing(recordings: list[Recording]
     said: list[Event] = []
     pipeline = Pipeline(PipelineSettings(), Classifier.load(), said.append)
     for number, recording in enumerate(quiet):
-        # Each was made on another cover: a silence of the pad in between, as when it is changed.
+        # Each was made on another cover: the pad is silent in between, as when covers are changed.
         clock = ideal_clock_ms(len(recording.counts), first_ms=number * 60_000)
         for ms, counts in zip(clock, recording.counts, strict=True):
             pipeline.on_frame(Frame(0, int(ms), 0.0, counts))

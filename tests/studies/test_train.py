@@ -1,4 +1,4 @@
-"""Training: the same for a seed, resumable to the same weights; checkpoints say where they are from."""
+"""Training: reproducible by seed, resumable to the same weights; checkpoints carry their origin."""
 
 from collections.abc import Iterator
 from importlib import metadata
@@ -34,7 +34,7 @@ SETTINGS = TrainSettings(
     learning_rate=1e-2,
     network=NETWORK,
 )
-# Torch is asked for determinism, not for equal sums on different machines: equality is within one run.
+# Torch is deterministic within one machine only: equality is checked within one run.
 DEVICE = "cpu"
 
 
@@ -45,7 +45,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def recordings(participants: tuple[str, ...] = ("P3", "P4"), seed: int = 0) -> list[Recording]:
-    """A still pad and a busy one, made up."""
+    """Return made-up recordings of a still pad and a busy one."""
     rng = np.random.default_rng(seed)
     made: list[Recording] = []
     for participant in participants:

@@ -52,7 +52,7 @@ def plug_in_pty() -> int:
 
 
 def play(fd: int, recording: Path, slower: float) -> None:
-    """Send the recording for ever; frames that nobody reads are lost, as a pad's are."""
+    """Repeat the recording; frames that nobody reads are lost, as with a real pad."""
     stream = splice(read_recordings(recording))
     encode = encoder_for(SensorSettings())
     begun_s, number = time.monotonic(), 0
@@ -66,7 +66,7 @@ def play(fd: int, recording: Path, slower: float) -> None:
 
 
 def main() -> None:
-    """Be the pad until told to end."""
+    """Act as the pad until SIGTERM."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     modules = ("configfs", "libcomposite", "dummy_hcd", "usb_f_acm")
     on_usb = all(
