@@ -46,8 +46,8 @@ class Journal:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""
         try:
             if not self.is_on(self._path):
-                log.warning("journal %s: was taken away; begun anew", self._path)
                 self._begin_anew()
+                log.warning("journal %s: was taken away; begun anew", self._path)
             size = os.fstat(self._fd).st_size
             if size and size + len(line) + 1 > self._max_bytes:
                 self._rotate()

@@ -1,6 +1,7 @@
 """External faults: the daemon keeps running, reports them, and destroys nothing."""
 
 import os
+import shutil
 import signal
 import socket
 import time
@@ -183,6 +184,23 @@ def test_a_journal_taken_away_is_recreated_and_reported(
     journal.close()
     assert [decode(line) for line in path.read_bytes().splitlines()] == [touch(2), touch(3)]
     assert caplog.text.count("was taken away") == 1
+
+
+def test_a_journal_whose_folder_is_deleted_is_warned_of_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tmp_path / "state"
+    folder.mkdir()
+    journal = Journal(folder / "events.jsonl", max_bytes=10_000, keep=1)
+    shutil.rmtree(folder)
+    for number in range(5):
+        journal.append(encode(touch(number)))
+    (warning,) = caplog.messages
+    assert "No such file or directory; events are not kept until that is mended" in warning
+    folder.mkdir()
+    journal.append(encode(touch(5)))
+    journal.close()
+    assert [decode(line) for line in (folder / "events.jsonl").read_bytes().splitlines()] == [touch(5)]
 
 
 def test_one_bad_line_does_not_hide_the_others(tmp_path: Path) -> None:
