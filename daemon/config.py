@@ -357,7 +357,11 @@ def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
     expected = re.fullmatch(r"Expected `(.*?)`(.*?)(, got .*)?", problem)
     if expected:
         kinds = " or ".join(PLAIN_WORDS.get(kind, kind) for kind in expected[1].split(" | "))
-        return f"{name or 'the file'} must be {kinds}{expected[2]}, not {_shortly(_value(raw, keys))}"
+        how = expected[2]
+        if how.startswith(" matching regex"):
+            default = getattr(_section(struct, keys[:-1])(), keys[-1])
+            how = f" such as {default}" if default else " in another form"
+        return f"{name or 'the file'} must be {kinds}{how}, not {_shortly(_value(raw, keys))}"
     return f"{name}: {problem}" if name else problem
 
 

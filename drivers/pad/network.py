@@ -13,7 +13,8 @@ def is_network(port: str) -> bool:
     """Whether this is an address of a pad on the network; raises ValueError for one that is malformed."""
     if not port.startswith(("tcp://", "udp://")):
         return False
-    if not ADDRESS.fullmatch(port):
+    match = ADDRESS.fullmatch(port)
+    if match is None or int(match[3]) > 65535:
         raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
     return True
 

@@ -51,7 +51,8 @@ def read_login(settings: RobotSettings) -> Login | None:
 
     The token comes from a file or an environment variable, and is in no text made of the result.
     """
-    if not re.fullmatch(r"tcps?://[^\s/@:]+:\d+", settings.url):
+    address = re.fullmatch(r"tcps?://[^\s/@:]+:(\d{1,5})", settings.url)
+    if address is None or int(address[1]) > 65535:
         # Do not show a password in it.
         shown = re.sub(r"//.*@", "//***@", settings.url)
         raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")

@@ -184,6 +184,7 @@ def test_without_qi_a_configured_robot_is_one_clear_line(monkeypatch: pytest.Mon
         ({"url": "nao.local:9559"}, "is not an address such as tcp://"),
         ({"url": "tcp://nao.local"}, "is not an address such as tcp://"),
         ({"url": "tcp://nao.local:port"}, "is not an address such as tcp://"),
+        ({"url": "tcp://nao.local:70000"}, "is not an address such as tcp://"),
         ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file or token_env"),
         ({"url": "tcps://nao:9503", "token_env": "TOKEN"}, "no user"),
         ({"url": "tcp://nao:9559", "user": "nao", "token_env": "TOKEN"}, "unencrypted; use tcps://"),
