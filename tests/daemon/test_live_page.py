@@ -147,14 +147,14 @@ def test_every_touch_is_listed_with_its_answers(played: WatchedPage) -> None:
     assert listed(played.chrome) == [event.gesture for event in reversed(ended)]
     paths = played.run("return [...document.querySelectorAll('#touches .path')].map(row => row.textContent)")
     for path, event in zip(reversed(paths), ended, strict=True):
-        said = [one for one in played.events if isinstance(one, Prediction) and one.touch == event.touch]
-        changes = [name for name, _ in itertools.groupby(one.gesture for one in said)]
+        answers = [one for one in played.events if isinstance(one, Prediction) and one.touch == event.touch]
+        changes = [name for name, _ in itertools.groupby(one.gesture for one in answers)]
         assert re.findall(r"[a-z]{3,}", path) == changes
 
 
 def test_answers_stand_at_their_marks_and_show_changes(played: WatchedPage) -> None:
     last = max(event.touch for event in played.events if isinstance(event, TouchEnded))
-    said = [event for event in played.events if isinstance(event, Prediction) and event.touch == last][:3]
+    answers = [event for event in played.events if isinstance(event, Prediction) and event.touch == last][:3]
     flags = played.run(
         """return [...document.querySelectorAll('#flags li')].slice(0, 3).map(flag => ({
              gesture: flag.dataset.gesture, frames: +flag.dataset.frames, text: flag.innerText,
@@ -167,14 +167,14 @@ def test_answers_stand_at_their_marks_and_show_changes(played: WatchedPage) -> N
     )
     assert [mark["text"].replace("\u00a0", " ") for mark in marks] == ["1 s", "1.5 s", "2.67 s"]
     assert [(flag["gesture"], flag["frames"]) for flag in flags] == [
-        (one.gesture, one.frames) for one in said
+        (one.gesture, one.frames) for one in answers
     ]
     assert [flag["left"] for flag in flags] == pytest.approx([mark["left"] for mark in marks], abs=1)
-    for flag, one in zip(flags, said, strict=True):
+    for flag, one in zip(flags, answers, strict=True):
         assert (
             flag["text"].replace("\u00a0", " ").startswith(f"{one.gesture} {one.confidence:.0%}"[:-1] + " %")
         )
-    gestures = [one.gesture for one in said]
+    gestures = [one.gesture for one in answers]
     assert gestures == ["scratch", "scratch", "rub"]
     assert [flag["changed"] for flag in flags] == [False, False, True]
     assert "↻ changed from scratch" in played.text("#remark")
@@ -197,10 +197,10 @@ def test_the_probabilities_are_those_of_the_answer(played: WatchedPage) -> None:
     answer = [event for event in played.events if isinstance(event, Prediction)][-1]
     rows = played.run("return [...document.querySelectorAll('#bars li')].map(row => row.innerText)")
     shown = {row.split("\n")[0]: row.replace("\u00a0", "").split("\n")[-1] for row in rows}
-    said = {
+    answers = {
         name_of(vocabulary("en", {}), label): f"{value:.0%}" for label, value in answer.probabilities.items()
     }
-    assert shown == said
+    assert shown == answers
 
 
 def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:

@@ -34,8 +34,8 @@ class Bench:
 
     def __init__(self, model: Scripted | None = None, settings: PipelineSettings | None = None) -> None:
         self.model = model or Scripted()
-        self.said: list[Event] = []
-        self.pipeline = Pipeline(settings or PipelineSettings(), self.model, self.said.append, STOPPED)
+        self.emitted: list[Event] = []
+        self.pipeline = Pipeline(settings or PipelineSettings(), self.model, self.emitted.append, STOPPED)
         self.pad = MadePad()
         self.sent: list[Counts] = []
         self.clock_ms = 0.0
@@ -43,14 +43,14 @@ class Bench:
 
     def feel(self, *pressures: Scans, skip: Sequence[int] = ()) -> list[Event]:
         """Lay pressure on the pad, losing the frames in `skip`; return the new events."""
-        said_before = len(self.said)
+        before = len(self.emitted)
         for number, counts in enumerate(self.pad.counts(np.concatenate(pressures))):
             if number not in skip:
                 frame = Frame(len(self.sent), round(self.clock_ms), 99.998, counts)
                 self.pipeline.on_frame(frame)
             self.sent.append(counts)
             self.clock_ms += 1000 / 54
-        return self.said[said_before:]
+        return self.emitted[before:]
 
 
 def predictions(events: Sequence[Event]) -> list[Prediction]:
@@ -174,9 +174,9 @@ def test_catching_up_leaves_one_frame_at_a_mark() -> None:
 
 
 def test_pads_touched_at_once_are_answered_in_one_run() -> None:
-    model, alone, said = Counting(), Bench(), list[Event]()
+    model, alone, emitted = Counting(), Bench(), list[Event]()
     pads = [
-        Pipeline(PipelineSettings(), model, said.append, STOPPED, pad=name, first_index=number)
+        Pipeline(PipelineSettings(), model, emitted.append, STOPPED, pad=name, first_index=number)
         for number, name in enumerate("abc")
     ]
     spoken = alone.feel(palm(3.5))
@@ -187,33 +187,35 @@ def test_pads_touched_at_once_are_answered_in_one_run() -> None:
     assert set(model.together) == {3}
     for name in "abc":
         assert [
-            msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in said if event.pad == name
+            msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in emitted if event.pad == name
         ] == spoken
 
 
 def test_no_frame_may_wait_shortly_before_an_event() -> None:
     bench = Bench()
     may_wait: list[bool] = []
-    said_at: list[int] = []
+    event_at: list[int] = []
     for pressure in np.concatenate([nothing(1.0), palm(5.0), nothing(2.0), pat(1.2), nothing(2.0)]):
         events = bench.feel(pressure[None])
         if any(not isinstance(event, TouchBegan) for event in events):
-            said_at.append(len(may_wait))
+            event_at.append(len(may_wait))
         may_wait.append(bench.pipeline.may_wait)
-    assert len(said_at) >= 6
-    assert not any(may_wait[at - WAIT_FRAMES + ahead] for at in said_at for ahead in range(WAIT_FRAMES))
+    assert len(event_at) >= 6
+    assert not any(may_wait[at - WAIT_FRAMES + ahead] for at in event_at for ahead in range(WAIT_FRAMES))
     assert np.mean(may_wait) > 0.5
 
 
 def test_viewers_get_the_models_own_probabilities() -> None:
     shown: list[LivePrediction] = []
     classifier = Classifier.load()
-    pad, said = MadePad(), list[Event]()
-    pipeline = Pipeline(PipelineSettings(), classifier, said.append, STOPPED, viewers=lambda: [shown.append])
+    pad, emitted = MadePad(), list[Event]()
+    pipeline = Pipeline(
+        PipelineSettings(), classifier, emitted.append, STOPPED, viewers=lambda: [shown.append]
+    )
     counts = list(pad.counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)])))
     clock_ms = ideal_clock_ms(len(counts))
     play(Stream(np.stack(counts), clock_ms, ()), pipeline)
-    begins = next(event.sensor_ms for event in said if isinstance(event, TouchBegan))
+    begins = next(event.sensor_ms for event in emitted if isinstance(event, TouchBegan))
     first = clock_ms.tolist().index(begins)
     assert [prediction.frames for prediction in shown[-5:]] == [132, 135, 138, 141, 144]
     for prediction in shown[::7]:
@@ -390,9 +392,9 @@ def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:
 def test_losing_the_sensor_ends_its_touch_first() -> None:
     bench = Bench()
     bench.feel(palm(0.5))
-    bench.said.clear()
+    bench.emitted.clear()
     bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
-    released, ended, down = bench.said
+    released, ended, down = bench.emitted
     assert isinstance(released, Prediction)
     assert (released.stage, released.frames) == ("released", 27)
     assert isinstance(ended, TouchEnded)
@@ -413,11 +415,11 @@ def test_a_returning_sensor_is_calibrated_again() -> None:
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:
     bench = Bench()
     bench.feel(palm(0.5))
-    bench.said.clear()
+    bench.emitted.clear()
     bench.pipeline.flush()
     bench.pipeline.flush()
-    assert [type(event) for event in bench.said] == [Prediction, TouchEnded]
-    ended = bench.said[-1]
+    assert [type(event) for event in bench.emitted] == [Prediction, TouchEnded]
+    ended = bench.emitted[-1]
     assert isinstance(ended, TouchEnded)
     assert ended.reason == "stopped"
 
@@ -446,9 +448,9 @@ class Fickle(Scripted):
 @pytest.mark.parametrize("seed", range(8))
 def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    said: list[Event] = []
+    emitted: list[Event] = []
     scene = DecisionSettings(speak_above=rng.uniform(), revise_margin=rng.uniform(0, 0.5))
-    pipeline = Pipeline(PipelineSettings(decision=scene), Fickle(rng), said.append, STOPPED)
+    pipeline = Pipeline(PipelineSettings(decision=scene), Fickle(rng), emitted.append, STOPPED)
     pad, clock_ms, rate_hz = MadePad(seed), 0.0, rng.choice([30, 50, 54, 60, 100])
     for _ in range(30):
         counts, seconds = rng.uniform(3, 900), rng.choice([0.1, 0.3, 1.0, 3.0])
@@ -463,7 +465,7 @@ def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     pipeline.flush()
 
     audit = Audit()
-    for event in said:
+    for event in emitted:
         audit.see(event)
     assert (list(audit.wrong), audit.is_open) == ([], False)
     assert audit.touches > 0

@@ -114,15 +114,15 @@ def test_damaged_frames_mark_the_touches_degraded(
     run: Callable[..., list[Event]], classifier: Classifier
 ) -> None:
     stream = beginning(stream_of(LENGTHS))
-    said = run(stream, faults=Faults(flip_bit_every=50))
-    assert touches(said) == touches(answers(stream, classifier))
-    assert any(event.degraded for event in said if isinstance(event, Prediction))
+    emitted = run(stream, faults=Faults(flip_bit_every=50))
+    assert touches(emitted) == touches(answers(stream, classifier))
+    assert any(event.degraded for event in emitted if isinstance(event, Prediction))
 
 
 def test_the_robot_gets_exactly_the_told_answers(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
-        said = run(beginning(stream_of(LENGTHS)), robot=RobotSettings(url=robot.url))
-        told = [event.gesture for event in said if isinstance(event, Prediction) and event.told]
+        emitted = run(beginning(stream_of(LENGTHS)), robot=RobotSettings(url=robot.url))
+        told = [event.gesture for event in emitted if isinstance(event, Prediction) and event.told]
         assert told
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == told
@@ -131,10 +131,10 @@ def test_the_robot_gets_exactly_the_told_answers(run: Callable[..., list[Event]]
 def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
         at_rest = splice(simulate([("notouch", 60.0)], seed=5))
-        said = run(at_rest, robot=RobotSettings(url=robot.url))
+        emitted = run(at_rest, robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == []
-    assert not [event for event in said if isinstance(event, TouchBegan | Prediction)]
+    assert not [event for event in emitted if isinstance(event, TouchBegan | Prediction)]
 
 
 def four_seconds_of(recording: Recording) -> Recording:
@@ -150,14 +150,14 @@ def test_each_gestures_real_recording_is_one_touch(
     recordings = [four_seconds_of(realign(recording)) for recording in read_recordings(path, condition)]
     assert sorted(recording.gesture for recording in recordings) == sorted(classifier.labels)
     stream = with_quiet(recordings, [recording for recording in recordings if recording.gesture == "notouch"])
-    said = run(stream)
-    assert outline(said) == outline(answers(stream, classifier))
+    emitted = run(stream)
+    assert outline(emitted) == outline(answers(stream, classifier))
 
-    begins_ms = [event.sensor_ms for event in said if isinstance(event, TouchBegan)]
+    begins_ms = [event.sensor_ms for event in emitted if isinstance(event, TouchBegan)]
     touching = [span for span in stream.spans if span.gesture != "notouch"]
     assert begins_ms == pytest.approx([int(stream.sensor_ms[span.start]) for span in touching], abs=300)
     named = {
-        span.gesture: [event for event in said if isinstance(event, Prediction) and event.touch == touch]
+        span.gesture: [event for event in emitted if isinstance(event, Prediction) and event.touch == touch]
         for touch, span in enumerate(touching, 1)
     }
     for gesture, predictions in named.items():

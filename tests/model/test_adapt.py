@@ -83,10 +83,10 @@ def adapted_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     home = tmp_path_factory.mktemp("lab")
     lab, output = keep(home / "lab", simulated(("Ann", "Bo"), 2)), home / "lab.onnx"
     with pytest.MonkeyPatch.context() as patch:
-        said: list[str] = []
-        patch.setattr("sys.stdout.write", said.append)
+        printed: list[str] = []
+        patch.setattr("sys.stdout.write", printed.append)
         assert cli.main(["train", "--extra", str(lab), "--output", str(output)]) == 0
-    return output, "".join(said)
+    return output, "".join(printed)
 
 
 def test_the_file_knows_the_labs_gestures_and_origin(adapted_file: tuple[Path, str]) -> None:
@@ -107,13 +107,13 @@ def test_the_file_contains_no_persons_name(adapted_file: tuple[Path, str]) -> No
 
 
 def test_the_report_shows_each_gesture_within_80_columns(adapted_file: tuple[Path, str]) -> None:
-    said = adapted_file[1].split("\n\nWritten:")[0]
-    assert "20 recordings of 5 gestures by 2 participants" in said
-    assert "New to the model: hug" in said
-    assert all(any(line.startswith(gesture) for line in said.splitlines()) for gesture in DONE)
-    assert "95 % interval" in said
-    assert "no longer knows constant, rub, tickle" in " ".join(said.split())
-    assert max(map(len, said.splitlines())) <= 80
+    printed = adapted_file[1].split("\n\nWritten:")[0]
+    assert "20 recordings of 5 gestures by 2 participants" in printed
+    assert "New to the model: hug" in printed
+    assert all(any(line.startswith(gesture) for line in printed.splitlines()) for gesture in DONE)
+    assert "95 % interval" in printed
+    assert "no longer knows constant, rub, tickle" in " ".join(printed.split())
+    assert max(map(len, printed.splitlines())) <= 80
 
 
 def test_touchd_classify_answers_with_the_new_gesture(
@@ -306,7 +306,7 @@ def test_three_right_of_three_have_a_wide_interval() -> None:
 
 
 @pytest.mark.parametrize(
-    ("participants", "each", "said"),
+    ("participants", "each", "printed"),
     [
         (("Ann",), 1, ["whether this is better than the shipped model cannot be told"]),
         (
@@ -322,12 +322,12 @@ def test_three_right_of_three_have_a_wide_interval() -> None:
     ],
 )
 def test_too_few_recordings_are_reported(
-    pretrained: Pretrained, participants: Sequence[str], each: int, said: list[str]
+    pretrained: Pretrained, participants: Sequence[str], each: int, printed: list[str]
 ) -> None:
     recordings = simulated(participants, each, ("pat", "hug"))
     adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
     report = " ".join(" ".join(report_lines(adapted)).split())
-    assert [line for line in said if line not in report] == []
+    assert [line for line in printed if line not in report] == []
 
 
 # --- unusable recordings ---

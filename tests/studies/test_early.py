@@ -18,17 +18,17 @@ def streams_sure_from(frames: list[int], sure: float, always_right: bool = True)
     """Touches of four people; their gesture leads from the first frame and is sure from these frames on."""
     rng = np.random.default_rng(1)
     truth = rng.integers(1, len(LABELS), len(frames))
-    said = np.full((len(frames), FRAMES, len(LABELS)), 0.15)
+    predicted = np.full((len(frames), FRAMES, len(LABELS)), 0.15)
     for row, (place, begin) in enumerate(zip(truth, frames, strict=True)):
         wrong = 1 + place % (len(LABELS) - 1)
-        said[row, :, place] = 0.4
-        said[row, begin - 1 :, place] = sure / (1 - sure) * 0.45
+        predicted[row, :, place] = 0.4
+        predicted[row, begin - 1 :, place] = sure / (1 - sure) * 0.45
         if not always_right:
-            said[row, : begin - 1, wrong] = 0.6
-    said += rng.uniform(0, 0.001, said.shape)
-    said /= said.sum(axis=2, keepdims=True)
+            predicted[row, : begin - 1, wrong] = 0.6
+    predicted += rng.uniform(0, 0.001, predicted.shape)
+    predicted /= predicted.sum(axis=2, keepdims=True)
     people = np.array([f"P{row % 4}" for row in range(len(frames))])
-    return Streams(said.astype(np.float32), truth, np.full(len(frames), 3), people, LABELS)
+    return Streams(predicted.astype(np.float32), truth, np.full(len(frames), 3), people, LABELS)
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +68,9 @@ def test_no_rule_is_better_than_the_oracle(late: Streams) -> None:
 
 def other_gesture(streams: Streams, frames: slice) -> Streams:
     """Return the same touches with another gesture predicted in these frames."""
-    said = streams.probabilities.copy()
-    said[:, frames, 1:] = np.roll(said[:, frames, 1:], 1, axis=2)
-    return replace(streams, probabilities=said)
+    predicted = streams.probabilities.copy()
+    predicted[:, frames, 1:] = np.roll(predicted[:, frames, 1:], 1, axis=2)
+    return replace(streams, probabilities=predicted)
 
 
 def test_a_right_answer_that_a_mark_undoes_is_harmful() -> None:

@@ -76,8 +76,8 @@ def test_the_committed_figures_hold_for_a_participant(
 @needs_haart
 def test_a_minute_of_notouch_tells_the_robot_nothing(recordings: list[Recording]) -> None:
     quiet = [recording for recording in recordings if recording.gesture == NO_TOUCH][:8]
-    said: list[Event] = []
-    pipeline = Pipeline(PipelineSettings(), Classifier.load(), said.append)
+    emitted: list[Event] = []
+    pipeline = Pipeline(PipelineSettings(), Classifier.load(), emitted.append)
     for number, recording in enumerate(quiet):
         # Each was made on another cover: the pad is silent in between, as when covers are changed.
         clock = ideal_clock_ms(len(recording.counts), first_ms=number * 60_000)
@@ -85,7 +85,7 @@ def test_a_minute_of_notouch_tells_the_robot_nothing(recordings: list[Recording]
             pipeline.on_frame(Frame(0, int(ms), 0.0, counts))
     pipeline.flush()
     assert sum(len(recording.counts) for recording in quiet) >= 60 * 54
-    assert not any(isinstance(event, Prediction) and event.told for event in said)
+    assert not any(isinstance(event, Prediction) and event.told for event in emitted)
 
 
 @needs_haart
