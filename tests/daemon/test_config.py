@@ -82,6 +82,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("sensor: {format: {framing: binary}}", "needs a header, a footer or a poll"),
         ("sensor: {format: {headr: aa}}", "sensor.format.headr is not a setting; did you mean header?"),
         ("sensor:", "sensor must be a section of settings, not None"),
+        ("touch: {onset_level: 4, onset_threshold: 5}", "touch.onset_level is not a setting"),
         ("touch: {onset_threshold: .nan}", "touch.onset_threshold must be a number >= 0.001, not nan"),
         ("scene: {speak_above: 1.5}", "scene.speak_above must be a number <= 1.0, not 1.5"),
         ("scene: {gestures: [3]}", "scene.gestures must be text, not [3]"),
