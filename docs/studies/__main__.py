@@ -36,6 +36,11 @@ def main(arguments: Sequence[str]) -> int:
     module, _, function = STUDIES[name][0].partition(":")
     try:
         return int(getattr(importlib.import_module(module), function or "main")(arguments[1:]) or 0)
+    except ModuleNotFoundError as error:
+        sys.stderr.write(
+            f"{name}: {error.name} is not installed: {sys.executable} -m pip install -e '.[dev]'\n"
+        )
+        return 2
     except TouchdError as error:
         sys.stderr.write(f"{name}: {error}\n")
         return 2

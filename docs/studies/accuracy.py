@@ -1,5 +1,6 @@
 """The accuracy page: the machine-written scores as tables and pictures for people."""
 
+import argparse
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from docs.studies.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
+from docs.studies.folders import add_docs_argument
 from docs.studies.marked import fill
+from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
 
 PAPER_ACCURACY = {9: 57.0, 27: 66.6, 54: 70.8, 72: 71.1, 108: 72.3, 144: 72.8, 216: 71.6}
@@ -26,9 +29,12 @@ TITLES = {
 
 def main(arguments: Sequence[str]) -> int:
     """Write the page's tables and figures from the stored scores; returns 0."""
-    weights, page = map(Path, (*arguments, *("model/weights", "docs/accuracy.md")[len(arguments) :]))
-    scores = read_scores(weights / "scores.json")
-    figures = page.parent / "figures"
+    parser = argparse.ArgumentParser(prog="python -m docs.studies accuracy", description=__doc__)
+    parser.add_argument("--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of scores.json")
+    add_docs_argument(parser)
+    options = parser.parse_args(arguments)
+    scores = read_scores(options.weights / "scores.json")
+    page, figures = options.docs / "accuracy.md", options.docs / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")

@@ -18,6 +18,13 @@ def add_second_study_argument(parser: argparse.ArgumentParser) -> None:
     _add(parser, "second-study", SECOND_STUDY_VARIABLE, "the second study's robot-pad.csv")
 
 
+def add_docs_argument(parser: argparse.ArgumentParser) -> None:
+    """Add --docs FOLDER, where the page to fill in is."""
+    parser.add_argument(
+        "--docs", type=Path, default=Path("docs"), metavar="FOLDER", help="of the page (docs)"
+    )
+
+
 def _add(parser: argparse.ArgumentParser, name: str, variable: str, what: str) -> None:
     default = Path(os.environ.get(variable, name))
     what = f"folder of {what} (default: ${variable}, else {name})"

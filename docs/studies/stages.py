@@ -15,7 +15,6 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -32,6 +31,7 @@ from daemon.pipeline import Pipeline
 from daemon.service import Service
 from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout
+from docs.studies.folders import add_docs_argument
 from docs.studies.marked import fill, table
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.loopback_robot import LoopbackRobot
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m docs.studies stages")
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to touch the pad (%(default)s)")
     parser.add_argument("--as", dest="name", default="now", choices=("before", "now"), help="(%(default)s)")
-    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the page")
+    add_docs_argument(parser)
     chosen = parser.parse_args(arguments)
     kept = chosen.docs / "speed.json"
     times = msgspec.json.decode(kept.read_bytes(), type=dict[str, Times]) if kept.exists() else {}

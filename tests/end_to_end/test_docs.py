@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from daemon.cli import COMMANDS
-from docs.studies.__main__ import STUDIES
+from docs.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
@@ -36,6 +36,15 @@ def test_reliability_names_only_existing_tests() -> None:
         name for name in named if not re.search(rf"^{name.replace('…', '.*')}$", "\n".join(known), re.M)
     }
     assert not unknown
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_every_study_says_what_it_takes(study: str, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    with pytest.raises(SystemExit) as ended:
+        main([study, "--help"])
+    assert ended.value.code == 0
+    assert f"usage: python -m docs.studies {study}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -19,7 +19,7 @@ from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Told
 from docs.studies.decision.report import MOST_HARMED
 from docs.studies.decision.streams import FRAMES, Streams, collect, collect_windows
-from docs.studies.folders import add_haart_argument, add_second_study_argument
+from docs.studies.folders import add_docs_argument, add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
 from docs.studies.training import haart, metrics, second_study
 from drivers.frame import FRAME_RATE_HZ
@@ -109,7 +109,7 @@ def main(arguments: Sequence[str]) -> int:
     add_haart_argument(parser)
     add_second_study_argument(parser)
     parser.add_argument("--weights", type=Path, default=SHIPPED_MODEL.parent, help="of the networks left out")
-    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the pages")
+    add_docs_argument(parser)
     chosen = parser.parse_args(arguments)
     recordings = {
         "HAART": haart.read_training(chosen.haart),

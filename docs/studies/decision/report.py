@@ -1,9 +1,10 @@
 """Measures what the daemon tells during a touch: docs/decision.md, for people, and docs/decision.json.
 
-`python -m docs.studies decision FOLDER [DOCS]` plays HAART's training recordings in FOLDER, in some minutes.
+`python -m docs.studies decision` plays HAART's training recordings, in some minutes.
 The defaults of `speak_above` and `revise_margin` are the point that `choose` picks from the curve.
 """
 
+import argparse
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from daemon.decide import DecisionSettings
 from daemon.events import Stage
 from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Said, decide, listen
+from docs.studies.folders import add_docs_argument, add_haart_argument
 from docs.studies.marked import fill, table
 from docs.studies.tracker.measure import spliced
 from docs.studies.training import haart
@@ -210,8 +212,11 @@ def _percent(share: float) -> str:
 
 def main(arguments: Sequence[str]) -> int:
     """Measure, write the page, and say which point the rule picks."""
-    docs = Path(arguments[1]) if len(arguments) > 1 else Path("docs")
-    figures = report(Path(arguments[0]))
-    write(figures, docs)
-    sys.stdout.write(f"{docs / 'decision.md'}; the rule picks {choose(figures.curve)}\n")
+    parser = argparse.ArgumentParser(prog="python -m docs.studies decision", description=__doc__)
+    add_haart_argument(parser)
+    add_docs_argument(parser)
+    options = parser.parse_args(arguments)
+    figures = report(options.haart)
+    write(figures, options.docs)
+    sys.stdout.write(f"{options.docs / 'decision.md'}; the rule picks {choose(figures.curve)}\n")
     return 0

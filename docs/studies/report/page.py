@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from docs.studies.folders import add_haart_argument
+from docs.studies.folders import add_docs_argument, add_haart_argument
 from docs.studies.marked import fill
 from docs.studies.report import cost, front, representation, table1, tables23
 from docs.studies.report.results import Results, Study
@@ -36,7 +36,7 @@ def main(arguments: Sequence[str]) -> int:
         help="parts to measure; all without it; none: page alone",
     )
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
-    parser.add_argument("--docs", type=Path, default=Path("docs"), help="folder of the page (docs)")
+    add_docs_argument(parser)
     parser.add_argument("--threads", type=int, default=2, help="processor threads, where there is no GPU (2)")
     options = parser.parse_args(arguments)
     results = Results(options.docs / RESULTS_NAME)

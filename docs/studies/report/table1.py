@@ -18,7 +18,6 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
-from mlxtend.feature_selection import SequentialFeatureSelector
 from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import GroupKFold, LeaveOneGroupOut, cross_val_score
@@ -150,6 +149,9 @@ class Searched(HandMade):
         """Return the features that the floating search ends with."""
         whole = haart.cut(data.training, PUBLISHED_FRAMES)
         features = data.features(self.features, PUBLISHED_FRAMES, "training")
+
+        # Not in the extra `train`, which is enough for all else.
+        from mlxtend.feature_selection import SequentialFeatureSelector
 
         search = SequentialFeatureSelector(
             RandomForestClassifier(SEARCH_TREES, random_state=0),

@@ -1,14 +1,16 @@
 """The tracker's figures: the tables of docs/touch.md, and docs/touch.json, for the test that checks them.
 
-`python -m docs.studies tracker FOLDER [DOCS]` measures HAART's recordings, in three minutes of one core.
+`python -m docs.studies tracker` measures HAART's recordings, in three minutes of one core.
 """
 
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
 
 from daemon.touch import TouchSettings
+from docs.studies.folders import add_docs_argument, add_haart_argument
 from docs.studies.marked import fill, table
 from docs.studies.tracker.figures import HeldOut, OnsetPoint, TouchReport, measure
 from docs.studies.training.haart import read_test, read_training, realigned
@@ -122,6 +124,9 @@ def _share(part: int, whole: int) -> str:
 
 def main(arguments: Sequence[str]) -> int:
     """Measure the recordings in a folder and fill the page; returns 0."""
-    folder, docs = (*arguments, "docs")[:2]
-    write(report(Path(folder)), Path(docs))
+    parser = argparse.ArgumentParser(prog="python -m docs.studies tracker", description=__doc__)
+    add_haart_argument(parser)
+    add_docs_argument(parser)
+    options = parser.parse_args(arguments)
+    write(report(options.haart), options.docs)
     return 0
