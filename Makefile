@@ -98,7 +98,7 @@ install-program:
 	  echo "$(PYTHON) is in a home folder, which the service cannot see; make install PYTHON=/usr/bin/python3"; exit 1;; esac
 	@if test -e $(DESTDIR)$(PROGRAM) && ! test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then \
 	  echo "$(DESTDIR)$(PROGRAM) is there and is not an installed touchd; make install PREFIX=/another/folder"; exit 1; fi
-	@echo "Installing $(PROGRAM) (some 220 MB)"
+	@echo "Installing $(PROGRAM) (some 270 MB)"
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
 	@umask 022; pip='$(NEW)/bin/python -m pip install -qq --disable-pip-version-check'; \
@@ -180,7 +180,7 @@ $(BIN)/python:
 
 # A stamp file each, newer than pyproject.toml, so that a second run starts at once.
 $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
-	@echo "Installing what touchd needs (once, some 220 MB; a minute or two)"
+	@echo "Installing what touchd needs (once, some 270 MB; a minute or two)"
 	@$(PIP) --require-hashes -r requirements.lock
 	@$(PIP) -qq --no-deps --no-build-isolation --editable .
 	@touch $@
