@@ -4,10 +4,8 @@ import itertools
 import os
 import random
 import resource
-import signal
 import socket
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
@@ -16,26 +14,25 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-import yaml
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import HANDSHAKE
 from rigs.made_pad import MadePad, nothing, palm, pat
+from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.soak_audit import Audit
 from rigs.sockets import free_port
-from rigs.wait import WITHIN_S
+from rigs.wait import wait_for
 from websockets.sync.client import connect
 
-from daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings
+from daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
 from daemon.events import Event
 from daemon.kept.journal import Journal
 from daemon.live.server import LiveServer
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
 from drivers.fakes.fake_port import FakePort
@@ -212,39 +209,29 @@ class TestWorld(World.TestCase):  # type: ignore[name-defined,misc]
     """Events stay correct after any sequence of rules."""
 
 
-class Process:
-    """The spawned daemon with a page and a journal, on a pad that repeats the demo."""
+class FaultyDaemon(Daemon):
+    """The spawned daemon with a page, a journal and a log that nobody reads, and faults to inject."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.closing = folder, ExitStack()
-        self.journal = folder / "events.jsonl"
-        self.pad = FakePort(stream_of(DEMO), encoder_for(SensorSettings()), speed=10.0, loop=True)
-        self.closing.enter_context(self.pad)
-        self.page_port = free_port()
-        self.settings = Settings(
-            sensor=SensorSettings(port=self.pad.path),
+    def __init__(self, folder: Path, pad: FakePort) -> None:
+        self.journal, self.page_port = folder / "events.jsonl", free_port()
+        self.viewers: list[socket.socket] = []
+        self.unread = os.pipe()
+        super().__init__(
+            folder,
+            pad,
+            os.fdopen(self.unread[1], "wb"),
             journal=JournalSettings(path=str(self.journal), max_mb=0.1, keep=1),
             live=LiveSettings(port=self.page_port),
+            scene=SceneSettings(),
             log_level="debug",
         )
-        self.unread = os.pipe()
-        log = self.closing.enter_context(os.fdopen(self.unread[1], "wb"))
-        self.daemon = SpawnedDaemon(self.settings, folder, log)
-        self.events: list[Event] = []
-        self.reader = threading.Thread(target=lambda: self.events.extend(self.daemon.events()))
-        self.reader.start()
-        self.viewers: list[socket.socket] = []
-
-    def reload(self, text: str) -> None:
-        (self.folder / "touchd.yaml").write_text(text)
-        self.daemon.process.send_signal(signal.SIGHUP)
 
     def reload_other_settings(self) -> None:
         scene = msgspec.structs.replace(self.settings.scene, stale_s=random.choice([0.5, 1.0, 2.0]))
-        self.reload(yaml.safe_dump(msgspec.to_builtins(msgspec.structs.replace(self.settings, scene=scene))))
+        self.configure(scene=scene)
 
     def reload_nonsense(self) -> None:
-        self.reload(random.choice(["{", "scene: 7", "journal: {path: /dev/null}", "live: {port: 1}"]))
+        self.write(random.choice(["{", "scene: 7", "journal: {path: /dev/null}", "live: {port: 1}"]))
 
     def delete_the_journal(self) -> None:
         self.journal.unlink(missing_ok=True)
@@ -258,38 +245,34 @@ class Process:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
-    process = Process(tmp_path)
     random.seed(seed)
-    try:
-        while not process.events:
-            time.sleep(0.1)
-        does: list[Callable[[], None]] = [
-            process.reload_other_settings,
-            process.reload_nonsense,
-            process.delete_the_journal,
-            process.flood_the_page,
+    with (
+        FakePort(stream_of(DEMO), encoder_for(SensorSettings()), speed=10.0, loop=True) as pad,
+        FaultyDaemon(tmp_path, pad) as daemon,
+    ):
+        wait_for(lambda: daemon.events)
+        faults: list[Callable[[], None]] = [
+            daemon.reload_other_settings,
+            daemon.reload_nonsense,
+            daemon.delete_the_journal,
+            daemon.flood_the_page,
         ]
         until_s, most_mb = time.monotonic() + 60, 0.0
         while time.monotonic() < until_s:
-            random.choice(does)()
+            random.choice(faults)()
             time.sleep(random.uniform(0.0, 1.0))
-            most_mb = max(most_mb, resident_mb(process.daemon.process.pid))
-        process.daemon.process.send_signal(signal.SIGTERM)
+            most_mb = max(most_mb, resident_mb(daemon.process.pid))
         asked_s = time.monotonic()
-        assert process.daemon.process.wait(WITHIN_S) == 0
+        assert daemon.stop() == 0
         # At ten times the pad's rate on a shared machine, not all queued frames are processed.
         assert time.monotonic() - asked_s < 8.0
-        process.reader.join()
-    finally:
-        process.daemon.stop()
-        process.closing.close()
-        os.close(process.unread[0])
+    os.close(daemon.unread[0])
     assert most_mb < MOST_DAEMON_MB
     audit = Audit(OLDEST_TOLD_MS)
-    for event in process.events:
+    for event in daemon.events:
         audit.see(event)
     assert (list(audit.wrong), audit.is_open) == ([], False)
     assert audit.touches > 20
     # The journal may have been deleted after the last event.
-    if process.journal.exists():
-        assert all(line.startswith(b'{"type":') for line in process.journal.read_bytes().splitlines())
+    if daemon.journal.exists():
+        assert all(line.startswith(b'{"type":') for line in daemon.journal.read_bytes().splitlines())

@@ -4,7 +4,7 @@ import re
 import signal
 import threading
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import msgspec
 import yaml
@@ -25,15 +25,19 @@ TOTALS = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 class Daemon:
     """The spawned daemon on a pad: its events, its log, and its configuration.
 
-    pad: a started port; by default one of its own that plays LENGTHS.
+    pad: a started port; by default one of its own that plays LENGTHS. log: by default a file.
     """
 
-    def __init__(self, folder: Path, pad: FakePort | None = None, **settings: Any) -> None:
+    def __init__(
+        self, folder: Path, pad: FakePort | None = None, log: IO[bytes] | None = None, **settings: Any
+    ) -> None:
         self.port = pad or playing(LENGTHS, SPEED)
         self._own_port = None if pad else self.port
-        self.settings = Settings(sensor=SensorSettings(port=self.port.path), scene=PATIENT, **settings)
+        self.settings = Settings(
+            sensor=SensorSettings(port=self.port.path), **({"scene": PATIENT} | settings)
+        )
         self._folder = folder
-        self._log = (folder / "log").open("wb")
+        self._log = log or (folder / "log").open("wb")
         self._daemon = SpawnedDaemon(self.settings, folder, self._log)
         self.process = self._daemon.process
         if isinstance(self.port, PatientPort):
