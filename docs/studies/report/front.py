@@ -96,7 +96,7 @@ class Row:
         return float(self.at[ONNX_RUNTIME]["processor_ms"])
 
     @property
-    def is_shipped(self) -> bool:
+    def is_touchd_1(self) -> bool:
         """Whether this is the file that ships."""
         return (self.name, self.arithmetic) == (SHIPPED, FLOAT32)
 
@@ -105,7 +105,7 @@ class Row:
         """What tables call the network."""
         width, blocks = self.cell["width"], self.cell["blocks"]
         if self.family == OURS:
-            return f"**touchd, {width} wide (shipped)**" if self.is_shipped else f"touchd, {width} wide"
+            return f"**touchd-1, {width} wide**" if self.is_touchd_1 else f"touchd, {width} wide"
         if self.family == HUGHES:
             return f"Hughes et al., {CHALLENGE[_system(self.name)]}"
         return f"the paper's, {PAPER[self.family]}, {blocks} block{'s' if blocks > 1 else ''}"
@@ -284,17 +284,17 @@ def _panel(axes: Axes, together: Sequence[Row]) -> None:
     for arithmetic, fill, line in ((FLOAT32, blue, "-"), (INT8, "white", ":")):
         ours = [row for row in together if (row.family, row.arithmetic) == (OURS, arithmetic)]
         _points(axes, ours, f"touchd {arithmetic}, by width", blue, marker="o", mfc=fill, linestyle=line)
-    shipped = [row for row in together if row.is_shipped]
+    touchd_1 = [row for row in together if row.is_touchd_1]
     for row in together:
         if row.family == OURS and row.arithmetic == FLOAT32:
-            # The star of the shipped model would hide a label to its left.
-            is_wider = row.cell["width"] > shipped[0].cell["width"]
+            # The star of touchd-1 would hide a label to its left.
+            is_wider = row.cell["width"] > touchd_1[0].cell["width"]
             offset, side = ((8, -4), "left") if is_wider else ((-20, -4), "right")
             place = (row.processor_ms, _percent(row))
             axes.annotate(
                 f"{row.cell['width']}", place, offset, textcoords="offset points", ha=side, color=blue
             )
-    _points(axes, shipped, "the shipped model", "gold", marker="*", mec=blue, markersize=18, zorder=5)
+    _points(axes, touchd_1, "touchd-1", "gold", marker="*", mec=blue, markersize=18, zorder=5)
     challenge = [row for row in together if row.family == HUGHES and row.error is not None]
     _points(axes, challenge, "the challenge's networks, Hughes et al.", "0.35", marker="D")
     for family, code in PAPER.items():
