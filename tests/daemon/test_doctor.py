@@ -1,4 +1,4 @@
-"""`touchd doctor`: one line for each check, and an exit code that says whether anything is to do."""
+"""`touchd doctor`: one line for each check, an exit code, and the checks of model, robot and service."""
 
 import json
 import math
@@ -6,12 +6,15 @@ from pathlib import Path
 
 import pytest
 import serial
-from rigs.doctor_rig import pad_of, resting, systemd_says, the
+from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
+from rigs.robots import Robot
 
 from daemon import cli
 from daemon.commands.doctor import WIDTH
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
+from daemon.doctor.machine import check_model, check_robot, check_service
+from drivers.robot.settings import RobotSettings
 
 
 def test_a_sound_pad_passes_every_check(
@@ -60,3 +63,54 @@ def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch:
     assert "busy" in other.found
     assert service.verdict == "not checked"
     assert "sudo systemctl stop touchd" in service.advice
+
+
+def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    for slow_ms, verdict in ((math.inf, "ok"), (0.0, "warning")):
+        monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", slow_ms)
+        assert check_model(SETTINGS).verdict == verdict
+    missing = check_model(Settings(model="/nowhere/model.onnx"))
+    assert missing.verdict == "to do"
+    assert "cannot be read" in missing.found
+
+
+def test_the_robot_is_asked_for_its_version() -> None:
+    with Robot() as robot:
+        check = check_robot(Settings(robot=RobotSettings(url=robot.url)))
+        assert check.verdict == "ok"
+        assert "NAOqi 2.8.7.4" in check.found
+        robot.kill()
+        gone = check_robot(Settings(robot=RobotSettings(url=robot.url)))
+    assert gone.verdict == "to do"
+    assert "ping it" in gone.advice
+
+
+def test_a_robot_user_without_a_token_is_reported() -> None:
+    check = check_robot(Settings(robot=RobotSettings(url="tcps://nao.local:9503", user="nao")))
+    assert check.verdict == "to do"
+    assert "token" in check.found
+
+
+@pytest.mark.parametrize(
+    ("answer", "verdict", "found"),
+    [
+        ("LoadState=not-found", "ok", "no touchd service is installed"),
+        (
+            "LoadState=loaded\nActiveState=active\nStatusText=54.0 frames/s\nNRestarts=0",
+            "ok",
+            "54.0 frames/s",
+        ),
+        ("LoadState=loaded\nActiveState=active\nNRestarts=3", "warning", "restarted 3 times"),
+        ("LoadState=loaded\nActiveState=active\nUnitFileState=disabled", "warning", "not started at boot"),
+        ("LoadState=loaded\nActiveState=inactive", "warning", "installed, but inactive"),
+        ("LoadState=loaded\nActiveState=failed\nResult=exit-code", "to do", "failed (exit-code)"),
+        ("", "not checked", "no systemd answers"),
+    ],
+)
+def test_the_state_of_the_service_is_reported(
+    answer: str, verdict: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    systemd_says(answer, tmp_path, monkeypatch)
+    check = check_service()
+    assert check.verdict == verdict
+    assert found in check.found

@@ -26,6 +26,7 @@ from daemon.events import Event, Prediction, SensorEvent, TouchEnded, decode, en
 from daemon.kept.journal import Journal, JournalError
 from daemon.kept.touch_store import TouchStore, kept_touches
 from daemon.kept.touches import read_journal, read_since
+from daemon.pad.age import Age
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for, link_to_robot, open_journal
@@ -33,7 +34,7 @@ from daemon.sinks import JournalSink, LinesSink, LogSink
 from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Frame
-from drivers.pad.grid import Ring, RingSettings
+from drivers.pad.grid import GridFrame, Ring, RingSettings
 from drivers.recording import Recording, RecordingError, read_recordings, write_recordings
 from drivers.robot.session import RobotError
 from drivers.robot.settings import RobotSettings, read_login
@@ -344,3 +345,17 @@ def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None
     write_recordings(path, parts, {})
     with pytest.raises(RecordingError, match="more than 10000 recordings"):
         read_recordings(path)
+
+
+def test_a_lasting_delay_is_forgotten_within_fifty_times_its_length() -> None:
+    age = Age()
+
+    def played(first_s: float, last_s: float, late_s: float) -> float:
+        for pad_s in np.arange(first_s, last_s, 1 / 54):
+            frame = GridFrame(0, 1000.0 * pad_s, pad_s + late_s, np.zeros((8, 8), np.float32), False, False)
+            age.update(frame)
+        return age.of(frame, frame.host_s)
+
+    assert played(0.0, 2.0, 0.0) == pytest.approx(0.0, abs=1e-6)
+    assert played(2.0, 7.0, 1.0) == pytest.approx(0.9, abs=0.01)
+    assert played(7.0, 60.0, 1.0) == pytest.approx(0.0, abs=1e-6)

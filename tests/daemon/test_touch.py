@@ -1,4 +1,4 @@
-"""The rules for a touch's begin and end, each shown on a made pad with HAART's noise."""
+"""The rules for a touch's begin and end, each on a made pad with HAART's noise, and the pad's baseline."""
 
 from collections.abc import Callable
 
@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 
+from daemon.pad.baseline import Baseline
 from daemon.touch import NoTouch, Onset, Release, TouchSettings, TouchTracker
 from drivers.pad.grid import GridFrame
 
@@ -398,3 +399,39 @@ def test_a_pad_that_became_noisy_is_disturbed(pad: TrackedPad) -> None:
     assert pad.tracker.is_disturbed
     pad.feel(20.0)
     assert not pad.tracker.is_disturbed
+
+
+def known(rest: float = 10.0) -> Baseline:
+    baseline = Baseline()
+    baseline.calibrate(np.full((27, 64), rest, np.float32))
+    return baseline
+
+
+def test_light_contact_of_a_second_hardly_moves_the_rest() -> None:
+    baseline = known()
+    for _ in range(54):
+        baseline.track(np.full(64, 20.0, np.float32))
+    np.testing.assert_allclose(baseline.counts, 10.0 + 1 / 3, atol=0.02)
+
+
+def test_the_rest_follows_a_drift_of_a_third_count_a_second() -> None:
+    baseline = known()
+    for frame in range(54 * 30):
+        baseline.track(np.full(64, 10.0 + 0.3 * frame / 54, np.float32))
+    assert baseline.counts.mean() == pytest.approx(10.0 + 9.0, abs=1.2)
+
+
+def test_sway_is_kept_for_a_while_and_bounded() -> None:
+    baseline = known()
+    baseline.track_sway(np.full(64, 9.0, np.float32))
+    assert baseline.sway.max() == 4.0
+    for _ in range(9 * 60):
+        baseline.track_sway(np.zeros(64, np.float32))
+    assert baseline.sway.max() < 0.5
+
+
+def test_the_noise_floor_lies_above_the_sway() -> None:
+    baseline = known()
+    baseline.track_sway(np.full(64, 3.0, np.float32))
+    baseline.track(np.full(64, 10.0, np.float32))
+    np.testing.assert_allclose(baseline.noise_floor, 3.9, rtol=1e-5)

@@ -1,8 +1,9 @@
-"""Recordings: every layout is read and written back, realigned, and joined into streams."""
+"""Recordings: every layout is read and written back whole, realigned, and joined into streams."""
 
 import gzip
 import hashlib
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from drivers.recording import (
     splice,
     write_recordings,
 )
+from drivers.whole_file import whole_file
 
 CELL_NAMES = [f"cell{i}" for i in range(1, 65)]
 CONDITION = ["Substrate", "Cover", "Gesture"]
@@ -202,3 +204,21 @@ def test_haarts_files_are_read_completely() -> None:
         digest.update(recording.counts.astype("<i2").tobytes())
     assert len(recordings) == 251
     assert (digest.hexdigest()[:8], digest.hexdigest()[-10:]) == ("a3cff346", "42fb04fb40")
+
+
+def test_a_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("before")
+    path.chmod(0o640)
+    with whole_file(path) as partial:
+        partial.write_text("after")
+    assert (path.read_text(), path.stat().st_mode & 0o777) == ("after", 0o640)
+
+
+def test_an_error_while_writing_leaves_the_old_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("before")
+    with pytest.raises(FileNotFoundError), whole_file(path) as partial:
+        shutil.copytree(tmp_path / "not there", partial)
+    assert path.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [path]
