@@ -277,8 +277,15 @@ class _StrictLoader(yaml.SafeLoader):
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
-        for key, _ in node.value:
+        for key, value in node.value:
             if isinstance(key, yaml.ScalarNode):
+                if isinstance(value, yaml.ScalarNode) and not value.value and value.style is None:
+                    line = key.start_mark.line + 1
+                    log.warning(
+                        "configuration, line %d: %s is empty, so not used; {} takes its defaults",
+                        line,
+                        key.value,
+                    )
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(
                         problem=f"{key.value} is set twice", problem_mark=key.start_mark
@@ -369,10 +376,20 @@ def _unknown_key(keys: Keys, wrong: str, struct: type[msgspec.Struct]) -> str:
     if wrong == "token":
         # A hint at a similar setting would have the token written there, and shown.
         return "robot.token is not a setting: put the token into a file of its own and name it in token_file"
+    homes = [name for name in struct.__struct_fields__ if (name,) != keys and wrong in _known(struct, name)]
+    if homes:
+        return f"{'.'.join((*keys, wrong))} is not a setting; it belongs under {' or '.join(homes)}:"
     known = _section(struct, keys).__struct_fields__
     near = difflib.get_close_matches(wrong, known, n=1, cutoff=0.5)
     advice = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
     return f"{'.'.join((*keys, wrong))} is not a setting; {advice}"
+
+
+def _known(struct: type[msgspec.Struct], name: str) -> tuple[str, ...]:
+    """Return the settings of a section, none of another value or a mapping."""
+    parts = _parts(typing.get_type_hints(struct)[name])
+    sections = [part for part in parts if isinstance(part, type) and issubclass(part, msgspec.Struct)]
+    return sections[0].__struct_fields__ if sections and typing.get_origin(parts[0]) is not dict else ()
 
 
 def _choices(struct: type[msgspec.Struct], keys: Keys) -> str:

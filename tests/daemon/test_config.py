@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from daemon.bridges.settings import LslSettings
 from daemon.config import MAX_BYTES, ConfigError, Settings, convert, load
 from model.classifier import SHIPPED_MODEL, Classifier
 
@@ -27,6 +28,15 @@ def test_a_renamed_key_is_taken_with_one_warning(caplog: pytest.LogCaptureFixtur
     assert settings.touch.onset_threshold == 6.0
     (record,) = caplog.records
     assert "touch.onset_level is now called touch.onset_threshold" in record.message
+
+
+def test_an_empty_section_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("robot: null\nlive:\n  #port: 8054\nlsl: {}\n")
+    assert load(path) == Settings(lsl=LslSettings())
+    assert [record.getMessage() for record in caplog.records] == [
+        "configuration, line 2: live is empty, so not used; {} takes its defaults"
+    ]
 
 
 def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
@@ -72,6 +82,8 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     [
         ("sensr: {}", "sensr is not a setting; did you mean sensor?"),
         ("sensor: {prt: /dev/x}", "sensor.prt is not a setting; did you mean port?"),
+        ("sensor: {onset_threshold: 5}", "sensor.onset_threshold is not a setting; it belongs under touch:"),
+        ("rows: 10", "rows is not a setting; it belongs under sensor:"),
         ("scene: {zzz: 1}", "scene.zzz is not a setting; known here: gestures"),
         ("sensor: {baud: fast}", "sensor.baud must be a whole number, not 'fast'"),
         ("sensor: {baud: 3}", "sensor.baud must be a whole number >= 1200, not 3"),
