@@ -61,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         _record(console, options, settings)
         console.print("\nLearning from them takes about a minute.")
-        adapted = adapt_folder(options.folder, None, output, AdaptSettings())
+        adapted = adapt_folder(options.folder, output, AdaptSettings())
         for line in report_lines(adapted):
             console.print(line)
         console.print(f"\nThe new model is {output}")

@@ -19,10 +19,9 @@ def parser() -> argparse.ArgumentParser:
         "--output", type=Path, metavar="ONNX", help="the new model's file; touchd-FOLDER.onnx without it"
     )
     parser.add_argument(
-        "--haart",
-        type=Path,
-        metavar="FOLDER",
-        help="HAART's recordings, rehearsed so that the model does not forget them",
+        "--keep-all",
+        action="store_true",
+        help="keep the gestures that the folder lacks, as the shipped model knows them",
     )
     parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
     return parser
@@ -44,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     from model.adapt.ship import adapt_folder
 
     output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
-    adapted = adapt_folder(options.extra, options.haart, output, AdaptSettings(seed=options.seed))
+    adapted = adapt_folder(options.extra, output, AdaptSettings(seed=options.seed), options.keep_all)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
     sys.stdout.write(f"\nWritten: {output}. To use it, set `model: {output.resolve()}` in touchd.yaml.\n")

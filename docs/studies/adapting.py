@@ -11,13 +11,14 @@ from torch import nn
 
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
-from docs.studies.training import haart, metrics, second_study
+from docs.studies.training import haart, metrics
 from docs.studies.training.recipe import fold_jobs, read_recipe
-from docs.studies.training.ship import fold_path
+from docs.studies.training.ship import fold_path, remember
+from docs.studies.training.studies import Folders
 from docs.studies.training.train import CHECKPOINT_NAME
 from drivers.recording import Recording
-from model.adapt.adapt import Pretrained, learnable, logits
-from model.adapt.backbone import CropFeatures, WindowFeatures, windows
+from model.adapt.adapt import Pretrained, logits
+from model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
 from model.adapt.head import AdaptSettings, fit
 from model.adapt.measure import Floats, mean_interval
 from model.classifier import SHIPPED_MODEL
@@ -30,8 +31,6 @@ DRAWS = 2
 FRAMES = 144
 FILE = Path(__file__).parents[1] / "adapt.json"
 PAGE = FILE.with_suffix(".md")
-CHOSEN_ON = ("R08", "R10", "R12")
-"""The people on whom the settings were chosen."""
 
 
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
@@ -44,7 +43,6 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     participant: str
     draw: int
     each: int
-    rehearsed: bool
     before: float
     after: float
     error: float
@@ -96,24 +94,28 @@ class PersonFold:
             before, _ = self.accuracy(start, evaluated)
             for each in SHOTS:
                 shown = [self.unseen[i] for first in drawn for i in first[:each]]
-                features = learnable(self.pretrained, shown, settings.crops, settings.seed)
-                for beside in (None, rehearsed):
-                    head = fit(start, haart.GESTURES, [], features, beside, settings)
-                    after, error = self.accuracy(head, evaluated)
-                    gains = [
-                        self.accuracy(head, theirs)[0] - was
-                        for theirs, was in zip(others, others_before, strict=True)
-                    ]
-                    yield Trial(
-                        participant=name,
-                        draw=number,
-                        each=each,
-                        rehearsed=beside is not None,
-                        before=round(before, 4),
-                        after=round(after, 4),
-                        error=round(error, 4),
-                        others=round(float(np.mean(gains)), 4),
-                    )
+                features = crops(
+                    self.pretrained.backbone,
+                    shown,
+                    self.pretrained.saved.settings.augmentation,
+                    settings.crops,
+                    settings.seed,
+                )
+                head = fit(start, haart.GESTURES, [], features, rehearsed, settings)
+                after, error = self.accuracy(head, evaluated)
+                gains = [
+                    self.accuracy(head, theirs)[0] - was
+                    for theirs, was in zip(others, others_before, strict=True)
+                ]
+                yield Trial(
+                    participant=name,
+                    draw=number,
+                    each=each,
+                    before=round(before, 4),
+                    after=round(after, 4),
+                    error=round(error, 4),
+                    others=round(float(np.mean(gains)), 4),
+                )
 
 
 def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[int]]:
@@ -127,17 +129,16 @@ def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[i
     ]
 
 
-def measure(haart_folder: Path, second_folder: Path, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
+def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
     """Yield the trials of everybody of both studies."""
-    training = haart.realigned(haart.read_training(haart_folder))
-    takes = second_study.takes(second_study.read(second_folder))
+    takes = folders.to_train_on(("haart", "second"))
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
-        pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out))
-        fold = PersonFold(pretrained, haart.only([*training, *takes], left_out))
-        seen = haart.without(training, left_out)
-        rehearsed = learnable(pretrained, seen, settings.rehearsal_crops, settings.seed)
+        remembered = remember(saved, folders)
+        pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out), remembered)
+        fold = PersonFold(pretrained, haart.only(takes, left_out))
+        rehearsed = remembered.samples(haart.GESTURES, settings.seed)
         for name in fold.people:
             yield from fold.trials(name, rehearsed, settings)
 
@@ -145,36 +146,27 @@ def measure(haart_folder: Path, second_folder: Path, runs: Path, settings: Adapt
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables by their places."""
     trials = measured.trials
-    groups = {
-        "second study": [t for t in trials if t.participant.startswith("R")],
-        "the same without the three people the settings were chosen on": [
-            t for t in trials if t.participant.startswith("R") and t.participant not in CHOSEN_ON
-        ],
-        "HAART": [t for t in trials if t.participant.startswith("P")],
-    }
     rows = []
-    for group, own in groups.items():
-        for rehearsed in (False, True):
-            for each in SHOTS:
-                cell = [t for t in own if (t.rehearsed, t.each) == (rehearsed, each)]
-                gain = _by_person(cell, [t.after - t.before for t in cell])
-                interval = mean_interval([gain])
-                assert interval is not None
-                rows.append(
-                    (
-                        *(group, "yes" if rehearsed else "no", each),
-                        f"{100 * _by_person(cell, [t.before for t in cell]).mean():.1f}",
-                        f"**{100 * _by_person(cell, [t.after for t in cell]).mean():.1f}**",
-                        f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}",
-                        f"{100 * _by_person(cell, [t.others for t in cell]).mean():+.1f}",
-                        f"{_by_person(cell, [t.error for t in cell]).mean():.3f}",
-                    )
+    for group, letter in (("second study", "R"), ("HAART", "P")):
+        for each in SHOTS:
+            cell = [t for t in trials if t.participant.startswith(letter) and t.each == each]
+            interval = mean_interval([_by_person(cell, [t.after - t.before for t in cell])])
+            assert interval is not None
+            rows.append(
+                (
+                    *(group, each),
+                    f"{100 * _by_person(cell, [t.before for t in cell]).mean():.1f}",
+                    f"**{100 * _by_person(cell, [t.after for t in cell]).mean():.1f}**",
+                    f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}",
+                    f"{100 * _by_person(cell, [t.others for t in cell]).mean():+.1f}",
+                    f"{_by_person(cell, [t.error for t in cell]).mean():.3f}",
                 )
-    headings = ("people", "HAART rehearsed", "a gesture", "before", "after", "95 % of the difference")
+            )
+    headings = ("people", "a gesture", "before", "after", "95 % of the difference")
     names = sorted({t.participant for t in trials}, key=lambda name: (name[0], int(name[1:])))
     people = []
     for name in names:
-        own = [t for t in trials if t.participant == name and not t.rehearsed]
+        own = [t for t in trials if t.participant == name]
         afters = [np.mean([t.after for t in own if t.each == each]) for each in SHOTS]
         values = [np.mean([t.before for t in own]), *afters]
         people.append((name, *(f"{100 * value:.1f}" for value in values)))
@@ -199,7 +191,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     settings = AdaptSettings()
     with one_torch_thread():
-        trials = tuple(measure(options.haart, options.second_study, options.runs, settings))
+        folders = Folders(options.haart, options.second_study)
+        trials = tuple(measure(folders, options.runs, settings))
     measured = Measured(settings, trials)
     FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")
     fill(PAGE, tables(measured))

@@ -15,6 +15,7 @@ from model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, win
 from model.adapt.head import AdaptSettings, fit, rebuilt
 from model.adapt.measure import Answers, Comparison, compare, cross_entropy
 from model.adapt.plan import Plan, plan
+from model.adapt.remembered import Remembered
 from model.classifier import SHIPPED_MODEL, Classifier
 from model.settings import LENGTHS
 from model.tgc import TGC
@@ -28,36 +29,38 @@ TEMPERATURE_SPREAD = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Pretrained:
-    """The network that adapting starts from: checkpoint, frozen backbone, head, temperatures."""
+    """The network that adapting starts from, its backbone frozen, and what it remembers of others."""
 
     saved: Checkpoint
     backbone: TGC
     head: nn.Sequential
     temperatures: dict[int, float]
+    remembered: Remembered
 
     @classmethod
-    def of(cls, saved: Checkpoint, model: Path) -> "Pretrained":
+    def of(cls, saved: Checkpoint, model: Path, remembered: Remembered) -> "Pretrained":
         """Return a pretrained; the temperatures are those in the file that the checkpoint was exported to."""
         stored = Classifier.load(model).metadata.temperatures
         backbone, head = split(saved.build())
-        return cls(saved, backbone, head, {int(length): value for length, value in stored.items()})
+        temperatures = {int(length): value for length, value in stored.items()}
+        return cls(saved, backbone, head, temperatures, remembered)
 
     @classmethod
     def shipped(cls) -> "Pretrained":
-        return cls.of(checkpoint.load(SHIPPED_MODEL.with_suffix(".pt")), SHIPPED_MODEL)
+        saved = checkpoint.load(SHIPPED_MODEL.with_suffix(".pt"))
+        return cls.of(saved, SHIPPED_MODEL, Remembered.load(SHIPPED_MODEL.with_suffix(".npz")))
 
 
 @dataclass(frozen=True, eq=False)
 class Adapted:
     """A fine-tuned head, and what was measured on recordings left out in turn.
 
-    known: the labels it began with. rehearsed: HAART's recordings were shown too.
+    known: the labels it began with.
     """
 
     known: tuple[str, ...]
     labels: tuple[str, ...]
     recordings: tuple[Recording, ...]
-    rehearsed: bool
     head: nn.Sequential
     temperatures: dict[int, float]
     comparison: Comparison
@@ -76,26 +79,31 @@ def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: A
     """Return the features of crops to learn from and of windows to evaluate."""
     return Features(
         recordings,
-        learnable(pretrained, recordings, settings.crops, settings.seed),
+        crops(
+            pretrained.backbone,
+            recordings,
+            pretrained.saved.settings.augmentation,
+            settings.crops,
+            settings.seed,
+        ),
         windows(pretrained.backbone, recordings),
     )
 
 
-def learnable(pretrained: Pretrained, recordings: Sequence[Recording], each: int, seed: int) -> CropFeatures:
-    """Return the features of `each` crops of every recording alone."""
-    return crops(pretrained.backbone, recordings, pretrained.saved.settings.augmentation, each, seed)
-
-
 def adapt(
-    pretrained: Pretrained, material: Features, rehearsed: CropFeatures | None, settings: AdaptSettings
+    pretrained: Pretrained, material: Features, settings: AdaptSettings, keep_all: bool = False
 ) -> Adapted:
-    """Adapt to all recordings, after measuring on each in turn what adapting to the others does to it."""
+    """Adapt to all recordings, after measuring on each in turn what adapting to the others does to it.
+
+    keep_all: keep the known gestures that no recording shows.
+    """
     gestures = {recording.gesture for recording in material.recordings}
     known = pretrained.saved.labels
-    # The daemon counts on "notouch"; what is rehearsed is not forgotten.
-    labels = tuple(sorted(gestures | {NO_TOUCH} | set(known if rehearsed is not None else ())))
+    # The daemon counts on "notouch".
+    labels = tuple(sorted(gestures | {NO_TOUCH} | set(known if keep_all else ())))
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
+    rehearsed = pretrained.remembered.samples(labels, settings.seed)
 
     def learnt(chosen: Sequence[int]) -> nn.Sequential:
         return fit(begin, labels, new, material.shown.of(chosen), rehearsed, settings)
@@ -111,7 +119,6 @@ def adapt(
         known=known,
         labels=labels,
         recordings=tuple(material.recordings),
-        rehearsed=rehearsed is not None,
         head=head,
         temperatures={
             length: _temperature(

@@ -14,12 +14,10 @@ from drivers.recording import (
     SUFFIXES,
     UNLABELLED,
     Recording,
-    RecordingError,
     read_recordings,
     realign,
 )
 
-HAART_TRAINING_FILE = "training.csv"
 # Shorter, there is not even an early answer to learn from.
 SHORTEST_FRAMES = 54
 # Ten hours at 54 Hz, a quarter of a gigabyte: far beyond what a lab records, and what fits any machine.
@@ -57,19 +55,6 @@ def read_folder(folder: Path, known: Sequence[str]) -> list[Recording]:
             recordings.append(recording)
     _check_gestures(folder, {recording.gesture for recording in recordings}, known)
     return recordings
-
-
-def read_haart(folder: Path) -> list[Recording]:
-    """Return the recordings of HAART's training participants, for rehearsal; raises RecordingError."""
-    return [realign(recording) for recording in read_recordings(find(folder, HAART_TRAINING_FILE))]
-
-
-def find(folder: Path, name: str, hint: str = "`python -m docs.studies data` fetches it") -> Path:
-    """Return the file `name`, or `name`.gz, in the folder; raises RecordingError when neither is there."""
-    for path in (folder / name, folder / f"{name}.gz"):
-        if path.is_file():
-            return path
-    raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; {hint}")
 
 
 def _files(folder: Path) -> list[Path]:

@@ -2,8 +2,8 @@
 
 L2-SP (Li, Grandvalet and Davoine 2018) is a Gaussian prior on every weight around its pretrained value. The
 fewer the recordings, the more it counts. In the end the weights lie between the pretrained and the learnt
-ones (Wortsman et al. 2022), which keeps most of what the person gains and spares others. Penalty and share
-were chosen on three people of the second study; see docs/adapt.md.
+ones (Wortsman et al. 2022), which keeps most of what the person gains and spares others. A part of each batch
+is what the network remembers of others. All three were chosen on the second study; see docs/adapt.md.
 """
 
 import copy
@@ -22,22 +22,21 @@ from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that decides what adapting yields, apart from the recordings and where it starts from.
 
-    crops: per recording, augmented as in training; rehearsal_crops: per recording of HAART. l2_sp: weight of
-    the squared distance from the pretrained head, divided by the number of recordings; rows of new gestures
-    are free. rehearsed: share of each batch that shows HAART, if given. blend: how far the weights go from
-    the pretrained to the learnt ones, 0 to 1; rows of new gestures go all the way.
+    crops: per recording, augmented as in training. l2_sp: weight of the squared distance from the pretrained
+    head, divided by the number of recordings; rows of new gestures are free. rehearsed: share of each batch
+    that is remembered. blend: how far the weights go from the pretrained to the learnt ones, 0 to 1; rows of
+    new gestures go all the way.
     """
 
     seed: int = 0
     crops: int = 16
-    rehearsal_crops: int = 3
-    steps: int = 100
+    steps: int = 200
     batch: int = 32
     learning_rate: float = 3e-3
     label_smoothing: float = 0.05
-    l2_sp: float = 0.1
-    rehearsed: float = 0.5
-    blend: float = 0.6
+    l2_sp: float = 0.02
+    rehearsed: float = 0.35
+    blend: float = 0.8
 
 
 def rebuilt(head: nn.Sequential, known: Sequence[str], labels: Sequence[str]) -> nn.Sequential:
@@ -59,36 +58,31 @@ def fit(
     labels: Sequence[str],
     new: Sequence[str],
     shown: CropFeatures,
-    rehearsed: CropFeatures | None,
+    rehearsed: CropFeatures,
     settings: AdaptSettings,
 ) -> nn.Sequential:
     """Return a head that has learnt what is `shown`, from `start`, which stays as it is.
 
-    labels: of the head's rows. new: those that the shipped network did not know. rehearsed: what must not be
-    forgotten. The same arguments give the same head.
-
-    A label that is never shown is left out of the comparison: that it is absent is no evidence against it.
+    labels: of the head's rows, each shown or rehearsed. new: those that the shipped network did not know.
+    rehearsed: what must not be forgotten. The same arguments give the same head.
     """
-    present = {*shown.gestures, *(rehearsed.gestures if rehearsed is not None else ())}
-    compared = [label for label in labels if label in present]
-    columns = torch.tensor([labels.index(label) for label in compared])
     head = copy.deepcopy(start).train()
     is_new = torch.tensor([label in new for label in labels])
     penalties = _each(start, settings.l2_sp, 0.0, is_new)
     before = [weight.detach().clone() for weight in start.parameters()]
     rng = torch.Generator().manual_seed(settings.seed)
     optimizer = torch.optim.AdamW(head.parameters(), weight_decay=0.0)
-    share = settings.rehearsed if rehearsed is not None else 0.0
-    from_rehearsed = int(settings.batch * share)
+    from_rehearsed = int(settings.batch * settings.rehearsed)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         for step in range(settings.steps):
-            parts = [_draw(shown, compared, settings.batch - from_rehearsed, rng)]
-            if rehearsed is not None:
-                parts.append(_draw(rehearsed, compared, from_rehearsed, rng))
+            parts = (
+                _draw(shown, labels, settings.batch - from_rehearsed, rng),
+                _draw(rehearsed, labels, from_rehearsed, rng),
+            )
             values, targets, within = (torch.cat(part) for part in zip(*parts, strict=True))
             losses = functional.cross_entropy(
-                head(values)[..., columns].flatten(0, 1),
+                head(values).flatten(0, 1),
                 targets.repeat_interleave(values.shape[1]),
                 label_smoothing=settings.label_smoothing,
                 reduction="none",

@@ -4,7 +4,6 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from drivers.recording import NO_TOUCH
 from model.adapt.adapt import Adapted
 from model.adapt.measure import Comparison, LengthFigures
 
@@ -56,9 +55,9 @@ def warnings(adapted: Adapted) -> Iterable[str]:
     if comparison.left_out == "participants" and alone:
         yield f"Only one participant did {', '.join(alone)}: whether others' is known cannot be told."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
-        yield f"The new model no longer knows {', '.join(gone)}: record them too, or give --haart."
-    if NO_TOUCH not in gestures and not adapted.rehearsed:
-        yield f"No recording of {NO_TOUCH}: what a pad at rest looks like is taken from the shipped model."
+        yield f"The new model no longer knows {', '.join(gone)}: record them too, or give --keep-all."
+    if lacking := [label for label in adapted.labels if label not in gestures]:
+        yield f"No recording of {', '.join(lacking)}: known from other people and pads only."
 
 
 def _doubts(comparison: Comparison) -> Iterable[str]:

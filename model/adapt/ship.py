@@ -11,8 +11,8 @@ import torch
 from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import FRAME_RATE_HZ
 from drivers.whole_file import whole_file
-from model.adapt.adapt import Adapted, Pretrained, adapt, learnable, prepare
-from model.adapt.folder import read_folder, read_haart
+from model.adapt.adapt import Adapted, Pretrained, adapt, prepare
+from model.adapt.folder import read_folder
 from model.adapt.head import AdaptSettings
 from model.classifier import SHIPPED_MODEL, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH
@@ -28,22 +28,18 @@ class OutputError(TouchdError):
     """The adapted model cannot be written; the message says why and what to do."""
 
 
-def adapt_folder(extra: Path, haart_folder: Path | None, output: Path, settings: AdaptSettings) -> Adapted:
+def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: bool = False) -> Adapted:
     """Adapt the shipped network to a folder of recordings and write it to `output`, a new .onnx file.
 
-    haart_folder: HAART's recordings, rehearsed where they are given. Raises ExtraError, RecordingError, and
+    keep_all: keep the known gestures that the folder lacks. Raises ExtraError, RecordingError, and
     OutputError before any work where `output` cannot be written.
     """
     check_output(output)
     pretrained = Pretrained.shipped()
     recordings = read_folder(extra, pretrained.saved.labels)
-    rehearsed = None
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
-        if haart_folder is not None:
-            theirs = read_haart(haart_folder)
-            rehearsed = learnable(pretrained, theirs, settings.rehearsal_crops, settings.seed)
-        adapted = adapt(pretrained, prepare(pretrained, recordings, settings), rehearsed, settings)
+        adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
     write(pretrained, adapted, output, settings)
     return adapted
 
@@ -75,7 +71,6 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
             "adapted": {
                 "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
                 "settings": msgspec.to_builtins(settings),
-                "rehearsed_haart": adapted.rehearsed,
                 "participants": len({recording.participant for recording in adapted.recordings}),
                 "recordings": len(adapted.recordings),
             },

@@ -12,9 +12,8 @@ import pytest
 from rich.console import Console
 
 from docs.studies.training.download import ARCHIVE_NAME, Contents, DownloadError, obtain, unpack
-from docs.studies.training.haart import PUBLISHED_FRAMES, TEST_FILE
+from docs.studies.training.haart import PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE
 from drivers.recording import RecordingError
-from model.adapt.folder import HAART_TRAINING_FILE as TRAINING_FILE
 
 EXPECTED = {TRAINING_FILE: Contents(2, ("P3", "P4")), TEST_FILE: Contents(1, ("T1",))}
 CELLS = ",".join(f"cell{i}" for i in range(1, 65))

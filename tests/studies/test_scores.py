@@ -8,8 +8,8 @@ from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_stu
 
 from docs.studies.checks import evaluate
 from docs.studies.training import haart, second_study
+from docs.studies.training.haart import TRAINING_FILE, find
 from drivers.recording import Recording, Selection, read_recordings
-from model.adapt.folder import HAART_TRAINING_FILE, find
 from model.classifier import SHIPPED_MODEL, Classifier
 
 pytest.importorskip("torch", reason="needs the extra train")
@@ -99,7 +99,7 @@ def test_the_test_participants_score_as_published(scores: evaluate.Scores, perso
 @pytest.mark.timeout(300)
 @on("P4")
 def test_the_left_out_participants_score_as_published(scores: evaluate.Scores, person: str | None) -> None:
-    recordings = haart.realigned(recordings_in(find(Path(str(HAART)), HAART_TRAINING_FILE), person))
+    recordings = haart.realigned(recordings_in(find(Path(str(HAART)), TRAINING_FILE), person))
     again = evaluate.score(left_out_of(recordings), 144)
     published = stored(scores.left_out.realigned, 144)
     assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))

@@ -13,8 +13,8 @@ from docs.studies.decision.measure import Said, Told, decide, listen
 from docs.studies.decision.report import LEAST_RIGHT_EARLY, MOST_CHANGED, MOST_HARMED, StreamReport, choose
 from docs.studies.tracker.measure import spliced
 from docs.studies.training import haart
+from docs.studies.training.haart import TRAINING_FILE, find
 from drivers.recording import Selection, read_recordings
-from model.adapt.folder import HAART_TRAINING_FILE, find
 from model.classifier import SHIPPED_MODEL
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -67,7 +67,7 @@ def test_a_participant_is_answered_by_an_unseen_network() -> None:
     pytest.importorskip("torch", reason="needs the extra train")
     from docs.studies.training.ship import left_out_split
 
-    path = find(Path(os.environ["TOUCHD_HAART"]), HAART_TRAINING_FILE)
+    path = find(Path(os.environ["TOUCHD_HAART"]), TRAINING_FILE)
     of_one = haart.realigned(read_recordings(path, Selection(participants=("P8",))))
     classifier = next(fold for fold, recordings in left_out_split(SHIPPED_MODEL.parent, of_one) if recordings)
     said = list(listen(spliced(of_one, level_rest=True), classifier))

@@ -22,9 +22,9 @@ from docs.studies.tracker.figures import (
     point,
 )
 from docs.studies.tracker.measure import spliced
+from docs.studies.training.haart import TRAINING_FILE, find
 from drivers.frame import Frame
 from drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
-from model.adapt.folder import HAART_TRAINING_FILE, find
 from model.classifier import Classifier
 
 FIGURES = Path(__file__).parents[2] / "docs" / "touch.json"
@@ -38,7 +38,7 @@ def committed() -> TouchReport:
 
 @pytest.fixture(scope="module")
 def recordings() -> list[Recording]:
-    path = find(Path(os.environ["TOUCHD_HAART"]), HAART_TRAINING_FILE)
+    path = find(Path(os.environ["TOUCHD_HAART"]), TRAINING_FILE)
     return [realign(recording) for recording in read_recordings(path, Selection(participants=(SAMPLE,)))]
 
 

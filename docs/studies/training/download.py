@@ -18,10 +18,9 @@ from urllib.request import urlopen
 from rich.console import Console
 from rich.progress import wrap_file
 
-from docs.studies.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE
+from docs.studies.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE, find
 from drivers.errors import TouchdError
 from drivers.recording import Recording, RecordingError, read_recordings
-from model.adapt.folder import HAART_TRAINING_FILE, find
 
 ARCHIVE_URL = "https://www.cs.ubc.ca/labs/spin/data/HAART%20DataSet.zip"
 ARCHIVE_NAME = "HAART DataSet.zip"
@@ -43,7 +42,7 @@ class Contents:
 
 
 HAART: Mapping[str, Contents] = {
-    HAART_TRAINING_FILE: Contents(578, ("P10", "P3", "P4", "P5", "P6", "P7", "P8")),
+    TRAINING_FILE: Contents(578, ("P10", "P3", "P4", "P5", "P6", "P7", "P8")),
     TEST_FILE: Contents(251, ("T1", "T2", "T9")),
 }
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Counts
-from drivers.recording import Recording, read_recordings, realign
-from model.adapt.folder import HAART_TRAINING_FILE, find
+from drivers.recording import Recording, RecordingError, read_recordings, realign
 
+TRAINING_FILE = "training.csv"
 TEST_FILE = "testWITHLABELS.csv"
 PUBLISHED_FRAMES = 432
 GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -34,12 +34,20 @@ class Windows:
 
 def read_training(folder: Path) -> list[Recording]:
     """Read the 578 published recordings of participants P3 to P8 and P10."""
-    return read_recordings(find(folder, HAART_TRAINING_FILE))
+    return read_recordings(find(folder, TRAINING_FILE))
 
 
 def read_test(folder: Path) -> list[Recording]:
     """Read the 251 published recordings of participants T1, T2 and T9."""
     return read_recordings(find(folder, TEST_FILE))
+
+
+def find(folder: Path, name: str, hint: str = "`python -m docs.studies data` fetches it") -> Path:
+    """Return the file `name`, or `name`.gz, in the folder; raises RecordingError when neither is there."""
+    for path in (folder / name, folder / f"{name}.gz"):
+        if path.is_file():
+            return path
+    raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; {hint}")
 
 
 def without(recordings: Iterable[Recording], participants: Sequence[str]) -> list[Recording]:

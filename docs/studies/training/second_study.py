@@ -8,10 +8,9 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from docs.studies.training.haart import PUBLISHED_FRAMES
+from docs.studies.training.haart import PUBLISHED_FRAMES, find
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording, ideal_clock_ms, read_recordings
-from model.adapt.folder import find
 
 FILE = "robot-pad.csv"
 TAKE_FRAMES = round(10 * FRAME_RATE_HZ)

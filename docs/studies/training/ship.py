@@ -15,6 +15,8 @@ from docs.studies.training.studies import Folders
 from docs.studies.training.train import CHECKPOINT_NAME, save, train_studies
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording
+from model.adapt.backbone import crops, split
+from model.adapt.remembered import Remembered
 from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH, Study
 from model.training import checkpoint
@@ -28,6 +30,8 @@ WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
 LEFT_OUT_FOLDER = "left_out"
 SEEDS_FOLDER = "seeds"
 SCORES_NAME = "scores.json"
+REMEMBERED_CROPS = 3
+"""Of each recording."""
 
 
 def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
@@ -40,7 +44,7 @@ def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, one file a further seed and one file a fold; return the paths.
 
-    The shipped network's checkpoint is put beside it, for comparing with PyTorch and for adapting it.
+    The shipped network's checkpoint and what it remembers are put beside it, for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
     """
     scored = folders.to_score_on(recipe.settings.studies)
@@ -64,8 +68,28 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         if shipped:
             beside = path.with_suffix(".pt")
             save(replace(saved, training={}), beside)
-            written.append(beside)
+            remembered = path.with_suffix(".npz")
+            remember(saved, folders).save(remembered)
+            written += [beside, remembered]
     return written
+
+
+def remember(saved: Checkpoint, folders: Folders) -> Remembered:
+    """Return what a network remembers of each study's people that it learnt from."""
+    settings = saved.settings
+    backbone, _ = split(saved.build())
+    return Remembered.of(
+        [
+            crops(
+                backbone,
+                haart.without(folders.to_train_on((study,)), settings.left_out),
+                settings.augmentation,
+                REMEMBERED_CROPS,
+                seed=0,
+            )
+            for study in settings.studies
+        ]
+    )
 
 
 def evaluate_shipped(folders: Folders, weights: Path, command: str) -> evaluate.Scores:
