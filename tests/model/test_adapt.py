@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,11 +23,12 @@ from daemon.doctor.machine import check_model  # noqa: E402
 from docs.studies.hand import simulate  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
-from model.adapt.backbone import crops, windows  # noqa: E402
+from model.adapt.backbone import CropFeatures, windows  # noqa: E402
 from model.adapt.folder import ExtraError, read_folder  # noqa: E402
 from model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
 from model.adapt.measure import Answers, compare, mean_interval, wilson_interval  # noqa: E402
 from model.adapt.plan import plan  # noqa: E402
+from model.adapt.remembered import Remembered  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
 
@@ -95,7 +97,7 @@ def test_the_file_knows_the_labs_gestures_and_origin(adapted_file: tuple[Path, s
     assert metadata.name == "lab"
     origin = metadata.training["adapted"]
     assert origin["from_sha256"] == hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest()
-    assert (origin["participants"], origin["recordings"], origin["rehearsed_haart"]) == (2, 20, False)
+    assert (origin["participants"], origin["recordings"]) == (2, 20)
     assert metadata.scores["adapted"]["left_out"] == "participants"
     assert [row["frames"] for row in metadata.scores["adapted"]["lengths"]] == [54, 81, 144]
 
@@ -171,7 +173,7 @@ def test_an_existing_file_is_not_overwritten(
 
 def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained, material: Features) -> None:
     again = prepare(pretrained, material.recordings, SETTINGS)
-    one, other = (adapt(pretrained, each, None, SETTINGS) for each in (material, again))
+    one, other = (adapt(pretrained, each, SETTINGS) for each in (material, again))
     assert torch.equal(weights(one.head), weights(other.head))
     assert one.temperatures == other.temperatures
     assert one.comparison == other.comparison
@@ -188,22 +190,20 @@ def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:
 def test_fewer_recordings_change_the_network_less(pretrained: Pretrained, material: Features) -> None:
     labels = tuple(sorted(DONE))
     begin = rebuilt(pretrained.head, pretrained.saved.labels, labels)
-    moved = [
-        float(
-            (
-                weights(fit(begin, labels, [], material.shown.of(chosen), None, SETTINGS)) - weights(begin)
-            ).norm()
-        )
-        for chosen in (range(5), range(20))
-    ]
-    assert moved[0] < moved[1]
+    remembered = pretrained.remembered.samples(labels, seed=0)
+
+    def moved(shown: range) -> float:
+        head = fit(begin, labels, ["hug"], material.shown.of(shown), remembered, SETTINGS)
+        return float((weights(head) - weights(begin)).norm())
+
+    assert moved(range(5)) < moved(range(20))
 
 
 def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, material: Features) -> None:
     """A lab without recordings at rest keeps the shipped model's knowledge of it."""
     touching = [i for i, recording in enumerate(material.recordings) if recording.gesture != "notouch"]
     recordings = [material.recordings[i] for i in touching]
-    adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
+    adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), SETTINGS)
     assert "notouch" in adapted.labels
     resting = [recording for recording in material.recordings if recording.gesture == "notouch"]
     with torch.no_grad():
@@ -212,19 +212,39 @@ def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, m
     assert any("No recording of notouch" in line for line in report_lines(adapted))
 
 
-def test_rehearsal_keeps_the_gestures_that_the_folder_lacks(
+def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Features) -> None:
+    adapted = adapt(pretrained, material, SETTINGS, keep_all=True)
+    assert adapted.labels == tuple(sorted({"hug", *pretrained.saved.labels}))
+    said = " ".join(" ".join(report_lines(adapted)).split())
+    assert "No recording of constant, rub, tickle: known from other people and pads only." in said
+
+
+def test_others_are_forgotten_less_with_what_is_remembered(
     pretrained: Pretrained, material: Features
 ) -> None:
-    haart_like = crops(
-        pretrained.backbone,
-        simulated(("P3",), 2, pretrained.saved.labels),
-        pretrained.saved.settings.augmentation,
-        SETTINGS.crops,
-        seed=0,
-    )
-    adapted = adapt(pretrained, material, haart_like, SETTINGS)
-    assert adapted.labels == tuple(sorted({"hug", *pretrained.saved.labels}))
-    assert not any("no longer knows" in line for line in report_lines(adapted))
+    def right(rehearsed: float) -> float:
+        settings = msgspec.structs.replace(SETTINGS, rehearsed=rehearsed)
+        head = adapt(pretrained, material, settings, keep_all=True).head
+        labels = sorted({"hug", *pretrained.saved.labels})
+        others = pretrained.remembered.samples(pretrained.saved.labels, seed=1)
+        truth = torch.tensor([labels.index(gesture) for gesture in others.gestures])
+        with torch.no_grad():
+            return float((head(others.values[:, :, -1]).argmax(dim=-1) == truth[:, None]).float().mean())
+
+    assert right(0.5) > right(0.04) + 0.02
+
+
+def test_what_is_remembered_has_the_moments_of_what_was_seen(tmp_path: Path) -> None:
+    rng = torch.Generator().manual_seed(0)
+    along = torch.randn(50, 8, 4, 2, generator=rng)
+    seen = 3.0 + along @ torch.tensor([[2.0, 0.0, 1.0], [0.0, 0.5, 0.0]])
+    study = CropFeatures(seen, torch.ones(50, 4, dtype=torch.bool), ("hug",) * 50)
+    Remembered.of([study]).save(tmp_path / "remembered.npz")
+    again = Remembered.load(tmp_path / "remembered.npz").samples({"hug"}, seed=0)
+    assert again.gestures == ("hug",)
+    drawn = again.values[0].flatten(0, 1)
+    torch.testing.assert_close(drawn.mean(dim=0), torch.full((3,), 3.0), atol=0.3, rtol=0.0)
+    torch.testing.assert_close(drawn.T.cov(), seen.flatten(0, 2).T.cov(), atol=0.9, rtol=0.0)
 
 
 def test_short_touches_are_used_for_training(pretrained: Pretrained) -> None:
@@ -232,7 +252,7 @@ def test_short_touches_are_used_for_training(pretrained: Pretrained) -> None:
         replace(recording, counts=recording.counts[:70], sensor_ms=recording.sensor_ms[:70])
         for recording in simulated(("Ann",), 2, ("pat", "hug"))
     ]
-    adapted = adapt(pretrained, prepare(pretrained, short, SETTINGS), None, SETTINGS)
+    adapted = adapt(pretrained, prepare(pretrained, short, SETTINGS), SETTINGS)
     assert [row.frames for row in adapted.comparison.lengths] == [54]
     assert adapted.temperatures[144] == pretrained.temperatures[144]
 
@@ -325,7 +345,7 @@ def test_too_few_recordings_are_reported(
     pretrained: Pretrained, participants: Sequence[str], each: int, printed: list[str]
 ) -> None:
     recordings = simulated(participants, each, ("pat", "hug"))
-    adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), None, SETTINGS)
+    adapted = adapt(pretrained, prepare(pretrained, recordings, SETTINGS), SETTINGS)
     report = " ".join(" ".join(report_lines(adapted)).split())
     assert [line for line in printed if line not in report] == []
 

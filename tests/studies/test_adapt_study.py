@@ -21,18 +21,17 @@ def test_the_figures_are_those_of_the_settings_that_ship(measured: Measured) -> 
 
 
 def test_everybody_was_measured_in_every_setting(measured: Measured) -> None:
-    assert [(t.participant, t.draw, t.each, t.rehearsed) for t in measured.trials] == [
-        (name, number, each, rehearsed)
+    assert [(t.participant, t.draw, t.each) for t in measured.trials] == [
+        (name, number, each)
         for fold in read_recipe().folds
         for name in sorted(fold)
         for number in range(DRAWS)
         for each in SHOTS
-        for rehearsed in (False, True)
     ]
 
 
 def test_a_person_of_the_second_study_gains_with_every_recording(measured: Measured) -> None:
-    own = [t for t in measured.trials if t.participant.startswith("R") and not t.rehearsed]
+    own = [t for t in measured.trials if t.participant.startswith("R")]
     before = np.mean([t.before for t in own])
     after = [np.mean([t.after for t in own if t.each == each]) for each in SHOTS]
     assert before < after[0] < after[1] < after[2]
