@@ -10,13 +10,11 @@ from pathlib import Path
 import msgspec
 
 from docs.studies.training.recipe import HAART_RECIPE, Job, Recipe, final_jobs, read_recipe
+from docs.studies.training.ship import export_checkpoint
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import train_studies
-from drivers.frame import FRAME_RATE_HZ
-from model.classifier import ModelMetadata
-from model.settings import LENGTHS, MAX_LENGTH, NetworkSettings
+from model.settings import LENGTHS, NetworkSettings
 from model.training.checkpoint import Checkpoint
-from model.training.export import export
 
 # The small ones, kept with the code; large ones are trained on demand.
 SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "haart" / "sizes"
@@ -55,24 +53,13 @@ def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOL
         if not path.exists():
             path = runs / job.name / name
         if not path.exists():
-            export_size(train_studies(Folders(haart_folder), job.settings, runs / job.name, threads), path)
+            saved = train_studies(Folders(haart_folder), job.settings, runs / job.name, threads)
+            # Uncalibrated: its answers alone count.
+            export_checkpoint(saved, path, saved.settings.name, dict.fromkeys(LENGTHS, 1.0))
         files[job.name] = path
     return files
 
 
 def export_size(saved: Checkpoint, path: Path) -> None:
     """Write a trained size as the shipped network is written, but uncalibrated: its answers alone count."""
-    metadata = ModelMetadata(
-        name=saved.settings.name,
-        labels=saved.labels,
-        frame_rate_hz=FRAME_RATE_HZ,
-        framing="live",
-        lengths=LENGTHS,
-        max_length=MAX_LENGTH,
-        temperatures={str(length): 1.0 for length in LENGTHS},
-        training=msgspec.to_builtins(saved.settings),
-        code_version=saved.code_version,
-        data_sha256=saved.data_sha256,
-        scores={},
-    )
-    export(saved.build(), metadata, path)
+    export_checkpoint(saved, path, saved.settings.name, dict.fromkeys(LENGTHS, 1.0))

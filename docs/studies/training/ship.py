@@ -5,6 +5,8 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import msgspec
 
@@ -154,6 +156,20 @@ def _export(
         study: sorted({each.participant for each in haart.without(recordings, saved.settings.left_out)})
         for study, recordings in scored.items()
     }
+    export_checkpoint(
+        saved, path, name, temperatures, {"learnt_from": learnt_from}, {"left_out_accuracy": accuracies}
+    )
+
+
+def export_checkpoint(
+    saved: Checkpoint,
+    path: Path,
+    name: str,
+    temperatures: Mapping[int, float],
+    training: Mapping[str, Any] = MappingProxyType({}),
+    scores: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write a trained network; training: added to what its settings say."""
     metadata = ModelMetadata(
         name=name,
         labels=saved.labels,
@@ -162,10 +178,10 @@ def _export(
         lengths=LENGTHS,
         max_length=MAX_LENGTH,
         temperatures={str(length): round(value, 4) for length, value in temperatures.items()},
-        training=msgspec.to_builtins(saved.settings) | {"learnt_from": learnt_from},
+        training={**msgspec.to_builtins(saved.settings), **training},
         code_version=saved.code_version,
         data_sha256=saved.data_sha256,
-        scores={"left_out_accuracy": accuracies},
+        scores=dict(scores),
     )
     export(saved.build(), metadata, path)
 
