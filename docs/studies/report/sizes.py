@@ -14,7 +14,6 @@ from docs.studies.training.ship import export_checkpoint
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import train_studies
 from model.settings import LENGTHS, NetworkSettings
-from model.training.checkpoint import Checkpoint
 
 # The small ones, kept with the code; large ones are trained on demand.
 SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "haart" / "sizes"
@@ -58,8 +57,3 @@ def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOL
             export_checkpoint(saved, path, saved.settings.name, dict.fromkeys(LENGTHS, 1.0))
         files[job.name] = path
     return files
-
-
-def export_size(saved: Checkpoint, path: Path) -> None:
-    """Write a trained size as the shipped network is written, but uncalibrated: its answers alone count."""
-    export_checkpoint(saved, path, saved.settings.name, dict.fromkeys(LENGTHS, 1.0))
