@@ -104,7 +104,7 @@ install-program:
 	@umask 022; pip='$(NEW)/bin/python -m pip install -qq --disable-pip-version-check'; \
 	  { $$pip --require-hashes -r requirements.lock && $$pip --no-deps --no-build-isolation .; } || \
 	  { rm -rf $(NEW); exit 1; }
-	@rm -rf build
+	@rm -rf build *.egg-info
 	@grep -rlIF "$(NEW)" $(NEW)/bin $(NEW)/pyvenv.cfg | xargs -r sed -i 's#$(NEW)#$(PROGRAM)#g'
 	@rm -rf $(DESTDIR)$(PROGRAM)
 	@mv $(NEW) $(DESTDIR)$(PROGRAM)

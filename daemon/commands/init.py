@@ -70,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
     is_well = described is not None
     if robot:
         check = check_robot(settings)
-        console.print(f"robot: {check.found} {check.advice}")
+        console.print(f"robot: {check.found}{check.advice and f'; {check.advice}'}")
         is_well &= check.verdict == "ok"
     console.print(f"wrote {file}; next: {own_name()} doctor -c {file}, then {own_name()} run -c {file}")
     return 0 if is_well else 1

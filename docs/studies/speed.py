@@ -107,7 +107,9 @@ def table(speeds: Sequence[Speed]) -> Table:
     """Return the times as a table for the terminal, with our share of each of the paper's."""
     shown = Table(title="One answer on one thread, asked in turn", caption="The paper's weights are random.")
     for heading in ("network", "runtime", "frames", "file MB", "p50 ms", "p99 ms", "processor ms"):
-        shown.add_column(heading, justify="left" if heading in ("network", "runtime") else "right")
+        shown.add_column(
+            heading, justify="left" if heading in ("network", "runtime") else "right", overflow="fold"
+        )
     shown.add_column("ours takes", justify="right")
     shown.add_column("allowed", justify="right")
     for each in speeds:
