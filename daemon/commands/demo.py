@@ -1,7 +1,5 @@
 """`touchd demo`: a simulated hand on a fake pad, the real daemon and a stand-in robot, in the terminal."""
 
-from __future__ import annotations
-
 import argparse
 import itertools
 import statistics
@@ -16,6 +14,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import msgspec
+from rich.console import Console
 
 from daemon.config import LiveSettings, SceneSettings, Settings
 from daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
@@ -28,6 +27,7 @@ from daemon.sinks import RobotSink
 from daemon.terminal.describe import describe
 from daemon.terminal.own_name import own_name
 from daemon.terminal.terms import term
+from daemon.terminal.view import View
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.loopback_robot import LoopbackRobot
 from drivers.fakes.services import Call
@@ -38,9 +38,6 @@ from drivers.robot.actions import Action, ActionRule, Leds
 from drivers.robot.link import RobotLink
 from drivers.robot.session import qi_installed
 from drivers.robot.settings import RobotSettings
-
-if typing.TYPE_CHECKING:
-    from daemon.terminal.view import View
 
 # The recording lasts 37 s; whatever goes wrong, the demo ends within a minute.
 LONGEST_S = 50.0
@@ -84,13 +81,13 @@ class PlainLines:
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Do nothing: lines cannot show a moving pad."""
 
-    def doing(self, text: str) -> None:
-        self.note(text)
-
     def note(self, text: str) -> None:
         """Write a line, from any thread; `put` is what notices a closed output."""
         with suppress(BrokenPipeError):
             self._write(text)
+
+    # What the hand does next.
+    doing = note
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when nobody reads any more."""
@@ -101,7 +98,7 @@ class PlainLines:
         sys.stdout.flush()
 
 
-Show: typing.TypeAlias = "View | PlainLines"
+Show: typing.TypeAlias = View | PlainLines
 
 
 def parser() -> argparse.ArgumentParser:
@@ -155,13 +152,9 @@ def _available(live: LiveSettings) -> LiveSettings:
 
 def _show(closing: ExitStack, settings: Settings) -> Show:
     """Return the view where there is a terminal to draw in, plain lines elsewhere."""
-    from rich.console import Console
-
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
         return PlainLines(settings)
-    from daemon.terminal.view import View
-
     urls = urls_of(settings.live, settings.live.port) if settings.live else []
     view = View(
         " ".join(urls) or "the daemon at work",

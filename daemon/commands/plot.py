@@ -8,9 +8,6 @@ from pathlib import Path
 from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.touches import read_journal
 from daemon.playback.stream import add_arguments, chosen_stream
-from daemon.plot import journal as plot_journal
-from daemon.plot import recording as plot_recording
-from daemon.plot.plot import PlotError, new_figure, save
 from daemon.setup.parts import load_model
 from drivers.numbers import within
 from drivers.recording import SUFFIXES
@@ -39,17 +36,19 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Draw the files and name the picture; returns 0."""
     options = parser().parse_args(arguments)
+    # Not before, as they need matplotlib.
+    from daemon.plot import journal, recording
+    from daemon.plot.plot import PlotError, save
+
     path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
-    # Before the work, as it may not be installed.
-    new_figure(1.0)
     names = ", ".join(file.name for file in options.files)
     if all(file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options)
         model = load_model(settings)
-        felt = plot_recording.feel(chosen_stream(options), settings, model)
-        figure = plot_recording.draw(felt, f"{names}, answers of {model.name}")
+        felt = recording.feel(chosen_stream(options), settings, model)
+        figure = recording.draw(felt, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
-        figure = plot_journal.draw(read_journal(options.files[0])[-options.touches :], names)
+        figure = journal.draw(read_journal(options.files[0])[-options.touches :], names)
     else:
         raise PlotError(f"{names}: one journal at a time, or recordings only")
     save(figure, path)

@@ -1,9 +1,9 @@
 """A journal as a picture: the last touches with answers and lengths, one below the other."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from daemon.kept.touches import ReportedTouch
 from daemon.plot.plot import (
@@ -20,10 +20,6 @@ from daemon.plot.plot import (
     new_figure,
 )
 from drivers.frame import FRAME_RATE_HZ
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
 

@@ -1,18 +1,14 @@
 """Shared by the pictures of recordings and journals: colours, marks, lanes of answers, saving."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Prediction
 from drivers.errors import TouchdError, os_errors_as
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
@@ -47,8 +43,6 @@ def colour_of(gesture: str, gestures: Iterable[str]) -> str:
 
 
 def new_figure(height_inches: float) -> Figure:
-    from matplotlib.figure import Figure
-
     return Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")
 
 

@@ -1,15 +1,14 @@
 """A recording as a picture: pressure over time, tracked touches, answers, mean pads."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from daemon.config import Settings
@@ -32,10 +31,6 @@ from daemon.plot.plot import (
 )
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import UNLABELLED, Span, Stream
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure, SubFigure
 
 ROW_S = 24.0
 LONGEST_S = 300.0

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 
+import numpy as np
 from rich.console import Console
 from rich.style import Style
 
@@ -71,13 +71,7 @@ def halves(upper: str, lower: str) -> Style:
 
 def _between(stops: tuple[str, ...]) -> tuple[str, ...]:
     """Return SHADES colours along the stops."""
-    rgb = [[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops]
-    pairs = list(pairwise(rgb))
-    shades = []
-    for shade in range(SHADES):
-        at = shade / (SHADES - 1) * len(pairs)
-        low, high = pairs[min(int(at), len(pairs) - 1)]
-        part = at - min(int(at), len(pairs) - 1)
-        mixed = [round(a + (b - a) * part) for a, b in zip(low, high, strict=True)]
-        shades.append("#{:02x}{:02x}{:02x}".format(*mixed))
-    return tuple(shades)
+    rgb = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops])
+    at = np.linspace(0, len(stops) - 1, SHADES)
+    mixed = np.rint([np.interp(at, range(len(stops)), channel) for channel in rgb.T]).astype(int)
+    return tuple("#{:02x}{:02x}{:02x}".format(*shade) for shade in mixed.T)
