@@ -33,11 +33,6 @@ class Notifier:
         watched = environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self.watchdog_s = int(environ.get("WATCHDOG_USEC", "0")) / 1e6 if watched else 0.0
 
-    @property
-    def wanted(self) -> bool:
-        """Whether anybody listens."""
-        return self._socket is not None
-
     def send(self, **fields: str | int) -> None:
         """Send fields such as READY=1; a manager that does not take them is ignored."""
         if self._socket is not None:

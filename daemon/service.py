@@ -124,7 +124,7 @@ class Service:
         """Return the current viewers of live predictions."""
         live, view = self._parts.live, self._view
         return [
-            *([live.put_live] if live is not None and live.is_watched else []),
+            *([live.put] if live is not None and live.is_watched else []),
             *([view.put_live] if view is not None else []),
         ]
 

@@ -136,21 +136,18 @@ class LinesSink(QueuedSink[Item]):
                     data = data[written:]
                     self._is_cut_off = bool(data)
         except OSError as error:
-            if error.errno in DISK_FULL:
-                self._lose(error)
-            else:
+            if error.errno not in DISK_FULL:
                 self._abandoned.set()
                 self._on_gone()
+                return
+            self.lost += 1
+            if not self._is_full:
+                log.warning("%s: %s; lines are lost until that is mended", self.name, error.strerror)
+            self._is_full = True
         else:
             if self._is_full:
-                self._is_full = False
                 log.info("%s: works again; %d lines were lost", self.name, self.lost)
-
-    def _lose(self, error: OSError) -> None:
-        self.lost += 1
-        if not self._is_full:
-            self._is_full = True
-            log.warning("%s: %s; lines are lost until that is mended", self.name, error.strerror)
+            self._is_full = False
 
 
 class LogSink(LinesSink[str]):

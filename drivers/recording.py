@@ -13,8 +13,8 @@ import gzip
 import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import islice, pairwise
+from dataclasses import dataclass, replace
+from itertools import groupby, islice, pairwise
 from pathlib import Path
 from typing import IO, Literal, cast
 
@@ -221,22 +221,6 @@ class _Layout:
     line_number: int
 
 
-@dataclass
-class _Rows:
-    """The rows read so far of one recording."""
-
-    keys: Keys
-    clock_ms: array[int] = field(default_factory=lambda: array("q"))
-    cells: array[int] = field(default_factory=lambda: array("H"))
-
-    def recording(self, layout: _Layout) -> Recording:
-        counts = np.array(self.cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
-        if layout.between == "sensor_ms":
-            sensor_ms: NDArray[np.int64] = np.array(self.clock_ms, dtype=np.int64)
-            return Recording(*self.keys, counts, sensor_ms, "live")
-        return Recording(*self.keys, counts, ideal_clock_ms(len(counts)), "published")
-
-
 def _keys(recording: Recording) -> Keys:
     return (recording.participant, recording.substrate, recording.cover, recording.gesture)
 
@@ -262,35 +246,44 @@ def _lines(path: Path, file: IO[str]) -> Iterator[str]:
 def _parse(path: Path, file: IO[str], select: Selection) -> Iterator[Recording]:
     lines = _lines(path, file)
     layout = _read_header(path, lines)
-    rows: _Rows | None = None
-    for line_number, row in enumerate(csv.reader(lines, skipinitialspace=True), layout.line_number + 1):
-        if not row:
+    for keys, rows in groupby(_rows(path, lines, layout), lambda numbered: _keys_of(numbered[1])):
+        if not select.wants(keys):
             continue
-        if len(row) != layout.width:
+        clock_ms, cells = array("q"), array("H")
+        for line_number, row in rows:
+            try:
+                if layout.between == "sensor_ms":
+                    clock_ms.append(int(row[len(KEYS)]))
+                cells.fromlist(_cells(row))
+            except (ValueError, OverflowError) as error:
+                raise RecordingError(f"{path}, line {line_number}: {error}") from error
+        counts = np.array(cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
+        if layout.between == "sensor_ms":
+            yield Recording(*keys, counts, np.array(clock_ms, dtype=np.int64), "live")
+        else:
+            yield Recording(*keys, counts, ideal_clock_ms(len(counts)), "published")
+
+
+def _rows(path: Path, lines: Iterator[str], layout: _Layout) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows after the header that are not empty, with the numbers of their lines."""
+    for line_number, row in enumerate(csv.reader(lines, skipinitialspace=True), layout.line_number + 1):
+        if row and len(row) != layout.width:
             raise RecordingError(
                 f"{path}, line {line_number}: {len(row)} columns where the header has {layout.width}"
             )
-        keys = (row[0].strip(), row[1].strip(), row[2].strip(), row[3].strip())
-        if rows is None or keys != rows.keys:
-            if rows is not None and rows.cells:
-                yield rows.recording(layout)
-            rows = _Rows(keys)
-        if select.wants(keys):
-            try:
-                _append(rows, row, layout)
-            except (ValueError, OverflowError) as error:
-                raise RecordingError(f"{path}, line {line_number}: {error}") from error
-    if rows is not None and rows.cells:
-        yield rows.recording(layout)
+        if row:
+            yield line_number, row
 
 
-def _append(rows: _Rows, row: Sequence[str], layout: _Layout) -> None:
-    if layout.between == "sensor_ms":
-        rows.clock_ms.append(int(row[len(KEYS)]))
+def _keys_of(row: Sequence[str]) -> Keys:
+    return (row[0].strip(), row[1].strip(), row[2].strip(), row[3].strip())
+
+
+def _cells(row: Sequence[str]) -> list[int]:
     cells = list(map(int, row[-CELLS:]))
     if min(cells) < 0 or max(cells) > MAX_COUNT:
         raise ValueError(f"a count outside 0 to {MAX_COUNT}")
-    rows.cells.fromlist(cells)
+    return cells
 
 
 def _read_header(path: Path, lines: Iterator[str]) -> _Layout:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.settings import Section
-from daemon.config import SceneSettings, Settings
+from daemon.config import Settings
 from daemon.decide import NO_TOUCH, ProbabilityModel
 from drivers.extras import how_to_install
 
@@ -21,7 +21,7 @@ def make_bridges(
     models: for each pad. Raises BridgeError when a bridge cannot be used as configured.
     """
     wanted = [
-        (name, section, pad, _gestures(own.scene, models[pad]))
+        (name, section, pad, own.scene.gestures or _touches(models[pad]))
         for name, section in settings.bridges.items()
         if section is not None
         for pad, own in settings.pads.items()
@@ -38,5 +38,5 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
     return bridge
 
 
-def _gestures(scene: SceneSettings, model: ProbabilityModel) -> tuple[str, ...]:
-    return tuple(scene.gestures or (label for label in model.labels if label != NO_TOUCH))
+def _touches(model: ProbabilityModel) -> tuple[str, ...]:
+    return tuple(label for label in model.labels if label != NO_TOUCH)

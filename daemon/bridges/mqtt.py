@@ -125,13 +125,8 @@ def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, byte
 
 
 def _pressure(frame: Frame) -> bytes:
-    return msgspec.json.encode(
-        {
-            "time": timestamp(arrival_s(frame)),
-            "sensor_ms": frame.sensor_ms,
-            "pressure": frame.pressure.tolist(),
-        }
-    )
+    fields = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
+    return msgspec.json.encode(fields | {"pressure": frame.pressure.tolist()})
 
 
 def _read_password(file: str) -> str:

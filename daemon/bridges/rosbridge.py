@@ -3,7 +3,7 @@
 import base64
 import logging
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -16,12 +16,17 @@ from daemon.events import Event, Prediction, encode
 from drivers.backoff import Backoff
 from drivers.frame import COLUMNS, ROWS, Frame
 
-CONNECT_S = 1.0
-CLOSE_S = 0.2
-PING_S = 5.0
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
-# Replies are short, and without a subscription there are none.
-MOST_HEARD_BYTES = 64 * 1024
+CONNECTION: Mapping[str, Any] = {
+    "open_timeout": 1.0,
+    "close_timeout": 0.2,
+    "ping_interval": 5.0,
+    "ping_timeout": 5.0,
+    # Replies are short, and without a subscription there are none.
+    "max_size": 64 * 1024,
+    "compression": None,
+    "proxy": None,
+}
 # In the form that servers of ROS 1 and ROS 2 accept.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
@@ -66,7 +71,7 @@ class RosbridgeBridge(Bridge):
         url = self._settings.url
         while not self._ending.is_set():
             try:
-                with self._connect(url) as connection:
+                with connect(url, **CONNECTION) as connection:
                     self._connection = connection
                     for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
                         advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}
@@ -79,18 +84,6 @@ class RosbridgeBridge(Bridge):
             except (OSError, WebSocketException) as error:
                 self._tell_away(url, str(error))
             self._ending.wait(backoff.pause_s())
-
-    def _connect(self, url: str) -> ClientConnection:
-        return connect(
-            url,
-            open_timeout=CONNECT_S,
-            close_timeout=CLOSE_S,
-            ping_interval=PING_S,
-            ping_timeout=PING_S,
-            max_size=MOST_HEARD_BYTES,
-            compression=None,
-            proxy=None,
-        )
 
     def _send(self, messages: Sequence[str]) -> bool:
         connection = self._connection

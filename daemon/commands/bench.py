@@ -21,7 +21,7 @@ from daemon.commands.run import favour_latency
 from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
 from daemon.events import Event, Prediction, decode, epoch_s
 from daemon.pipeline import Pipeline
-from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.rig import SpawnedDaemon
 from daemon.playback.stream import DEMO_RECORDING
 from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
@@ -179,10 +179,10 @@ def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
         received.append((decode(line), *read_s))
 
 
-def _stages(events: Sequence[Event], pad: str) -> list[dict[str, object]]:
-    """Return the answers to a pad's touches; their numbers are the daemon's, over all pads."""
+def _stages(events: Sequence[Event], pad: str) -> list[tuple[object, ...]]:
+    """Return the answers to a pad's touches, without what differs between two playbacks."""
     answers = [event for event in events if isinstance(event, Prediction) and event.pad == pad]
-    return [{**line, "touch": None} for line in outline(answers)]
+    return [(said.stage, said.gesture, said.changed, said.told, said.degraded) for said in answers]
 
 
 def _latencies_ms(sent_s: Mapping[str, NDArray[np.float64]], received: Sequence[Received]) -> list[float]:

@@ -59,13 +59,8 @@ def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
         for recording in map(realign, recordings):
             clock_ms = (recording.sensor_ms - recording.sensor_ms[0] + start_ms).tolist()
             label = dict(zip(LABEL["properties"], (*set_up(recording), recording.gesture), strict=True))
-            add(
-                "/touchd/recording",
-                "touchd.Recording",
-                LABEL,
-                start_ms * NS_PER_MS,
-                msgspec.json.encode(label),
-            )
+            data = msgspec.json.encode(label)
+            add("/touchd/recording", "touchd.Recording", LABEL, start_ms * NS_PER_MS, data)
             for ms, counts in zip(clock_ms, recording.counts, strict=True):
                 data = msgspec.json.encode(_image(counts, ms))
                 add("/touchd/pressure", "foxglove.RawImage", RAW_IMAGE, ms * NS_PER_MS, data)

@@ -83,9 +83,6 @@ class LiveServer:
     def is_watched(self) -> bool:
         return bool(self._viewers)
 
-    def put_live(self, prediction: LivePrediction) -> None:
-        self._items.put(prediction)
-
     def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:
         """Queue a frame and show everything queued. dropped: frames dropped so far."""
         self._pads[pad].frames += 1

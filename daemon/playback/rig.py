@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO
 
@@ -11,14 +11,9 @@ import msgspec
 import yaml
 
 from daemon.config import Settings
-from daemon.events import Event, Prediction, TouchBegan, TouchEnded, decode
+from daemon.events import Event, decode
 
 STOP_S = 10.0
-OUTLINE: Mapping[type, tuple[str, ...]] = {
-    TouchBegan: ("touch",),
-    Prediction: ("touch", "stage", "gesture", "changed", "told", "degraded"),
-    TouchEnded: ("touch", "gesture", "reason"),
-}
 
 
 class SpawnedDaemon:
@@ -62,12 +57,3 @@ class SpawnedDaemon:
         finally:
             if self.process.stdout is not None:
                 self.process.stdout.close()
-
-
-def outline(events: Iterable[Event]) -> list[dict[str, object]]:
-    """Return touches and answers without what differs between playbacks of the same stream."""
-    return [
-        {"type": event.__struct_config__.tag, **{name: getattr(event, name) for name in OUTLINE[type(event)]}}
-        for event in events
-        if type(event) in OUTLINE
-    ]

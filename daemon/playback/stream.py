@@ -39,12 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="recordings, .csv or .csv.gz; the demo's without it",
     )
-    for key, example in (
-        ("participant", "P3"),
-        ("substrate", "foam"),
-        ("cover", "fur"),
-        ("gesture", "stroke"),
-    ):
+    examples = {"participant": "P3", "substrate": "foam", "cover": "fur", "gesture": "stroke"}
+    for key, example in examples.items():
         parser.add_argument(
             f"--{key}",
             action="append",
@@ -56,11 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def chosen_stream(arguments: argparse.Namespace) -> Stream:
     """Return the recordings selected by the arguments as one stream; raises RecordingError."""
-    condition = Selection(
-        tuple(arguments.participant), tuple(arguments.substrate), tuple(arguments.cover), ()
+    gestures = arguments.gesture
+    select = Selection(
+        tuple(arguments.participant),
+        tuple(arguments.substrate),
+        tuple(arguments.cover),
+        (*gestures, NO_TOUCH) if gestures else (),
     )
-    gestures = tuple(arguments.gesture)
-    select = replace(condition, gestures=(*gestures, NO_TOUCH) if gestures else ())
     found: list[Recording] = []
     # A large file takes seconds.
     with Console(stderr=True).status("") as status:

@@ -48,7 +48,11 @@ def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequen
             draw_answer(axes, column, row, answer, colour, wrong=False)
     axes.set_xlim(-0.15, len(LANES) - 0.2)
     axes.set_xticks(range(len(LANES)), (*LANES[:-1], f"{LANES[-1]}, the last"), ha="left")
-    axes.set_yticks(range(len(touches)), [_name(touch) for touch in touches])
+    names = [
+        f"{began.time[:10]} {began.time[11:19]}   touch {began.touch}"
+        for began in (touch.began for touch in touches)
+    ]
+    axes.set_yticks(range(len(touches)), names)
     axes.set_xlabel("answers; filled: the robot was told", fontsize=8, color=QUIET_INK)
     draw_lanes(axes)
 
@@ -70,7 +74,3 @@ def _length_s(touch: ReportedTouch) -> float:
     if touch.ended is not None:
         return touch.ended.frames / FRAME_RATE_HZ
     return max((answer.elapsed_s for answer in touch.predictions), default=0.0)
-
-
-def _name(touch: ReportedTouch) -> str:
-    return f"{touch.began.time[:10]} {touch.began.time[11:19]}   touch {touch.began.touch}"

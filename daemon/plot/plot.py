@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,6 +28,14 @@ COLOURS: Mapping[str, str] = {
     NO_TOUCH: "#9a9a9a",
     UNCERTAIN: "#9a9a9a",
 }
+MARK: Mapping[str, Any] = {
+    "marker": "o",
+    "markersize": 6,
+    "markeredgewidth": 1.4,
+    "clip_on": False,
+    "zorder": 3,
+}
+BESIDE: Mapping[str, Any] = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 7.5}
 OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
 
 
@@ -58,28 +67,11 @@ def draw_answer(
     axes: Axes, at_s: float, height: float, answer: Prediction, colour: str, *, wrong: bool
 ) -> None:
     """Mark an answer with its gesture; filled when the robot was told."""
-    axes.plot(
-        [at_s],
-        [height],
-        marker="o",
-        markersize=6,
-        markeredgewidth=1.4,
-        markeredgecolor=colour,
-        markerfacecolor=colour if answer.told else "white",
-        clip_on=False,
-        zorder=3,
-    )
-    axes.annotate(
-        f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN,
-        (at_s, height),
-        xytext=(6, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
-        color="#c00000" if wrong else INK,
-        fontstyle="italic" if wrong else "normal",
-        annotation_clip=False,
-    )
+    inside = colour if answer.told else "white"
+    axes.plot([at_s], [height], markeredgecolor=colour, markerfacecolor=inside, clip_on=False, **MARK)
+    words = f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN
+    ink, slant = ("#c00000", "italic") if wrong else (INK, "normal")
+    axes.annotate(words, (at_s, height), color=ink, fontstyle=slant, annotation_clip=False, **BESIDE)
 
 
 def bare(axes: Axes, *keep: str) -> None:

@@ -2,9 +2,10 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -36,6 +37,7 @@ ROW_S = 24.0
 LONGEST_S = 300.0
 LEGEND = "filled: the robot was told    red: not the gesture that was done    grey: a touch was felt"
 ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
+LABEL: Mapping[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 8.5, "fontweight": "bold"}
 LEAST_COLUMNS, MOST_COLUMNS = 4, 7
 # Do not scale noise up to look like touches.
 LEAST_SCALE_COUNTS = 100.0
@@ -165,17 +167,7 @@ def _draw_pressure(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: fl
         axes.plot(felt.time_s[part], load[part], color=colour, linewidth=0.9)
         if span.gesture != NO_TOUCH:
             middle_s = felt.time_s[part].mean()
-            axes.text(
-                middle_s,
-                1.04 * highest,
-                span.gesture,
-                ha="center",
-                va="bottom",
-                fontsize=8.5,
-                fontweight="bold",
-                color=colour,
-                clip_on=True,
-            )
+            axes.text(middle_s, 1.04 * highest, span.gesture, color=colour, clip_on=True, **LABEL)
     axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
     axes.set_ylabel("counts above rest", fontsize=8, color=QUIET_INK)
     bare(axes, "left", "bottom")

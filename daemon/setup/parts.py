@@ -17,12 +17,7 @@ from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event
 from daemon.kept.touch_sink import TouchSink
 from daemon.pipeline import BEHIND_FRAMES, Pipeline, Viewers
-from daemon.setup.destinations import (
-    link_to_robot,
-    open_journal,
-    open_live_page,
-    open_touch_stores,
-)
+from daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
 from daemon.sinks import JournalSink, RobotSink, Sink
 from drivers.frame import COLUMNS, ROWS
 from drivers.pad.protocol import parser_of
@@ -120,17 +115,10 @@ class Parts:
         if before is None or settings.sensor.port != before.settings.sensor.port:
             check_pad(settings)
         models = load_models(settings, pads_before)
+        behind_frames = BEHIND_OF_SEVERAL_FRAMES if len(settings.pads) > 1 else BEHIND_FRAMES
         self.pads: dict[str, Pad] = {
             name: Pad(
-                name,
-                pad,
-                models[name],
-                emit,
-                viewers,
-                arrived,
-                number,
-                BEHIND_OF_SEVERAL_FRAMES if len(settings.pads) > 1 else BEHIND_FRAMES,
-                pads_before.get(name),
+                name, pad, models[name], emit, viewers, arrived, number, behind_frames, pads_before.get(name)
             )
             for number, (name, pad) in enumerate(settings.pads.items())
         }

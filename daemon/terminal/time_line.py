@@ -17,6 +17,8 @@ LIGHT_LOAD = 600.0
 ROOMY = 40
 STEPS = " ▁▂▃▄▅▆▇█"
 
+Cells = list[list[tuple[str, Style]]]
+
 
 @dataclass(frozen=True)
 class Flag:
@@ -41,7 +43,7 @@ def time_line(
     width, height = size
     end_s = max(SHORTEST_S, marks_s[-1] * AFTER_FINAL)
     rows = height - 1
-    cells: list[list[tuple[str, Style]]] = [[(" ", palette.paper)] * width for _ in range(rows)]
+    cells: Cells = [[(" ", palette.paper)] * width for _ in range(rows)]
     _draw_trace(cells, trace, end_s, palette)
     reached_s = trace[-1][0] if trace else 0.0
     for mark_s in marks_s:
@@ -58,9 +60,7 @@ def _column(at_s: float, end_s: float, width: int) -> int:
     return min(int(at_s / end_s * width), width - 1)
 
 
-def _draw_trace(
-    cells: list[list[tuple[str, Style]]], trace: Sequence[tuple[float, float]], end_s: float, palette: Palette
-) -> None:
+def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float, palette: Palette) -> None:
     rows, width = len(cells), len(cells[0])
     loads: dict[int, float] = {}
     for at_s, load in trace:
@@ -77,9 +77,7 @@ def _draw_trace(
                 cells[row][column] = (STEPS[step], palette.trace)
 
 
-def _draw_flags(
-    cells: list[list[tuple[str, Style]]], flags: Sequence[Flag], end_s: float, palette: Palette
-) -> None:
+def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float, palette: Palette) -> None:
     """Put each flag into the highest free row."""
     rows, width = len(cells), len(cells[0])
     taken: list[tuple[int, int, int]] = []

@@ -55,7 +55,8 @@ def propose(data: bytes) -> PadFormat | None:
 
     What the bytes cannot show, above all the pad's orientation, keeps its default.
     """
-    guesses = [*(_binaries(data) if _numbers_a_line(data) is None else _texts(data))]
+    numbers = _numbers_a_line(data)
+    guesses = _binaries(data) if numbers is None else _texts(data, numbers)
     for guess in sorted(guesses, key=_plausibility, reverse=True):
         parser = parser_of(guess)
         frames = parser.feed(data, 0.0)
@@ -125,10 +126,8 @@ def _numbers_a_line(data: bytes) -> int | None:
     return Counter(len(re.findall(rb"\d+", line)) for line in lines).most_common(1)[0][0]
 
 
-def _texts(data: bytes) -> Iterator[PadFormat]:
-    numbers = _numbers_a_line(data)
-    if numbers is None:
-        return
+def _texts(data: bytes, numbers: int) -> Iterator[PadFormat]:
+    """Yield formats for lines of so many numbers."""
     rows_of = [line for line in data.split(b"\n")[1:-1] if len(re.findall(rb"\d+", line)) == numbers]
     # The first number of a line may be a clock.
     largest = max(max(map(int, re.findall(rb"\d+", line)[1:]), default=0) for line in rows_of)

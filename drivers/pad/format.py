@@ -240,10 +240,8 @@ def decode_cells(described: PadFormat, data: bytes) -> NDArray[np.uint16]:
 
 def encode_cells(described: PadFormat, values: NDArray[np.uint16]) -> bytes:
     """Return values (cells,) as a binary frame holds them."""
-    if described.cell == "u8":
-        return values.astype(np.uint8).tobytes()
-    if described.cell == "u16":
-        return values.astype("<u2" if described.order == "little" else ">u2").tobytes()
+    if described.cell != "u12":
+        return values.astype(PLAIN_CELLS[described.cell, described.order]).tobytes()
     one, two = np.pad(values, (0, len(values) % 2)).reshape(-1, 2).T
     if described.order == "little":
         trio = one & 255, one >> 8 | (two & 15) << 4, two >> 4

@@ -1,6 +1,7 @@
 """Logs a pad's faults: a warning when one begins, a line when it is over, and no flood."""
 
 import logging
+import math
 
 from drivers.frame import DEFAULT_PAD, Frame
 from drivers.pad.health import Finding, Kind, PadHealth
@@ -28,23 +29,18 @@ class PadWatch:
         finding = self._health.update(frame)
         if finding is not None and finding.began:
             self._begin(finding, frame.host_s)
-        elif finding is not None:
-            self._end(finding)
+        elif finding is not None and self._unsaid.pop(finding.kind, None) is None:
+            log.info("%sno longer: %s", self._prefix, finding.what)
         for kind, (since_s, what) in tuple(self._unsaid.items()):
             if frame.host_s - since_s > LASTS_S:
                 del self._unsaid[kind]
                 self._warn(kind, what, frame.host_s)
 
     def _begin(self, finding: Finding, now_s: float) -> None:
-        warned_s = self._warned_s.get(finding.kind)
-        if warned_s is not None and now_s - warned_s < SAME_TROUBLE_S:
+        if now_s - self._warned_s.get(finding.kind, -math.inf) < SAME_TROUBLE_S:
             self._unsaid[finding.kind] = (now_s, finding.what)
         else:
             self._warn(finding.kind, finding.what, now_s)
-
-    def _end(self, finding: Finding) -> None:
-        if self._unsaid.pop(finding.kind, None) is None:
-            log.info("%sno longer: %s", self._prefix, finding.what)
 
     def _warn(self, kind: Kind, what: str, now_s: float) -> None:
         self._warned_s[kind] = now_s

@@ -66,15 +66,14 @@ def read_login(settings: RobotSettings) -> Login | None:
         )
     login = Login(settings.user, _read_token(settings))
     host = settings.url.partition("//")[2].rpartition(":")[0]
-    if not _is_here(host) and not settings.trust_network:
+    if _is_here(host):
+        return login
+    if not settings.trust_network:
         raise RobotError(
             f"robot {settings.url}: its certificate cannot be checked, so whoever is between could read the "
             "token; set robot.trust_network: true if nobody can be, or leave user out"
         )
-    if not _is_here(host):
-        log.warning(
-            "robot %s: the token is sent to whoever answers there (robot.trust_network)", settings.url
-        )
+    log.warning("robot %s: the token is sent to whoever answers there (robot.trust_network)", settings.url)
     return login
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import log_softmax, stdtrit
 
 from drivers.recording import Recording
 from model.adapt.plan import LeftOut
@@ -144,9 +144,7 @@ def _gesture(before: Floats, after: Floats, is_known: bool) -> GestureFigures:
 
 def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
     """Return the mean negative log likelihood of the true classes (N,) under logits (N, classes)."""
-    shifted = logits - logits.max(axis=1, keepdims=True)
-    log_sum = np.log(np.exp(shifted).sum(axis=1))
-    return float((log_sum - shifted[np.arange(len(labels)), labels]).mean())
+    return float(-log_softmax(logits, axis=1)[np.arange(len(labels)), labels].mean())
 
 
 def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:

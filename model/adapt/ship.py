@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 import msgspec
-import torch
 
 from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import FRAME_RATE_HZ
@@ -57,7 +56,8 @@ def check_output(output: Path) -> None:
 def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
     """Write the network, with what it is and how good it is, whole or not at all. Raises OutputError."""
     network = TGC(pretrained.saved.settings.network, len(adapted.labels))
-    network.load_state_dict({**pretrained.backbone.state_dict(), **_named("dense", adapted.head)})
+    head = {f"dense.{key}": value for key, value in adapted.head.state_dict().items()}
+    network.load_state_dict({**pretrained.backbone.state_dict(), **head})
     metadata = ModelMetadata(
         name=output.stem,
         labels=adapted.labels,
@@ -86,7 +86,3 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
         whole_file(output, replace=False) as partial,
     ):
         export(network.eval(), metadata, partial)
-
-
-def _named(name: str, head: torch.nn.Sequential) -> dict[str, torch.Tensor]:
-    return {f"{name}.{key}": value for key, value in head.state_dict().items()}

@@ -45,7 +45,7 @@ def main() -> None:
             page.put_frame(frame, 0)
             time.sleep(0.002)
 
-        last = play(served.settings, page.put, page.put_live, pace)
+        last = play(served.settings, page.put, page.put, pace)
 
         def keep_still() -> None:
             while not over.wait(STILL_EVERY_S):

@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import GESTURES, expected
+from rigs.expectations import GESTURES, expected, outline
 from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, Program, ran
 from rigs.wait import WITHIN_S
@@ -19,7 +19,6 @@ from daemon import cli
 from daemon.commands import demo
 from daemon.config import ConfigError, SceneSettings
 from daemon.events import RobotAction, TouchBegan, TouchEnded, decode
-from daemon.playback.rig import outline
 from daemon.setup.parts import check_fit
 from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.expectations import LENGTHS, expected, outline, stream_of
 from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
 from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, Program
@@ -27,7 +27,6 @@ from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
 from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
 from daemon.live.server import CAPACITY, LiveServer
-from daemon.playback.rig import outline
 from daemon.setup.destinations import encoder_for, scenes_of
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort

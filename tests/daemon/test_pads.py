@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 from rigs.call_log import CallLog
-from rigs.expectations import GESTURES, LENGTHS, expected, stream_of
+from rigs.expectations import GESTURES, LENGTHS, expected, outline, stream_of
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
@@ -36,7 +36,7 @@ from daemon.config import (
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 from daemon.kept.touch_store import folder_of, kept_touches
 from daemon.kept.touches import read_journal
-from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import Parts
 from daemon.sinks import RobotSink

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from rigs.expectations import LENGTHS, expected, stream_of
+from rigs.expectations import LENGTHS, expected, outline, stream_of
 from rigs.patient_port import playing
 from rigs.robots import Robot
 from rigs.running_daemon import SPEED, Daemon
@@ -16,7 +16,6 @@ from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settin
 from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 from daemon.pipeline import Pipeline, PipelineSettings
-from daemon.playback.rig import outline
 from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings

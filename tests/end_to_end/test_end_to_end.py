@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, stream_of
+from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, outline, stream_of
 from rigs.line_faults import Faults
 from rigs.patient_port import PATIENT, PatientPort
 from rigs.robots import Robot
@@ -15,7 +15,6 @@ from rigs.running_daemon import run_daemon
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from daemon.playback.rig import outline
 from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for
 from docs.studies.hand import simulate

@@ -13,13 +13,13 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from rigs.expectations import LENGTHS, answers, expected, stream_of
+from rigs.expectations import LENGTHS, answers, expected, outline, stream_of
 from rigs.running_daemon import run_daemon, totals
 from rigs.service_manager import Manager
 
 from daemon.config import SensorSettings, Settings
 from daemon.events import Event, Prediction, TouchBegan
-from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import FRAME_RATE_HZ

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from rigs.expectations import LENGTHS, expected
+from rigs.expectations import LENGTHS, expected, outline
 from rigs.patient_port import PATIENT, playing
 from rigs.programs import ran
 from rigs.robots import needs_qi
@@ -20,7 +20,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.events import SensorEvent, decode
 from daemon.health import Health, Notifier
-from daemon.playback.rig import SpawnedDaemon, outline
+from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
 from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort

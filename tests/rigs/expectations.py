@@ -8,14 +8,13 @@ Read the diff before committing it: every changed line is a changed answer.
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from daemon.commands.classify import play
 from daemon.config import Settings
-from daemon.events import Event
+from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from daemon.pipeline import Pipeline
-from daemon.playback.rig import outline
 from daemon.playback.stream import DEMO_RECORDING as DEMO
 from daemon.setup.parts import load_model
 from docs.studies.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
@@ -24,6 +23,11 @@ from model.classifier import Classifier
 
 FOLDER = Path(__file__).parents[1] / "recordings"
 GAP_S = 1.8
+OUTLINE: Mapping[type, tuple[str, ...]] = {
+    TouchBegan: ("touch",),
+    Prediction: ("touch", "stage", "gesture", "changed", "told", "degraded"),
+    TouchEnded: ("touch", "gesture", "reason"),
+}
 
 Script = Sequence[tuple[str, float]]
 
@@ -59,6 +63,15 @@ def stream_of(recording: Path) -> Stream:
 def expected(recording: Path) -> list[dict[str, object]]:
     """Return the expected events of a recording."""
     return [json.loads(line) for line in expectation_of(recording).read_text().splitlines()]
+
+
+def outline(events: Iterable[Event]) -> list[dict[str, object]]:
+    """Return touches and answers without what differs between playbacks of the same stream."""
+    return [
+        {"type": event.__struct_config__.tag, **{name: getattr(event, name) for name in OUTLINE[type(event)]}}
+        for event in events
+        if type(event) in OUTLINE
+    ]
 
 
 def answers(stream: Stream, classifier: Classifier) -> list[Event]:
