@@ -1,8 +1,6 @@
 """Decides what to report of a touch, and when to revise it."""
 
 import math
-import typing
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
 
@@ -12,7 +10,6 @@ from numpy.typing import NDArray
 
 from daemon.events import UNCERTAIN, Stage
 from drivers.frame import FRAME_RATE_HZ
-from model.classifier import State
 
 NO_TOUCH = "notouch"
 
@@ -37,26 +34,6 @@ SURE_FALLS = 0.2
 def sure_above(confidence: float, frames: int) -> float:
     """Return the confidence from which an answer is sure after so many frames; `confidence`: after 54."""
     return confidence + SURE_FALLS * math.log(FRAME_RATE_HZ / frames)
-
-
-class ProbabilityModel(typing.Protocol):
-    """What the pipeline asks of a classifier; `model.classifier.Classifier` is one."""
-
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The gestures, in the order of the probabilities."""
-
-    @property
-    def name(self) -> str:
-        """What the model is called in events."""
-
-    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Return calibrated probabilities, shape (labels,), for counts of shape (T, 8, 8) at 54 Hz."""
-
-    def steps(
-        self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
-    ) -> list[tuple[NDArray[np.float64], State]]:
-        """Return the same for several touches, from equally many new frames of each and their states."""
 
 
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import NO_TOUCH, Decision, DecisionSettings, ProbabilityModel
+from daemon.decide import NO_TOUCH, Decision, DecisionSettings
 from daemon.events import (
     UNCERTAIN,
     EndReason,
@@ -32,7 +32,7 @@ from daemon.touch import CALIBRATION_FRAMES, LEFT_ANYHOW_FRAMES, Onset, Release,
 from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState
-from model.classifier import State
+from model.classifier import Classifier, State
 
 log = logging.getLogger(__name__)
 
@@ -125,7 +125,7 @@ class Pipeline:
     def __init__(
         self,
         settings: PipelineSettings,
-        model: ProbabilityModel,
+        model: Classifier,
         emit: Callable[[Event], None],
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,

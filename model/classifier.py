@@ -92,6 +92,7 @@ class Classifier:
 
     @property
     def labels(self) -> tuple[str, ...]:
+        """The gestures in the order of the probabilities."""
         return self.metadata.labels
 
     @property

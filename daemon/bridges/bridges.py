@@ -6,15 +6,16 @@ from collections.abc import Mapping
 from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.settings import Section
 from daemon.config import Settings
-from daemon.decide import NO_TOUCH, ProbabilityModel
+from daemon.decide import NO_TOUCH
 from drivers.extras import how_to_install
+from model.classifier import Classifier
 
 # A bridge's section name and content, its pad, and the gestures that it can report.
 Key = tuple[str, Section, str, tuple[str, ...]]
 
 
 def make_bridges(
-    settings: Settings, models: Mapping[str, ProbabilityModel], before: Mapping[Key, Bridge]
+    settings: Settings, models: Mapping[str, Classifier], before: Mapping[Key, Bridge]
 ) -> dict[Key, Bridge]:
     """Return the configured bridges; unchanged ones are kept, new ones are not yet started.
 
@@ -38,5 +39,5 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
     return bridge
 
 
-def _touches(model: ProbabilityModel) -> tuple[str, ...]:
+def _touches(model: Classifier) -> tuple[str, ...]:
     return tuple(label for label in model.labels if label != NO_TOUCH)

@@ -4,7 +4,6 @@ from collections import deque
 from typing import TypeAlias
 
 from daemon.config import Settings
-from daemon.decide import ProbabilityModel
 from daemon.events import (
     UNCERTAIN,
     Event,
@@ -19,9 +18,10 @@ from daemon.kept.touches import ReportedTouch
 from daemon.live.messages import PageState
 from daemon.setup.words import name_of
 from drivers.frame import FRAME_RATE_HZ
+from model.classifier import Classifier
 
 # What the page knows of a pad: its settings, as the only pad, and its model.
-Scene: TypeAlias = tuple[Settings, ProbabilityModel]
+Scene: TypeAlias = tuple[Settings, Classifier]
 
 TOUCHES = 12
 PREDICTIONS = 24

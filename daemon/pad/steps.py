@@ -9,8 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import ProbabilityModel
-from model.classifier import State
+from model.classifier import Classifier, State
 
 Heard: TypeAlias = tuple[NDArray[np.float64], State]
 
@@ -19,7 +18,7 @@ Heard: TypeAlias = tuple[NDArray[np.float64], State]
 class Step:
     """A request to the network: (T, 8, 8) new frames of a touch, from the state after its first `given`."""
 
-    model: ProbabilityModel
+    model: Classifier
     frames: NDArray[np.float32]
     state: State | None
     given: int

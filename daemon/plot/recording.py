@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from daemon.config import Settings
-from daemon.decide import NO_TOUCH, ProbabilityModel
+from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.kept.touches import ReportedTouch, gather
 from daemon.pipeline import Pipeline
@@ -32,6 +32,7 @@ from daemon.plot.plot import (
 )
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import UNLABELLED, Span, Stream
+from model.classifier import Classifier
 
 ROW_S = 24.0
 LONGEST_S = 300.0
@@ -68,7 +69,7 @@ class Trace:
         return max(self.stream.spans, key=overlap_s).gesture
 
 
-def feel(stream: Stream, settings: Settings, model: ProbabilityModel) -> Trace:
+def feel(stream: Stream, settings: Settings, model: Classifier) -> Trace:
     """Send a stream through the pipeline; raises PlotError when it is too long for one picture."""
     steps_ms = np.diff(stream.sensor_ms)
     # A restarted clock jumps back; the time axis must not.

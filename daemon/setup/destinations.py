@@ -9,7 +9,6 @@ from contextlib import suppress
 from functools import partial
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.decide import ProbabilityModel
 from daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
 from daemon.kept.journal import Journal
 from daemon.kept.touch_store import TouchStore, folder_of
@@ -21,6 +20,7 @@ from drivers.robot.actions import Kind
 from drivers.robot.link import RobotLink
 from drivers.robot.message import RobotMessage
 from drivers.robot.worker import LinkState
+from model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
     from daemon.live.memory import Scene
@@ -74,13 +74,13 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
     return RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
 
 
-def scenes_of(settings: Settings, models: Mapping[str, ProbabilityModel]) -> dict[str, Scene]:
+def scenes_of(settings: Settings, models: Mapping[str, Classifier]) -> dict[str, Scene]:
     """Return each pad's scene, as the live page needs it."""
     return {name: (pad, models[name]) for name, pad in settings.pads.items()}
 
 
 def open_live_page(
-    settings: Settings, models: Mapping[str, ProbabilityModel], before: LiveServer | None = None
+    settings: Settings, models: Mapping[str, Classifier], before: LiveServer | None = None
 ) -> LiveServer | None:
     """Return the server of the live page, not yet started, if one is configured; raises LiveError.
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import Decision, DecisionSettings, ProbabilityModel
+from daemon.decide import Decision, DecisionSettings
 from daemon.events import Event, Prediction, Stage, TouchBegan
 from daemon.pipeline import STAGES, Pipeline, PipelineSettings
 from docs.studies.tracker.measure import Case
 from drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 from drivers.recording import ideal_clock_ms
+from model.classifier import Classifier
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +52,7 @@ class Told:
         return self.elapsed_s[wrong[-1] + 1 if wrong else 0]
 
 
-def listen(cases: Sequence[Case], model: ProbabilityModel) -> Iterator[Said]:
+def listen(cases: Sequence[Case], model: Classifier) -> Iterator[Said]:
     """Yield what the model said of each case's first touch; nothing for a touch that was missed."""
     for case in cases:
         events = _play(case, model)
@@ -82,7 +83,7 @@ def decide(said: Said, settings: DecisionSettings, labels: tuple[str, ...]) -> T
     )
 
 
-def _play(case: Case, model: ProbabilityModel) -> list[Event]:
+def _play(case: Case, model: Classifier) -> list[Event]:
     events: list[Event] = []
     pipeline = Pipeline(PipelineSettings(), model, events.append)
     counts = np.clip(np.rint(case.scans), 0, MAX_COUNT).astype(np.uint16)

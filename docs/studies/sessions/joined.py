@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from daemon.decide import ProbabilityModel
 from daemon.events import UNCERTAIN
 from daemon.pipeline import PipelineSettings
 from docs.studies.sessions.plan import SKIPPED_FRAMES, PlannedSession, Scans
@@ -22,6 +21,7 @@ from docs.studies.sessions.report import add_choice, print_scores
 from docs.studies.sessions.score import felt_in, play
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import NO_TOUCH, Recording, set_up
+from model.classifier import Classifier
 
 QUIET_BEFORE_FRAMES, QUIET_AFTER_FRAMES = 162, 108
 FIRST_FRAMES, SECOND_FRAMES, SINGLE_FRAMES = 189, 162, 378
@@ -62,7 +62,7 @@ class Made:
     told: tuple[tuple[float, str, str], ...]
 
 
-def measure(recordings: Sequence[Recording], model: ProbabilityModel) -> JoinedScore:
+def measure(recordings: Sequence[Recording], model: Classifier) -> JoinedScore:
     """Play each person's gestures, once followed by another and once alone, and score what was told."""
     made = list(_made(recordings, model))
     change_s = (QUIET_BEFORE_FRAMES + FIRST_FRAMES) / FRAME_RATE_HZ
@@ -96,7 +96,7 @@ def measure(recordings: Sequence[Recording], model: ProbabilityModel) -> JoinedS
     )
 
 
-def _made(recordings: Sequence[Recording], model: ProbabilityModel) -> Iterator[Made]:
+def _made(recordings: Sequence[Recording], model: Classifier) -> Iterator[Made]:
     rng = random.Random(1)
     together: dict[tuple[str, str, str], dict[str, Scans]] = {}
     for recording in recordings:
@@ -118,9 +118,7 @@ def _part(counts: Scans, frames: int) -> Scans:
     return counts[SKIPPED_FRAMES : SKIPPED_FRAMES + frames]
 
 
-def _told(
-    quiet: Scans, parts: Sequence[Scans], model: ProbabilityModel
-) -> tuple[tuple[float, str, str], ...]:
+def _told(quiet: Scans, parts: Sequence[Scans], model: Classifier) -> tuple[tuple[float, str, str], ...]:
     """Return when, at what stage and with which gesture the robot was told something."""
     before, after = np.split(_part(quiet, QUIET_BEFORE_FRAMES + QUIET_AFTER_FRAMES), [QUIET_BEFORE_FRAMES])
     counts = np.concatenate([before, *parts, after])

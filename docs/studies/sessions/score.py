@@ -7,12 +7,12 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 
-from daemon.decide import ProbabilityModel
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from docs.studies.sessions.plan import PlannedSession, Stretch
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import ideal_clock_ms
+from model.classifier import Classifier
 
 # A touch counts for a stretch that it overlaps by more than this.
 OVERLAP_MS = 100.0
@@ -96,7 +96,7 @@ class Played:
     false: int
 
 
-def play(session: PlannedSession, model: ProbabilityModel, settings: PipelineSettings) -> list[Event]:
+def play(session: PlannedSession, model: Classifier, settings: PipelineSettings) -> list[Event]:
     """Return what the daemon's own pipeline says to a session."""
     events: list[Event] = []
     now_s = [0.0]
