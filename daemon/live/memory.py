@@ -3,6 +3,8 @@
 from collections import deque
 from typing import TypeAlias
 
+import msgspec
+
 from daemon.config import Settings
 from daemon.events import (
     UNCERTAIN,
@@ -15,7 +17,6 @@ from daemon.events import (
     TouchEnded,
 )
 from daemon.kept.touches import ReportedTouch
-from daemon.live.messages import PageState
 from daemon.setup.words import name_of
 from drivers.frame import FRAME_RATE_HZ
 from model.classifier import Classifier
@@ -25,6 +26,33 @@ Scene: TypeAlias = tuple[Settings, Classifier]
 
 TOUCHES = 12
 PREDICTIONS = 24
+
+
+class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
+    """What a page needs when it connects, or has fallen behind.
+
+    pad: of which of the pads. page: stamp of the page's files; a page with another reloads. labels: in the
+    order of the probabilities. answer_at_frames, speak_above, revise_margin: of the scene. model: its name.
+    names: of the gestures, in the page's language. action: the robot's latest action on the last touch.
+    touches: the last ones, oldest first; an ongoing touch comes last.
+    """
+
+    page: str
+    pad: str
+    pads: tuple[str, ...]
+    labels: tuple[str, ...]
+    answer_at_frames: tuple[int, ...]
+    frame_rate_hz: float
+    model: str
+    speak_above: float
+    revise_margin: float
+    language: str
+    names: dict[str, str]
+    robot_configured: bool
+    action: RobotAction | None
+    sensor: SensorEvent | None
+    robot: RobotEvent | None
+    touches: tuple[ReportedTouch, ...]
 
 
 class Memory:

@@ -1,8 +1,13 @@
-"""Serves the live page from a thread with its own event loop."""
+"""Serves the live page from a thread with its own event loop.
+
+It sends events unchanged, frames, state and status, all but frames as JSON. A frame has 133 bytes,
+little-endian: its sensor_ms (uint32), 64 counts (uint16), and the pad's place in `PageState.pads` (uint8).
+"""
 
 import asyncio
 import logging
 import socket
+import struct
 import threading
 import time
 from collections import deque
@@ -10,6 +15,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import TypeAlias
 
+import msgspec
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
@@ -19,10 +25,9 @@ from daemon.events import Event, LivePrediction, RobotEvent
 from daemon.live.address import own_names, urls_of
 from daemon.live.door import Door
 from daemon.live.memory import Memory, Scene
-from daemon.live.messages import Status, encode_frame, encode_message
 from daemon.live.page import Page
 from daemon.live.viewers import Viewers
-from drivers.frame import DEFAULT_PAD, Frame
+from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, Frame
 from drivers.queue import DroppingQueue
 
 log = logging.getLogger(__name__)
@@ -41,6 +46,18 @@ GOODBYE_S = 0.2
 
 Scenes: TypeAlias = Mapping[str, Scene]
 Item: TypeAlias = Event | LivePrediction | tuple[Frame, str] | Scenes
+
+
+CLOCK = struct.Struct("<I")
+
+
+class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):
+    """The status, sent twice a second. rate_hz: frame rate. dropped: frames dropped under overload."""
+
+    rate_hz: float
+    dropped: int
+    viewers: int
+    pad: str
 
 
 class LiveServer:
@@ -203,3 +220,12 @@ class LiveServer:
     def _state(self) -> list[str]:
         pads = tuple(self._pads)
         return [encode_message(self._pads[pad].state(self._page.stamp, pad, pads)) for pad in pads]
+
+
+def encode_frame(frame: Frame, pad: int = 0) -> bytes:
+    """Return a frame in the page's format. pad: the index of its pad."""
+    return CLOCK.pack(frame.sensor_ms % CLOCK_MODULUS) + frame.pressure.astype("<u2").tobytes() + bytes([pad])
+
+
+def encode_message(message: msgspec.Struct) -> str:
+    return msgspec.json.encode(message).decode()

@@ -12,8 +12,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from websockets.sync.client import ClientConnection, connect
 
 from daemon.config import LiveSettings, Settings
-from daemon.live.messages import encode_frame
-from daemon.live.server import LiveServer
+from daemon.live.server import LiveServer, encode_frame
 from daemon.setup.destinations import open_live_page
 from daemon.setup.parts import load_model
 from drivers.frame import DEFAULT_PAD, Counts, Frame
