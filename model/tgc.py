@@ -6,7 +6,6 @@ logits is inside the network, so that training and robot cannot drift apart.
 """
 
 import math
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -24,28 +23,6 @@ KNEE_COUNTS = 4.0
 LEVEL_MEAN = 0.69
 LEVEL_SPREAD = 0.61
 CHANGE_SPREAD = 0.21
-
-
-# Attention forgets what its flattest slope, 2^-8 a frame, weighs less than this share of the newest frame.
-FORGOTTEN_WEIGHT = 1e-8
-MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
-
-
-class TGCState(NamedTuple):
-    """What the network keeps of the frames so far; bounded, whatever their number.
-
-    B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
-    level: (B, past, 8, 8) log counts of the last frames that the stem sees. motion: (B, past, width) last
-    inputs of the gated convolutions, one after another. memory: keys and values of each encoder block,
-    (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. pooled: (B, 3, width) float64, each feature's
-    mean, sum of squared deviations and maximum. frames: (1,) float64, their number.
-    """
-
-    level: Tensor
-    motion: Tensor
-    memory: tuple[Tensor, ...]
-    pooled: Tensor
-    frames: Tensor
 
 
 class FeatureDropout(nn.Module):
@@ -214,7 +191,7 @@ class TGC(nn.Module):
         mean = features.mean(dim=1)
         # Not as a difference of means: in float32 its digits cancel where frames hardly change.
         variance = (features - mean[:, None]).square().mean(dim=1)
-        logits: Tensor = self.dense(self._summary(mean, variance, features.amax(dim=1)))
+        logits: Tensor = self.dense(self.summary(mean, variance, features.amax(dim=1)))
         return logits
 
     def at_lengths(self, counts: Tensor, lengths: tuple[int, ...]) -> Tensor:
@@ -227,77 +204,11 @@ class TGC(nn.Module):
         highest = features.cummax(dim=1).values[:, last]
         frames = (last + 1).to(counts.dtype)[:, None]
         mean = total / frames
-        logits: Tensor = self.dense(self._summary(mean, squares / frames - mean * mean, highest))
+        logits: Tensor = self.dense(self.summary(mean, squares / frames - mean * mean, highest))
         return logits
 
-    def initial_state(self) -> TGCState:
-        """Return the state before the first frame."""
-        width, heads = self.settings.width, self.settings.heads
-        past = sum(layer.past for layer in self._motion())
-        pooled = torch.zeros(1, 3, width, dtype=torch.float64)
-        pooled[:, 2] = torch.finfo(torch.float32).min
-        memory = torch.zeros(1, 2 * heads, 0, width // heads)
-        return TGCState(
-            level=torch.zeros(1, self.stem.past, ROWS, COLUMNS),
-            motion=torch.zeros(1, past, width),
-            memory=(memory,) * self.settings.blocks,
-            pooled=pooled,
-            frames=torch.zeros(1, dtype=torch.float64),
-        )
-
-    def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
-        """Return (B, classes) logits over all frames up to now, and the state after (B, T, 8, 8) counts."""
-        levels = self.stem.level(counts)
-        last = torch.where(state.frames > 0, state.level, self.stem.before(levels))
-        x = self.stem.embed_level(levels, last)
-        pasts = []
-        layers = self._motion()
-        motion = torch.split(state.motion.expand(x.shape[0], -1, -1), [layer.past for layer in layers], dim=1)
-        for layer, past in zip(layers, motion, strict=True):
-            padded = torch.cat([past, x], dim=1)
-            pasts.append(padded[:, -layer.past :])
-            x = layer.follow(x, padded)
-        memories = []
-        for block, memory in zip(self._encoder(), state.memory, strict=True):
-            query, new = block.project_in(x)
-            key_value = torch.cat([memory.expand(x.shape[0], -1, -1, -1), new], dim=2)
-            x = block.attend(x, query, key_value)
-            length = key_value.shape[2]
-            kept = torch.sym_min(length, MEMORY_FRAMES)
-            memories.append(key_value.narrow(2, length - kept, kept))
-        pooled, frames = _pool(state, x)
-        mean, squares, highest = pooled.to(x.dtype).chunk(3, dim=1)
-        summary = self._summary(mean, squares / frames.to(x.dtype), highest)
-        logits: Tensor = self.dense(summary[:, 0])
-        seen = torch.cat([last, levels], dim=1)[:, -self.stem.past :]
-        return logits, TGCState(seen, torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
-
     @staticmethod
-    def _summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:
+    def summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:
+        """Return (..., 3 * width), what the dense layers see, of (..., width) each."""
         deviation = torch.sqrt(variance.clamp_min(VARIANCE_FLOOR))
         return torch.cat([mean, deviation, highest], dim=-1)
-
-    def _motion(self) -> list[GatedConvolution]:
-        return [layer for layer in self.motion if isinstance(layer, GatedConvolution)]
-
-    def _encoder(self) -> list[EncoderBlock]:
-        return [block for block in self.encoder if isinstance(block, EncoderBlock)]
-
-
-def _pool(state: TGCState, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return `pooled` and `frames` after (B, T, width) features, merged as in Chan et al. 1983.
-
-    In float64, so that a mean over hours still moves by what one frame adds to it.
-    """
-    mean = x.mean(dim=1, keepdim=True)
-    squares = (x - mean).square().sum(dim=1, keepdim=True)
-    new = torch.scalar_tensor(x.shape[1], dtype=torch.float64)
-    before_mean, before_squares, before_highest = state.pooled.chunk(3, dim=1)
-    frames = state.frames + new
-    off = mean.double() - before_mean
-    pooled = [
-        before_mean + off * (new / frames),
-        before_squares + squares.double() + off * off * (state.frames * new / frames),
-        torch.maximum(before_highest, x.amax(dim=1, keepdim=True).double()),
-    ]
-    return torch.cat(pooled, dim=1), frames

@@ -28,13 +28,7 @@ COLOURS: Mapping[str, str] = {
     NO_TOUCH: "#9a9a9a",
     UNCERTAIN: "#9a9a9a",
 }
-MARK: Mapping[str, Any] = {
-    "marker": "o",
-    "markersize": 6,
-    "markeredgewidth": 1.4,
-    "clip_on": False,
-    "zorder": 3,
-}
+MARK: Mapping[str, Any] = {"marker": "o", "markersize": 6, "markeredgewidth": 1.4, "zorder": 3}
 BESIDE: Mapping[str, Any] = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 7.5}
 OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
 

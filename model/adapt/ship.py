@@ -1,11 +1,14 @@
 """An adapted network as a file that the daemon loads; what is there already is never written over."""
 
 import hashlib
-import logging
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
+import onnx
+import torch
+from torch import Tensor
 
 from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import FRAME_RATE_HZ
@@ -13,11 +16,9 @@ from drivers.whole_file import whole_file
 from model.adapt.adapt import Adapted, Pretrained, adapt, prepare
 from model.adapt.folder import read_folder
 from model.adapt.head import AdaptSettings
-from model.classifier import SHIPPED_MODEL, ModelMetadata
+from model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH
-from model.tgc import TGC
 from model.training.checkpoint import code_version, data_hash
-from model.training.export import export
 from model.training.threads import one_torch_thread
 
 SUFFIX = ".onnx"
@@ -55,9 +56,6 @@ def check_output(output: Path) -> None:
 
 def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
     """Write the network, with what it is and how good it is, whole or not at all. Raises OutputError."""
-    network = TGC(pretrained.saved.settings.network, len(adapted.labels))
-    head = {f"dense.{key}": value for key, value in adapted.head.state_dict().items()}
-    network.load_state_dict({**pretrained.backbone.state_dict(), **head})
     metadata = ModelMetadata(
         name=output.stem,
         labels=adapted.labels,
@@ -79,10 +77,41 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
         data_sha256=data_hash(adapted.recordings),
         scores={"adapted": msgspec.to_builtins(adapted.comparison)},
     )
-    # The exporter logs at length about a library that is not installed.
-    logging.getLogger("torch.onnx._internal.exporter._registration").setLevel(logging.ERROR)
+    proto = _grafted(adapted, metadata)
     with (
         os_errors_as(OutputError, f"{output}: cannot be written"),
         whole_file(output, replace=False) as partial,
     ):
-        export(network.eval(), metadata, partial)
+        onnx.save(proto, partial)
+
+
+def _grafted(adapted: Adapted, metadata: ModelMetadata) -> onnx.ModelProto:
+    """Return the shipped file with another head, other temperatures and metadata."""
+    proto = onnx.load(SHIPPED_MODEL)
+    temperatures = {int(length): value for length, value in metadata.temperatures.items()}
+    values = {f"network.dense.{name}": value for name, value in adapted.head.state_dict().items()}
+    values |= interpolation(temperatures)
+    for tensor in proto.graph.initializer:
+        value = values.pop(tensor.name.removeprefix("calibrated."), None)
+        if value is not None:
+            tensor.CopyFrom(onnx.numpy_helper.from_array(value.numpy(), tensor.name))
+    if values:
+        raise RuntimeError(f"{SHIPPED_MODEL} has no {', '.join(values)}")
+    proto.graph.output[0].type.tensor_type.shape.dim[1].dim_value = len(metadata.labels)
+    (entry,) = (entry for entry in proto.metadata_props if entry.key == METADATA_KEY)
+    entry.value = msgspec.json.encode(metadata).decode()
+    onnx.checker.check_model(proto)
+    return proto
+
+
+def interpolation(temperatures: Mapping[int, float]) -> dict[str, Tensor]:
+    """Return what a model file interpolates its temperature by, from temperatures by length.
+
+    first: at the least length. lengths: in order. bends: the slope that begins at each length, less the one
+    that ends there.
+    """
+    lengths = torch.tensor(sorted(temperatures), dtype=torch.float32)
+    values = torch.tensor([temperatures[int(length)] for length in lengths], dtype=torch.float32)
+    slopes = torch.diff(values) / torch.diff(lengths)
+    bends = torch.diff(slopes, prepend=torch.zeros(1), append=torch.zeros(1))
+    return {"first": values[0], "lengths": lengths, "bends": bends}

@@ -20,7 +20,10 @@ import torch  # noqa: E402
 from daemon import cli  # noqa: E402
 from daemon.config import Settings  # noqa: E402
 from daemon.doctor.machine import check_model  # noqa: E402
+from docs.studies.checks.hard_cases import hand  # noqa: E402
+from docs.studies.checks.reference import Reference  # noqa: E402
 from docs.studies.hand import simulate  # noqa: E402
+from docs.studies.training.export import CalibratedTGC  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
 from model.adapt.backbone import CropFeatures, windows  # noqa: E402
@@ -30,7 +33,9 @@ from model.adapt.measure import Answers, compare, mean_interval, wilson_interval
 from model.adapt.plan import plan  # noqa: E402
 from model.adapt.remembered import Remembered  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
+from model.adapt.ship import write  # noqa: E402
 from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
+from model.tgc import TGC  # noqa: E402
 
 # The simulated gesture behind each label; "hug" is new to the shipped model.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
@@ -177,6 +182,25 @@ def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained
     assert torch.equal(weights(one.head), weights(other.head))
     assert one.temperatures == other.temperatures
     assert one.comparison == other.comparison
+
+
+@torch.no_grad()
+def test_the_file_answers_as_the_adapted_network_in_pytorch(
+    pretrained: Pretrained, material: Features, tmp_path: Path
+) -> None:
+    with torch.enable_grad():
+        adapted = adapt(pretrained, material, None, SETTINGS)
+    write(pretrained, adapted, tmp_path / "lab.onnx", SETTINGS)
+    classifier = Classifier.load(tmp_path / "lab.onnx")
+    network = TGC(pretrained.saved.settings.network, len(adapted.labels))
+    network.load_state_dict(pretrained.backbone.state_dict(), strict=False)
+    network.dense = adapted.head
+    exact = Reference(CalibratedTGC(network, adapted.temperatures).double().eval())
+    for frames in (9, 54, 70, 200):
+        expected = exact.probabilities(hand(frames))
+        assert np.abs(classifier.probabilities(hand(frames)) - expected).max() <= 1e-4
+    _, state = classifier.step(hand(200)[:150])
+    assert np.abs(classifier.step(hand(200)[150:], state)[0] - expected).max() <= 1e-4
 
 
 def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:

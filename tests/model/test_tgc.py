@@ -16,10 +16,11 @@ import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
 
 from docs.studies.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
+from docs.studies.training.export import CalibratedTGC, export  # noqa: E402
+from docs.studies.training.stepwise import MEMORY_FRAMES, initial_state, step  # noqa: E402
 from model.classifier import Classifier, ModelMetadata  # noqa: E402
 from model.settings import NetworkSettings  # noqa: E402
-from model.tgc import MEMORY_FRAMES, TGC, FeatureDropout  # noqa: E402
-from model.training.export import CalibratedTGC, export  # noqa: E402
+from model.tgc import TGC, FeatureDropout  # noqa: E402
 from model.training.threads import one_torch_thread  # noqa: E402
 
 SMALL = NetworkSettings(
@@ -99,9 +100,9 @@ def test_windows_in_a_batch_do_not_see_each_other(network: TGC) -> None:
 def test_frames_a_few_at_a_time_equal_the_window(settings: NetworkSettings) -> None:
     network = random_network(settings).double()
     window = batch(hand(144))
-    state, start = network.initial_state(), 0
+    state, start = initial_state(network), 0
     for size in (1, 1, 2, 50, 1, 7, 60, 22):
-        logits, state = network.step(window[:, start : start + size], state)
+        logits, state = step(network, window[:, start : start + size], state)
         start += size
         assert (logits - network(window[:, :start])).abs().max().item() <= 1e-9
     assert start == 144
@@ -111,11 +112,11 @@ def test_frames_a_few_at_a_time_equal_the_window(settings: NetworkSettings) -> N
 @torch.no_grad()
 def test_attention_forgets_only_negligible_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     network, frames = random_network(), batch(checkerboard(6000)).float()
-    kept = network.step(frames, network.initial_state())[1]
+    kept = step(network, frames, initial_state(network))[1]
     assert kept.memory[0].shape[2] == MEMORY_FRAMES < 6000
-    monkeypatch.setattr("model.tgc.MEMORY_FRAMES", 10**6)
-    unbounded = network.step(frames, network.initial_state())[1]
-    answers = [network.step(batch(hand(1)).float(), state)[0] for state in (kept, unbounded)]
+    monkeypatch.setattr("docs.studies.training.stepwise.MEMORY_FRAMES", 10**6)
+    unbounded = step(network, frames, initial_state(network))[1]
+    answers = [step(network, batch(hand(1)).float(), state)[0] for state in (kept, unbounded)]
     assert (answers[0] - answers[1]).abs().max().item() <= 1e-6
 
 

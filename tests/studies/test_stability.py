@@ -123,7 +123,7 @@ def test_three_hours_of_touches_stay_as_in_float64() -> None:
 
 def test_a_state_keeps_no_more_than_attention_remembers() -> None:
     pytest.importorskip("torch", reason="needs the extra `train`")
-    from model.tgc import MEMORY_FRAMES
+    from docs.studies.training.stepwise import MEMORY_FRAMES
 
     classifier, state, sizes = Classifier.load(), None, []
     for _ in range(14):

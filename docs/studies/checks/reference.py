@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from docs.studies.training.export import CalibratedTGC
+from docs.studies.training.stepwise import TGCState, initial_state
 from model.classifier import ModelMetadata
-from model.tgc import TGCState
 from model.training import checkpoint
-from model.training.export import CalibratedTGC
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Reference:
 
     def initial_state(self) -> TGCState:
         """Return the state before the first frame."""
-        return self.calibrated.network.initial_state()
+        return initial_state(self.calibrated.network)
 
     @torch.no_grad()
     def step(self, counts: NDArray[np.generic], state: TGCState) -> tuple[NDArray[np.float64], TGCState]:

@@ -17,13 +17,13 @@ from docs.studies.report.challenge_hughes import AUTOENCODER_RNN, CNN, CRNN, REC
 from docs.studies.report.paper_cells import Variant
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
+from docs.studies.training.export import OPSET
 from docs.studies.training.haart import GESTURES
 from docs.studies.training.ship import HAART_MODEL
 from drivers.frame import COLUMNS, ROWS
 from drivers.recording import Recording
 from model.classifier import Classifier
 from model.settings import LENGTHS
-from model.training.export import OPSET
 
 FLOAT32, INT8 = "float32", "int8"
 SHIPPED = "touchd"

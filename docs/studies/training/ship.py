@@ -12,6 +12,7 @@ import msgspec
 
 from docs.studies.checks import evaluate
 from docs.studies.training import calibrate, haart
+from docs.studies.training.export import export
 from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import CHECKPOINT_NAME, save, train_studies
@@ -23,7 +24,6 @@ from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH, Study
 from model.training import checkpoint
 from model.training.checkpoint import Checkpoint
-from model.training.export import export
 
 HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
 """The network that learnt from HAART's training participants alone, which the paper is compared with."""

@@ -8,9 +8,11 @@ import onnx
 import torch
 from torch import Tensor, nn
 
+from docs.studies.training.stepwise import TGCState, initial_state, step
 from drivers.frame import COLUMNS, ROWS
+from model.adapt.ship import interpolation
 from model.classifier import METADATA_KEY, ModelMetadata
-from model.tgc import TGC, TGCState
+from model.tgc import TGC
 
 OPSET = 20
 
@@ -29,13 +31,8 @@ class CalibratedTGC(nn.Module):
     def __init__(self, network: TGC, temperatures: Mapping[int, float]) -> None:
         super().__init__()
         self.network = network
-        lengths = torch.tensor(sorted(temperatures), dtype=torch.float32)
-        values = torch.tensor([temperatures[int(length)] for length in lengths], dtype=torch.float32)
-        slopes = torch.diff(values) / torch.diff(lengths)
-        self.register_buffer("first", values[0])
-        self.register_buffer("lengths", lengths)
-        # The slope that begins at each calibrated length, less the one that ends there.
-        self.register_buffer("bends", torch.diff(slopes, prepend=torch.zeros(1), append=torch.zeros(1)))
+        for name, tensor in interpolation(temperatures).items():
+            self.register_buffer(name, tensor)
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, classes) probabilities."""
@@ -44,7 +41,7 @@ class CalibratedTGC(nn.Module):
 
     def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
         """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
-        logits, state = self.network.step(counts, state)
+        logits, state = step(self.network, counts, state)
         temperature = self._temperature(state.frames.to(logits.dtype))
         return torch.softmax(logits / temperature, dim=-1), state
 
@@ -83,7 +80,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     """
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     calibrated = CalibratedTGC(network, temperatures).eval()
-    start = network.initial_state()
+    start = initial_state(network)
     names = ["level", "motion", *(f"memory{i}" for i in range(len(start.memory))), "pooled", "frames"]
     batch, frames = torch.export.Dim("batch"), torch.export.Dim("frames", min=1)
     memory = [torch.zeros(1, kept.shape[1], 30, kept.shape[3]) for kept in start.memory]
