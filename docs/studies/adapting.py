@@ -11,7 +11,7 @@ from torch import nn
 
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
-from docs.studies.training import haart, metrics
+from docs.studies.training import checkpoint, haart, metrics
 from docs.studies.training.recipe import fold_jobs, read_recipe
 from docs.studies.training.ship import fold_path, remember
 from docs.studies.training.studies import Folders
@@ -22,7 +22,6 @@ from model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
 from model.adapt.head import AdaptSettings, fit
 from model.adapt.measure import Floats, mean_interval
 from model.classifier import SHIPPED_MODEL
-from model.training import checkpoint
 from model.training.threads import one_torch_thread
 
 SHOTS = (1, 2, 4)
@@ -97,7 +96,7 @@ class PersonFold:
                 features = crops(
                     self.pretrained.backbone,
                     shown,
-                    self.pretrained.saved.settings.augmentation,
+                    self.pretrained.augmentation,
                     settings.crops,
                     settings.seed,
                 )
@@ -136,7 +135,7 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
         remembered = remember(saved, folders)
-        pretrained = Pretrained.of(saved, fold_path(SHIPPED_MODEL.parent, left_out), remembered)
+        pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
         fold = PersonFold(pretrained, haart.only(takes, left_out))
         rehearsed = remembered.samples(haart.GESTURES, settings.seed)
         for name in fold.people:

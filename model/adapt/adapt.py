@@ -3,11 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from drivers.recording import NO_TOUCH, Recording
@@ -17,10 +19,8 @@ from model.adapt.measure import Answers, Comparison, compare, cross_entropy
 from model.adapt.plan import Plan, plan
 from model.adapt.remembered import Remembered
 from model.classifier import SHIPPED_MODEL, Classifier
-from model.settings import LENGTHS
+from model.settings import LENGTHS, AugmentationSettings, NetworkSettings
 from model.tgc import TGC
-from model.training import checkpoint
-from model.training.checkpoint import Checkpoint
 
 TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 # Standard deviation of the log of a temperature around the shipped one, before any left-out answer is seen.
@@ -29,26 +29,38 @@ TEMPERATURE_SPREAD = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Pretrained:
-    """The network that adapting starts from, its backbone frozen, and what it remembers of others."""
+    """The network that adapting starts from: frozen backbone, head, what its file says, what it remembers."""
 
-    saved: Checkpoint
+    labels: tuple[str, ...]
+    training: Mapping[str, Any]
+    augmentation: AugmentationSettings
+    temperatures: dict[int, float]
     backbone: TGC
     head: nn.Sequential
-    temperatures: dict[int, float]
     remembered: Remembered
 
     @classmethod
-    def of(cls, saved: Checkpoint, model: Path, remembered: Remembered) -> "Pretrained":
-        """Return a pretrained; the temperatures are those in the file that the checkpoint was exported to."""
-        stored = Classifier.load(model).metadata.temperatures
-        backbone, head = split(saved.build())
-        temperatures = {int(length): value for length, value in stored.items()}
-        return cls(saved, backbone, head, temperatures, remembered)
+    def of(cls, model: Path, weights: Mapping[str, Tensor], remembered: Remembered) -> "Pretrained":
+        """Return the network of a model file; weights: those that the file was exported from."""
+        metadata = Classifier.load(model).metadata
+        network = TGC(msgspec.convert(metadata.training["network"], NetworkSettings), len(metadata.labels))
+        network.load_state_dict(weights)
+        backbone, head = split(network.eval())
+        return cls(
+            metadata.labels,
+            metadata.training,
+            msgspec.convert(metadata.training["augmentation"], AugmentationSettings),
+            {int(length): value for length, value in metadata.temperatures.items()},
+            backbone,
+            head,
+            remembered,
+        )
 
     @classmethod
     def shipped(cls) -> "Pretrained":
-        saved = checkpoint.load(SHIPPED_MODEL.with_suffix(".pt"))
-        return cls.of(saved, SHIPPED_MODEL, Remembered.load(SHIPPED_MODEL.with_suffix(".npz")))
+        stored = torch.load(SHIPPED_MODEL.with_suffix(".pt"), map_location="cpu", weights_only=True)
+        remembered = Remembered.load(SHIPPED_MODEL.with_suffix(".npz"))
+        return cls.of(SHIPPED_MODEL, stored["network"], remembered)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,13 +91,7 @@ def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: A
     """Return the features of crops to learn from and of windows to evaluate."""
     return Features(
         recordings,
-        crops(
-            pretrained.backbone,
-            recordings,
-            pretrained.saved.settings.augmentation,
-            settings.crops,
-            settings.seed,
-        ),
+        crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed),
         windows(pretrained.backbone, recordings),
     )
 
@@ -98,7 +104,7 @@ def adapt(
     keep_all: keep the known gestures that no recording shows.
     """
     gestures = {recording.gesture for recording in material.recordings}
-    known = pretrained.saved.labels
+    known = pretrained.labels
     # The daemon counts on "notouch".
     labels = tuple(sorted(gestures | {NO_TOUCH} | set(known if keep_all else ())))
     begin = rebuilt(pretrained.head, known, labels)

@@ -18,7 +18,7 @@ from model.adapt.folder import read_folder
 from model.adapt.head import AdaptSettings
 from model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
 from model.settings import LENGTHS, MAX_LENGTH
-from model.training.checkpoint import code_version, data_hash
+from model.training.origin import code_version, data_hash
 from model.training.threads import one_torch_thread
 
 SUFFIX = ".onnx"
@@ -36,7 +36,7 @@ def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: b
     """
     check_output(output)
     pretrained = Pretrained.shipped()
-    recordings = read_folder(extra, pretrained.saved.labels)
+    recordings = read_folder(extra, pretrained.labels)
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
@@ -65,7 +65,7 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
         max_length=MAX_LENGTH,
         temperatures={str(length): round(value, 4) for length, value in adapted.temperatures.items()},
         training={
-            **msgspec.to_builtins(pretrained.saved.settings),
+            **pretrained.training,
             "adapted": {
                 "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
                 "settings": msgspec.to_builtins(settings),

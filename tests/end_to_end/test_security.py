@@ -84,7 +84,7 @@ def test_the_configurations_loader_creates_no_objects() -> None:
 
 def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from model.training import checkpoint
+    from docs.studies.training import checkpoint
 
     ran = tmp_path / "ran"
 
@@ -102,7 +102,7 @@ def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
 
 def test_a_checkpoint_that_unpacks_too_large_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is not installed")
-    from model.training import checkpoint
+    from docs.studies.training import checkpoint
 
     path = tmp_path / "huge.pt"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -189,10 +189,10 @@ def test_the_file_answers_as_the_adapted_network_in_pytorch(
     pretrained: Pretrained, material: Features, tmp_path: Path
 ) -> None:
     with torch.enable_grad():
-        adapted = adapt(pretrained, material, None, SETTINGS)
+        adapted = adapt(pretrained, material, SETTINGS)
     write(pretrained, adapted, tmp_path / "lab.onnx", SETTINGS)
     classifier = Classifier.load(tmp_path / "lab.onnx")
-    network = TGC(pretrained.saved.settings.network, len(adapted.labels))
+    network = TGC(pretrained.backbone.settings, len(adapted.labels))
     network.load_state_dict(pretrained.backbone.state_dict(), strict=False)
     network.dense = adapted.head
     exact = Reference(CalibratedTGC(network, adapted.temperatures).double().eval())
@@ -204,7 +204,7 @@ def test_the_file_answers_as_the_adapted_network_in_pytorch(
 
 
 def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:
-    known = pretrained.saved.labels
+    known = pretrained.labels
     head = rebuilt(pretrained.head, known, ("hug", "pat", "notouch"))
     assert torch.equal(head[-1].weight[1], pretrained.head[-1].weight[known.index("pat")])
     assert torch.equal(head[-1].bias[2], pretrained.head[-1].bias[known.index("notouch")])
@@ -213,7 +213,7 @@ def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:
 
 def test_fewer_recordings_change_the_network_less(pretrained: Pretrained, material: Features) -> None:
     labels = tuple(sorted(DONE))
-    begin = rebuilt(pretrained.head, pretrained.saved.labels, labels)
+    begin = rebuilt(pretrained.head, pretrained.labels, labels)
     remembered = pretrained.remembered.samples(labels, seed=0)
 
     def moved(shown: range) -> float:
@@ -238,7 +238,7 @@ def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, m
 
 def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Features) -> None:
     adapted = adapt(pretrained, material, SETTINGS, keep_all=True)
-    assert adapted.labels == tuple(sorted({"hug", *pretrained.saved.labels}))
+    assert adapted.labels == tuple(sorted({"hug", *pretrained.labels}))
     said = " ".join(" ".join(report_lines(adapted)).split())
     assert "No recording of constant, rub, tickle: known from other people and pads only." in said
 
@@ -249,8 +249,8 @@ def test_others_are_forgotten_less_with_what_is_remembered(
     def right(rehearsed: float) -> float:
         settings = msgspec.structs.replace(SETTINGS, rehearsed=rehearsed)
         head = adapt(pretrained, material, settings, keep_all=True).head
-        labels = sorted({"hug", *pretrained.saved.labels})
-        others = pretrained.remembered.samples(pretrained.saved.labels, seed=1)
+        labels = sorted({"hug", *pretrained.labels})
+        others = pretrained.remembered.samples(pretrained.labels, seed=1)
         truth = torch.tensor([labels.index(gesture) for gesture in others.gestures])
         with torch.no_grad():
             return float((head(others.values[:, :, -1]).argmax(dim=-1) == truth[:, None]).float().mean())

@@ -23,10 +23,10 @@ from docs.studies.report.paper_cells import (  # noqa: E402
 from docs.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, is_at, train, trained  # noqa: E402
 from docs.studies.report.results import Results, Study  # noqa: E402
 from docs.studies.training import haart  # noqa: E402
+from docs.studies.training.checkpoint import CheckpointError  # noqa: E402
 from docs.studies.training.haart import GESTURES, Windows  # noqa: E402
 from docs.studies.training.recipe import SettingsError  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
-from model.training.checkpoint import CheckpointError  # noqa: E402
 
 GRID = Grid(learning_rate=1e-4, batch=8, bfloat16=False, whole=(), feasible=())
 CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)

@@ -12,11 +12,13 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
+from docs.studies.training import checkpoint
+from docs.studies.training.checkpoint import Checkpoint, CheckpointError
+from docs.studies.training.settings import TrainSettings
 from docs.studies.training.train import CHECKPOINT_NAME, Training, save, train
 from drivers.recording import Recording, ideal_clock_ms
-from model.settings import NetworkSettings, TrainSettings
-from model.training import checkpoint
-from model.training.checkpoint import Checkpoint, CheckpointError
+from model.settings import NetworkSettings
+from model.training.origin import code_version, data_hash
 from model.training.schedule import learning_rate_at
 from model.training.threads import one_torch_thread
 
@@ -149,8 +151,8 @@ def test_a_checkpoint_carries_its_origin(finished: tuple[Checkpoint, Path]) -> N
     assert saved.settings == SETTINGS
     assert saved.labels == ("notouch", "rub")
     assert saved.epoch == SETTINGS.epochs
-    assert saved.data_sha256 == checkpoint.data_hash(recordings())
-    assert saved.code_version != checkpoint.code_version()
+    assert saved.data_sha256 == data_hash(recordings())
+    assert saved.code_version != code_version()
     assert saved.code_version.startswith(f"{metadata.version('touchd')}+")
 
 

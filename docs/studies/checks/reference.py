@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from docs.studies.training import checkpoint
 from docs.studies.training.export import CalibratedTGC
 from docs.studies.training.stepwise import TGCState, initial_state
 from model.classifier import ModelMetadata
-from model.training import checkpoint
 
 
 @dataclass(frozen=True)

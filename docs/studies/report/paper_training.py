@@ -24,9 +24,9 @@ from docs.studies.report.paper_cells import STORED_FOLDER, Grid, PaperCell, pred
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.results import Study
 from docs.studies.training import haart, metrics
+from docs.studies.training.checkpoint import CheckpointError
 from docs.studies.training.haart import GESTURES, Windows
 from drivers.whole_file import whole_file
-from model.training.checkpoint import CheckpointError
 
 log = logging.getLogger(__name__)
 

@@ -33,10 +33,9 @@ from docs.studies.report.paper_cells import (
 )
 from docs.studies.report.results import Results, Study, percent
 from docs.studies.report.tables23 import our_key
-from docs.studies.training import haart, metrics
+from docs.studies.training import checkpoint, haart, metrics
 from docs.studies.training.haart import GESTURES, Windows
 from docs.studies.training.ship import HAART_MODEL
-from model.training import checkpoint
 
 log = logging.getLogger(__name__)
 

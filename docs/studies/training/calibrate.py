@@ -12,12 +12,12 @@ import torch
 from numpy.typing import NDArray
 
 from docs.studies.training import haart, metrics
+from docs.studies.training.checkpoint import Checkpoint
 from drivers.recording import Recording
 from model.adapt.adapt import TEMPERATURES
 from model.adapt.measure import cross_entropy
 from model.settings import LENGTHS
 from model.tgc import TGC
-from model.training.checkpoint import Checkpoint
 
 BATCH = 64
 

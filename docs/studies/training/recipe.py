@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 import yaml
 
+from docs.studies.training.settings import TrainSettings
 from drivers.errors import TouchdError
-from model.settings import TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"

@@ -11,9 +11,11 @@ from typing import Any
 import msgspec
 
 from docs.studies.checks import evaluate
-from docs.studies.training import calibrate, haart
+from docs.studies.training import calibrate, checkpoint, haart
+from docs.studies.training.checkpoint import Checkpoint
 from docs.studies.training.export import export
 from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
+from docs.studies.training.settings import Study
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import CHECKPOINT_NAME, save, train_studies
 from drivers.frame import FRAME_RATE_HZ
@@ -21,9 +23,7 @@ from drivers.recording import Recording
 from model.adapt.backbone import crops, split
 from model.adapt.remembered import Remembered
 from model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
-from model.settings import LENGTHS, MAX_LENGTH, Study
-from model.training import checkpoint
-from model.training.checkpoint import Checkpoint
+from model.settings import LENGTHS, MAX_LENGTH
 
 HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
 """The network that learnt from HAART's training participants alone, which the paper is compared with."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from docs.studies.training import haart, second_study
+from docs.studies.training.settings import Study
 from drivers.recording import Recording
-from model.settings import Study
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,19 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from docs.studies.training import haart
+from docs.studies.training import checkpoint, haart
+from docs.studies.training.checkpoint import Checkpoint, CheckpointError
+from docs.studies.training.settings import TrainSettings
 from docs.studies.training.studies import Folders
 from drivers.recording import NO_TOUCH, Recording
 from drivers.whole_file import whole_file
-from model.settings import TrainSettings
 from model.tgc import KNEE_COUNTS, TGC
-from model.training import checkpoint
 from model.training.augment import begin_from_rest, crop, vary
-from model.training.checkpoint import Checkpoint, CheckpointError, data_hash
+from model.training.origin import code_version, data_hash
 from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 
 CHECKPOINT_NAME = "checkpoint.pt"
+SOURCES = ("haart.py", "settings.py", "train.py")
 
 
 def save(checkpoint: Checkpoint, path: Path) -> None:
@@ -169,7 +170,7 @@ class Training:
             epoch=self.epoch,
             network={name: torch.stack([each[name] for each in kept]).mean(dim=0).cpu() for name in kept[0]},
             training=training,
-            code_version=checkpoint.code_version(Path(haart.__file__), Path(__file__)),
+            code_version=code_version(*(Path(__file__).with_name(name) for name in SOURCES)),
             data_sha256=self.data_sha256,
         )
 

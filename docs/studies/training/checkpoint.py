@@ -1,10 +1,7 @@
 """Checkpoints: a network with everything that says where it came from, and what resuming needs."""
 
-import hashlib
 import zipfile
-from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +9,13 @@ import msgspec
 import torch
 from torch import Tensor
 
+from docs.studies.training.settings import TrainSettings
 from drivers.errors import TouchdError
-from drivers.recording import Recording
-from model.settings import TrainSettings
 from model.tgc import TGC
 
 # Our widest network's, with all that resuming needs, is 17 MB.
 MAX_FILE_BYTES = 128 * 1024 * 1024
 ADVICE = "make one with `python -m docs.studies train`"
-SOURCES = ("training/augment.py", "tgc.py", "settings.py")
 
 
 class CheckpointError(TouchdError):
@@ -78,19 +73,3 @@ def load(path: Path) -> Checkpoint:
         raise CheckpointError(f"{path}: there is no checkpoint; {ADVICE}") from error
     except Exception as error:  # torch raises many types for a damaged file, some with pages of advice
         raise CheckpointError(f"{path}: not a checkpoint of touchd; {ADVICE}") from error
-
-
-def code_version(*more: Path) -> str:
-    """Return the installed version and a digest of the sources that decide what a training yields."""
-    digest = hashlib.sha256()
-    for path in (*(Path(__file__).parents[1] / name for name in SOURCES), *more):
-        digest.update(path.read_bytes())
-    return f"{metadata.version('touchd')}+{digest.hexdigest()[:12]}"
-
-
-def data_hash(recordings: Iterable[Recording]) -> str:
-    """Return the sha256 of all counts (int16, little-endian, in order), to say which data made a model."""
-    digest = hashlib.sha256()
-    for recording in recordings:
-        digest.update(recording.counts.astype("<i2").tobytes())
-    return digest.hexdigest()
