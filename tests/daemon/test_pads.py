@@ -16,6 +16,7 @@ from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
 from rigs.programs import TOUCHD, Program
+from rigs.robots import SAY
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
@@ -46,7 +47,7 @@ from drivers.pad.format import PRESETS
 from drivers.pad.port import open_port, read_waiting
 from drivers.pad.protocol import parser_of
 from drivers.recording import Stream, ideal_clock_ms
-from drivers.robot.actions import Action, ActionRule
+from drivers.robot.actions import ActionRule
 from drivers.robot.link import RobotLink
 from drivers.robot.settings import RobotSettings
 from model.classifier import SHIPPED_MODEL
@@ -150,10 +151,9 @@ def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> Non
 
 
 def test_the_robot_hears_of_each_pad_by_its_name() -> None:
-    say = ActionRule(do=(Action(say="{gesture}"),))
     calls = CallLog()
     with StubRobot(calls.add) as robot:
-        pads: dict[str, tuple[ActionRule, ...]] = {"head": (say,), "left_arm": ()}
+        pads: dict[str, tuple[ActionRule, ...]] = {"head": (SAY,), "left_arm": ()}
         link = RobotLink(RobotSettings(url=robot.url), open_session=robot.open_session, actions=pads)
         sink = RobotSink(link, itertools.count(1))
         sink.start()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rigs.robots import DETAIL, GESTURE, STATUS, Robot, linked, message
+from rigs.robots import DETAIL, GESTURE, SAY, STATUS, Robot, linked, message
 
 from drivers.fakes import fake_robot
 from drivers.robot.actions import Action, ActionRule, Leds
@@ -32,9 +32,6 @@ def robot(running_robot: Robot) -> Iterator[Robot]:
     if calls.raised(STATUS):
         calls.wait_for(lambda _: calls.raised(STATUS)[-1] == "down")
     calls.clear()
-
-
-SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
 def test_an_answer_is_raised_as_a_gesture_and_its_detail(robot: Robot) -> None:

@@ -9,13 +9,10 @@ from pathlib import Path
 
 import pytest
 from rigs.programs import ran
-from rigs.robots import IMPATIENT, LOGIN, Robot, link_threads, linked, needs_qi_and_openssl, reach
+from rigs.robots import IMPATIENT, LOGIN, SAY, Robot, link_threads, linked, needs_qi_and_openssl, reach
 from rigs.wait import AT_ONCE_S
 
-from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
-
-SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])

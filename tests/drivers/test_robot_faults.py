@@ -13,6 +13,7 @@ from rigs.robots import (
     GESTURE,
     IMPATIENT,
     LOGIN,
+    SAY,
     STATUS,
     Robot,
     States,
@@ -22,12 +23,9 @@ from rigs.robots import (
 from rigs.wait import AT_ONCE_S
 
 from drivers.fakes.stub_robot import StubRobot
-from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
 from drivers.robot.settings import RobotSettings
-
-SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
 def test_a_robot_that_comes_later_is_found() -> None:

@@ -6,16 +6,13 @@ import sys
 import time
 from typing import Any
 
-from rigs.robots import Robot, States, reach
+from rigs.robots import SAY, Robot, States, reach
 from rigs.wait import AT_ONCE_S
 
 from drivers.frame import DEFAULT_PAD
-from drivers.robot.actions import Action, ActionRule
 from drivers.robot.link import RobotLink
 from drivers.robot.session import Login
 from drivers.robot.settings import RobotSettings
-
-SAY = ActionRule(do=(Action(say="{gesture}"),))
 
 
 def main(state: str) -> int:

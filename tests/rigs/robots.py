@@ -18,6 +18,7 @@ from rigs.wait import WITHIN_S
 from drivers.fakes.loopback_robot import LoopbackRobot
 from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import DEFAULT_PAD
+from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
 from drivers.robot.message import RobotMessage
@@ -77,6 +78,7 @@ class Robot(LoopbackRobot):
         self._process.send_signal(number)
 
 
+SAY = ActionRule(do=(Action(say="{gesture}"),))
 LOGIN = Login("nao", "s3cret-token")
 # Notices a hang quickly; by default it takes 1.3 s.
 IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
