@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -9,6 +10,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pytest
 
 from model.classifier import SHIPPED_MODEL, Classifier
+
+if TYPE_CHECKING:
+    from rigs.live_rig import Served
 
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
@@ -43,6 +47,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def classifier() -> Classifier:
     """The shipped model."""
     return Classifier.load(SHIPPED_MODEL)
+
+
+@pytest.fixture
+def served() -> Iterator["Served"]:
+    """A live page, served in this process."""
+    from rigs.live_rig import serving
+
+    with serving() as served:
+        yield served
 
 
 @pytest.fixture(scope="module")

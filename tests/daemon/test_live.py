@@ -38,12 +38,6 @@ BEGAN_AGAIN = TouchBegan(touch=2, time=NOW, sensor_ms=9)
 PAD_UP = SensorEvent(state="up", time=NOW)
 
 
-@pytest.fixture
-def served() -> Iterator[Served]:
-    with serving() as served:
-        yield served
-
-
 def test_a_viewer_gets_every_event_and_frame(served: Served) -> None:
     with served.look() as viewer:
         assert json.loads(viewer.recv(timeout=WITHIN_S))["type"] == "state"

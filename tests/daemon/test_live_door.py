@@ -2,11 +2,10 @@
 
 import http.client
 import socket
-from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 
 import pytest
-from rigs.live_rig import Served, frames_among, serving
+from rigs.live_rig import Served, frames_among
 from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
@@ -16,12 +15,6 @@ from daemon.live.address import is_own_host, parse_address
 from daemon.live.page import FOLDER
 from daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
 from daemon.live.viewers import MOST_VIEWERS
-
-
-@pytest.fixture
-def served() -> Iterator[Served]:
-    with serving() as served:
-        yield served
 
 
 def test_a_viewer_over_the_limit_is_refused(served: Served) -> None:

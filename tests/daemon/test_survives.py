@@ -5,7 +5,6 @@ import shutil
 import signal
 import socket
 import time
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 import pytest
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
-from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
+from rigs.live_rig import HANDSHAKE, Served, frames_among
 from rigs.made_events import touch
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
@@ -42,12 +41,6 @@ from drivers.robot.settings import RobotSettings, read_login
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)
 EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)
-
-
-@pytest.fixture
-def served() -> Iterator[Served]:
-    with serving() as served:
-        yield served
 
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])

@@ -1,6 +1,5 @@
 """The network: causal, one for every length, and the same in ONNX Runtime as in PyTorch."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -10,7 +9,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
 # The first export of a process takes long to import its machinery.
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
@@ -21,7 +20,6 @@ from docs.studies.training.stepwise import MEMORY_FRAMES, initial_state, step  #
 from model.classifier import Classifier, ModelMetadata  # noqa: E402
 from model.settings import NetworkSettings  # noqa: E402
 from model.tgc import TGC, FeatureDropout  # noqa: E402
-from model.training.threads import one_torch_thread  # noqa: E402
 
 SMALL = NetworkSettings(
     stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12, smooth_frames=2
@@ -29,12 +27,6 @@ SMALL = NetworkSettings(
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 TEMPERATURES = {54: 1.5, 81: 1.2, 144: 0.6}
 LENGTHS = (1, 2, 17, 54, 60, 143)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    with one_torch_thread():
-        yield
 
 
 def random_network(settings: NetworkSettings = SMALL) -> TGC:

@@ -1,6 +1,5 @@
 """Training: reproducible by seed, resumable to the same weights; checkpoints carry their origin."""
 
-from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -20,8 +19,8 @@ from drivers.recording import Recording, ideal_clock_ms
 from model.settings import NetworkSettings
 from model.training.origin import code_version, data_hash
 from model.training.schedule import learning_rate_at
-from model.training.threads import one_torch_thread
 
+pytestmark = pytest.mark.usefixtures("one_thread")
 NETWORK = NetworkSettings(
     stem_width=2, width=8, dilations=(1,), blocks=1, heads=2, feed_forward=8, dense=8, dropout=0.1
 )
@@ -38,12 +37,6 @@ SETTINGS = TrainSettings(
 )
 # Torch is deterministic within one machine only: equality is checked within one run.
 DEVICE = "cpu"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_thread() -> Iterator[None]:
-    with one_torch_thread():
-        yield
 
 
 def recordings(participants: tuple[str, ...] = ("P3", "P4"), seed: int = 0) -> list[Recording]:
