@@ -86,11 +86,11 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
     session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, 0)
     if all(take.path.exists() for take in session.takes()):
         return
-    console.print(
-        f"{len(session.takes())} recordings of {options.seconds + 2 * EDGE_S:g} s follow one another: "
-        "hands off, then the gesture until the bar is full."
-    )
     with PadReader(settings) as pad:
+        console.print(
+            f"{len(session.takes())} recordings of {options.seconds + 2 * EDGE_S:g} s follow one another: "
+            "hands off, then the gesture until the bar is full."
+        )
         terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True)
         Dialogue(console, pad, settings, session, terms).run()
 
@@ -117,7 +117,7 @@ def put_into_use(console: Console, config: Path | None, model: Path, *, is_worse
         with whole_file(config) as new:
             new.write_text(with_model(config.read_text(encoding="utf-8"), model), encoding="utf-8")
             load(new)
-    then = "sudo systemctl reload touchd" if is_service else f"{own_name()} run -c {config}"
+    then = "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {config}"
     console.print(f"Set. To begin with it: {then}")
 
 
