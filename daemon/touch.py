@@ -387,7 +387,7 @@ class TouchTracker:
                 + SECOND_FRAMES // 2
             )
             held.last = max(held.first, min(held.last, self._index - over_frames))
-        else:
+        if reason != "released" or self._sight.sees_touch(self._recent.last(SECOND_FRAMES)):
             # The network takes what lies there for a hand, and would begin the touch anew.
             self._sight.forget_rest()
         release = self._end(reason)

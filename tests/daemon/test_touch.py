@@ -324,9 +324,12 @@ def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: N
     assert isinstance(release, Release)
 
 
-def test_an_object_like_a_hand_is_one_touch_only(seen: TrackedPad, network: Network) -> None:
+@pytest.mark.parametrize("hand", [palm(1.0, counts=60.0), palm(3.0, counts=300.0)])
+def test_an_object_that_looks_like_a_hand_becomes_rest(
+    seen: TrackedPad, network: Network, hand: Scans
+) -> None:
     network.no_touch = 0.02
-    changes = seen.feel(palm(60.0, counts=60.0, trembling=False))
+    changes = seen.feel(hand, palm(60.0, counts=60.0, trembling=False))
     assert [type(change) for change in changes] == [Onset, Release]
     network.no_touch = 0.9
     assert seen.feel(5.0) == []
