@@ -24,7 +24,7 @@ from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 
-from rigs.soak_audit import Audit, Viewer
+from rigs.audit import Audit, Viewer
 from rigs.soak_line import pad
 
 from daemon.config import LiveSettings, Settings

@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.audit import Audit
 from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
-from rigs.soak_audit import Audit
 
 from daemon.commands.classify import play
 from daemon.decide import DecisionSettings, Sure

@@ -17,12 +17,12 @@ import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from rigs.audit import Audit
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import HANDSHAKE
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
-from rigs.soak_audit import Audit
 from rigs.sockets import free_port
 from rigs.wait import wait_for
 from websockets.sync.client import connect

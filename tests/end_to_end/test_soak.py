@@ -7,8 +7,8 @@ from typing import Any
 import msgspec
 import pytest
 from by_hand.soak import Soak
+from rigs.audit import Audit
 from rigs.made_events import PREDICTION
-from rigs.soak_audit import Audit
 from rigs.soak_line import pad
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
