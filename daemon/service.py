@@ -87,16 +87,14 @@ class Service:
         finally:
             self._end()
 
-    def make_parts(self, settings: Settings) -> Parts:
-        """Return parts for other settings; raises TouchdError, with nothing changed."""
-        return self._make(settings, self._parts)
+    def reload(self, settings: Settings) -> list[str]:
+        """Swap in parts for other settings, each pad between two touches, while `run` goes on in its thread.
 
-    def replace(self, parts: Parts) -> None:
-        """Swap in these parts, each pad between two touches, while `run` goes on in another thread.
-
-        Returns when all are swapped. No frame and no touch number is lost.
+        Returns the names of the settings that changed, when all parts are swapped. No frame and no touch
+        number is lost. Raises TouchdError, with nothing changed.
         """
         before = self._parts
+        parts = self._make(settings, before)
         readers = [pad.sensor for pad in parts.pads.values()]
         readers_before = [pad.sensor for pad in before.pads.values()]
         for pad in before.pads.values():
@@ -107,7 +105,7 @@ class Service:
         self._next = parts
         self._taken_over.wait()
         if self._has_ended:
-            return
+            return parts.changed
         for reader in readers:
             if reader not in readers_before:
                 reader.start()
@@ -116,6 +114,7 @@ class Service:
         for sink in parts.sinks:
             if sink not in before.sinks:
                 sink.start()
+        return parts.changed
 
     def _make(self, settings: Settings, before: Parts | None) -> Parts:
         return Parts(settings, self._events.emit, self._viewers, self._arrived, self._numbers, before)

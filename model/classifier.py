@@ -96,11 +96,6 @@ class Classifier:
         return self.metadata.labels
 
     @property
-    def lengths(self) -> tuple[int, ...]:
-        """The window lengths, in frames, at which the model was calibrated."""
-        return self.metadata.lengths
-
-    @property
     def name(self) -> str:
         return self.metadata.name
 

@@ -112,7 +112,7 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
             if in_words and settings.live and settings.live.host in EVERY_ADDRESS and settings.live.port:
                 sys.stderr.write(qr_code(urls_of(settings.live, settings.live.port)[0]))
-        reloader = Reloader(read, service.make_parts, service.replace)
+        reloader = Reloader(read, service.reload)
         closing.enter_context(rereading(hung_up, reloader))
         service.run(stop)
         notifier.send(STOPPING=1)

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from daemon.config import Settings
-from daemon.setup.parts import Parts
 from drivers.errors import TouchdError
 
 log = logging.getLogger(__name__)
@@ -19,15 +18,12 @@ PATIENCE_S = 30.0
 class Reloader:
     """Reads the settings again, each time in a thread of its own: one that hangs must not disable the next.
 
-    read: returns the settings. make: makes parts of them; both raise TouchdError when something is wrong.
-    use: replaces the running parts by these.
+    read: returns the settings. use: goes on by them, and returns the names of those that changed. Both raise
+    TouchdError when something is wrong.
     """
 
-    def __init__(
-        self, read: Callable[[], Settings], make: Callable[[Settings], Parts], use: Callable[[Parts], None]
-    ) -> None:
+    def __init__(self, read: Callable[[], Settings], use: Callable[[Settings], list[str]]) -> None:
         self._read = read
-        self._make = make
         self._use = use
         self._numbers = itertools.count(1)
         self._latest = 0
@@ -46,9 +42,8 @@ class Reloader:
                 return
             try:
                 if number == self._latest:
-                    parts = self._make(settings)
-                    self._use(parts)
-                    log.info("configuration read again; changed: %s", ", ".join(parts.changed) or "nothing")
+                    changed = ", ".join(self._use(settings))
+                    log.info("configuration read again; changed: %s", changed or "nothing")
             finally:
                 self._one_at_a_time.release()
         except TouchdError as error:

@@ -130,14 +130,12 @@ def test_new_settings_apply_from_the_next_touch() -> None:
     assert [event.touch for event in events if isinstance(event, TouchEnded)] == list(range(1, 7))
 
 
-class Made:
-    """Stands in for Parts."""
-
-    changed = ("scene",)
+def scene_changed() -> list[str]:
+    return ["scene"]
 
 
-def reloads(read: Callable[[], Settings], made: Callable[[], object]) -> Reloader:
-    return Reloader(read, lambda _: made(), lambda _: None)  # type: ignore[arg-type,return-value]
+def fails() -> list[str]:
+    raise ZeroDivisionError
 
 
 def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
@@ -145,9 +143,9 @@ def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
 
 
 def test_an_internal_error_does_not_disable_the_next_reload(caplog: pytest.LogCaptureFixture) -> None:
-    results: Iterator[Callable[[], object]] = iter([lambda: 1 / 0, Made])
+    results = iter([fails, scene_changed])
     asked = threading.Event()
-    with caplog.at_level("INFO"), rereading(asked, reloads(Settings, lambda: next(results)())):
+    with caplog.at_level("INFO"), rereading(asked, Reloader(Settings, lambda _: next(results)())):
         asked.set()
         await_message(caplog, "ZeroDivisionError")
         asked.set()
@@ -169,7 +167,7 @@ def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCapture
         return Settings()
 
     asked = threading.Event()
-    with caplog.at_level("INFO"), rereading(asked, reloads(read, Made)):
+    with caplog.at_level("INFO"), rereading(asked, Reloader(read, lambda _: scene_changed())):
         asked.set()
         assert hangs.wait(WITHIN_S)
         asked.set()

@@ -43,7 +43,7 @@ def test_the_shipped_file_is_at_most_5_megabytes() -> None:
 
 def test_the_shipped_model_says_what_it_is(shipped: Classifier) -> None:
     assert shipped.labels == GESTURES
-    assert shipped.lengths == LENGTHS
+    assert shipped.metadata.lengths == LENGTHS
     assert shipped.metadata.frame_rate_hz == FRAME_RATE_HZ
     assert shipped.metadata.framing == "live"
     assert shipped.metadata.max_length >= 216
