@@ -7,13 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from rigs.scripted_model import Scripted
 
-from daemon.commands.classify import play
 from daemon.events import Event, Prediction, TouchEnded
 from daemon.pad.feel import Feel
 from daemon.pipeline import Pipeline, PipelineSettings
-from docs.studies.hand import simulate
 from drivers.frame import Frame
-from drivers.recording import splice
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reactions
@@ -71,19 +68,6 @@ def test_pressure_and_area_are_those_of_the_hand(counts: float) -> None:
     assert feel.peak == pytest.approx(pressed.max(), abs=4)
     assert feel.area == pytest.approx(len(touched), abs=5)
     assert feel.mean == pytest.approx(touched.mean(), rel=0.3)
-
-
-def test_a_simulated_pat_has_rhythm_and_a_stroke_a_path() -> None:
-    feels = {}
-    for gesture in ("pat", "stroke", "constant"):
-        stream = splice(simulate([("notouch", 2.5), (gesture, 3.0), ("notouch", 2.0)], 5))
-        events: list[Event] = []
-        play(stream, Pipeline(PipelineSettings(), Scripted(), events.append))
-        felt = [event.feel for event in events if isinstance(event, TouchEnded) and event.feel]
-        feels[gesture] = max(felt, key=lambda feel: feel.duration_s)
-    assert feels["pat"].rhythm_hz > 1
-    assert feels["constant"].rhythm_hz < 1
-    assert feels["stroke"].path > 2 * feels["constant"].path
 
 
 def test_a_rule_can_require_a_hard_or_short_touch() -> None:

@@ -19,7 +19,7 @@ from daemon.playback.stream import with_quiet
 from daemon.setup.destinations import encoder_for
 from docs.studies.hand import simulate
 from docs.studies.sessions.plan import SessionSettings, sessions
-from docs.studies.sessions.score import SessionScore, judge, score
+from docs.studies.sessions.score import judge, score
 from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 from drivers.robot.settings import RobotSettings
 from model.classifier import Classifier
@@ -68,33 +68,15 @@ def test_shipped_recordings_give_the_expected_events(
     assert outline(run(stream_of(recording))) == expected(recording)
 
 
-def in_use(
-    run: Callable[..., list[Event]], recordings: list[Recording], settings: SessionSettings
-) -> SessionScore:
-    """Score a session of one person's touches, played through the port."""
-    session = next(sessions(recordings, settings))
-    clock_ms = ideal_clock_ms(len(session.counts))
-    return score([judge(session, run(Stream(session.counts, clock_ms, ())))])
-
-
 @pytest.mark.parametrize("noise", [0.0, 1.5])
 def test_touches_of_a_session_stay_apart_through_a_port(
     run: Callable[..., list[Event]], noise: float
 ) -> None:
     hand = simulate([("notouch", 7.0), ("constant", 4.0), ("pat", 4.0), ("scratch", 4.0)], seed=5)
-    felt = in_use(run, hand, SessionSettings(seconds=3.0, noise=noise))
+    session = next(sessions(hand, SessionSettings(seconds=3.0, noise=noise)))
+    events = run(Stream(session.counts, ideal_clock_ms(len(session.counts)), ()))
+    felt = score([judge(session, events)])
     assert (felt.n, felt.missed, felt.merged, felt.split, felt.false) == (3, 0, 0, 0, 0)
-
-
-@pytest.mark.slow
-@pytest.mark.skipif("TOUCHD_SECOND_STUDY" not in os.environ, reason="TOUCHD_SECOND_STUDY is not set")
-def test_recorded_touches_stay_apart_through_a_port(run: Callable[..., list[Event]]) -> None:
-    path = Path(os.environ["TOUCHD_SECOND_STUDY"]) / "robot-pad.csv.gz"
-    person = Selection(participants=("R14",), substrates=("static",), covers=("none",))
-    felt = in_use(run, read_recordings(path, person), SessionSettings())
-    assert felt.n == 6
-    assert felt.missed + felt.merged + felt.split <= 17.0
-    assert felt.false == 0
 
 
 @pytest.mark.parametrize(

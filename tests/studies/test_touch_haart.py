@@ -5,10 +5,8 @@ import statistics
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import pytest
 from rigs.haart_folder import needs_haart
-from rigs.scripted_model import Scripted
 
 from daemon.events import Event, Prediction
 from daemon.pipeline import Pipeline, PipelineSettings
@@ -86,17 +84,3 @@ def test_a_minute_of_notouch_tells_the_robot_nothing(recordings: list[Recording]
     pipeline.flush()
     assert sum(len(recording.counts) for recording in quiet) >= 60 * 54
     assert not any(isinstance(event, Prediction) and event.told for event in emitted)
-
-
-@needs_haart
-def test_a_recording_at_the_ideal_clock_passes_unchanged(recordings: list[Recording]) -> None:
-    by_gesture = {recording.gesture: recording for recording in recordings}
-    quiet, gesture = by_gesture[NO_TOUCH], by_gesture["constant"]
-    counts = np.concatenate([quiet.counts[:270], gesture.counts])
-    model = Scripted()
-    pipeline = Pipeline(PipelineSettings(), model, lambda event: None)
-    for ms, scan in zip(ideal_clock_ms(len(counts)), counts, strict=True):
-        pipeline.on_frame(Frame(0, int(ms), 0.0, scan))
-    windows = {len(window): window for window in model.stepped}
-    for length in (54, 81, 144):
-        np.testing.assert_array_equal(windows[length], gesture.counts[:length])
