@@ -4,7 +4,7 @@ A head that is adapted to one person forgets others. Samples from these Gaussian
 that no recording of theirs is needed (generative feature replay, Liu et al. 2020).
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from drivers.whole_file import whole_file
 from model.adapt.backbone import CropFeatures
 
-DIRECTIONS = 16
 SAMPLES = 128
 ARRAYS = ("means", "directions", "rests")
 
@@ -24,7 +22,7 @@ ARRAYS = ("means", "directions", "rests")
 class Remembered:
     """A Gaussian for each study, gesture and length (N, L): what varies most, and each feature's rest.
 
-    means, rests: (N, L, features). directions: (N, L, DIRECTIONS, features), each as long as its standard
+    means, rests: (N, L, features). directions: (N, L, R, features), each as long as its standard
     deviation. gestures: (N,) names.
     """
 
@@ -32,25 +30,6 @@ class Remembered:
     directions: Tensor
     rests: Tensor
     gestures: tuple[str, ...]
-
-    @classmethod
-    def of(cls, studies: Sequence[CropFeatures]) -> "Remembered":
-        """Return the statistics of each study's crops."""
-        means, directions, rests, gestures = [], [], [], []
-        for study in studies:
-            for gesture in sorted(set(study.gestures)):
-                own = study.of([i for i, each in enumerate(study.gestures) if each == gesture])
-                values = own.values.flatten(0, 1).movedim(1, 0)  # (L, crops, features)
-                mean = values.mean(dim=1, keepdim=True)
-                spread = (values - mean) / values.shape[1] ** 0.5
-                _, lengths, axes = torch.linalg.svd(spread, full_matrices=False)
-                main = lengths[:, :DIRECTIONS, None] * axes[:, :DIRECTIONS]
-                rest = spread.square().sum(dim=1) - main.square().sum(dim=1)
-                means.append(mean.squeeze(1))
-                directions.append(main)
-                rests.append(rest.clamp_min(0.0).sqrt())
-                gestures.append(gesture)
-        return cls(torch.stack(means), torch.stack(directions), torch.stack(rests), tuple(gestures))
 
     def samples(self, gestures: Collection[str], seed: int) -> CropFeatures:
         """Return SAMPLES summaries of each study's Gaussian of these gestures."""
@@ -64,15 +43,9 @@ class Remembered:
         names = tuple(self.gestures[i] for i in chosen)
         return CropFeatures(values, torch.ones(N, L, dtype=torch.bool), names)
 
-    def save(self, path: Path) -> None:
-        """Write them to an .npz file, in half precision."""
-        arrays = {name: getattr(self, name).numpy().astype(np.float16) for name in ARRAYS}
-        with whole_file(path) as partial, partial.open("wb") as file:
-            np.savez_compressed(file, gestures=np.array(self.gestures), **arrays)
-
     @classmethod
     def load(cls, path: Path) -> "Remembered":
-        """Read what `save` wrote."""
+        """Read them from an .npz file."""
         with np.load(path) as stored:
             means, directions, rests = (torch.from_numpy(stored[name].astype(np.float32)) for name in ARRAYS)
             return cls(means, directions, rests, tuple(stored["gestures"].tolist()))

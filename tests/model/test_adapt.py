@@ -24,6 +24,7 @@ from docs.studies.checks.hard_cases import hand  # noqa: E402
 from docs.studies.checks.reference import Reference  # noqa: E402
 from docs.studies.hand import simulate  # noqa: E402
 from docs.studies.training.export import CalibratedTGC  # noqa: E402
+from docs.studies.training.remember import save, statistics  # noqa: E402
 from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from model.adapt.adapt import Features, Pretrained, adapt, prepare  # noqa: E402
 from model.adapt.backbone import CropFeatures, windows  # noqa: E402
@@ -263,7 +264,7 @@ def test_what_is_remembered_has_the_moments_of_what_was_seen(tmp_path: Path) -> 
     along = torch.randn(50, 8, 4, 2, generator=rng)
     seen = 3.0 + along @ torch.tensor([[2.0, 0.0, 1.0], [0.0, 0.5, 0.0]])
     study = CropFeatures(seen, torch.ones(50, 4, dtype=torch.bool), ("hug",) * 50)
-    Remembered.of([study]).save(tmp_path / "remembered.npz")
+    save(statistics([study]), tmp_path / "remembered.npz")
     again = Remembered.load(tmp_path / "remembered.npz").samples({"hug"}, seed=0)
     assert again.gestures == ("hug",)
     drawn = again.values[0].flatten(0, 1)

@@ -15,6 +15,8 @@ from docs.studies.training import calibrate, checkpoint, haart
 from docs.studies.training.checkpoint import Checkpoint
 from docs.studies.training.export import export
 from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
+from docs.studies.training.remember import save as save_remembered
+from docs.studies.training.remember import statistics
 from docs.studies.training.settings import Study
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import CHECKPOINT_NAME, save, train_studies
@@ -71,7 +73,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
             beside = path.with_suffix(".pt")
             save(replace(saved, training={}), beside)
             remembered = path.with_suffix(".npz")
-            remember(saved, folders).save(remembered)
+            save_remembered(remember(saved, folders), remembered)
             written += [beside, remembered]
     return written
 
@@ -80,7 +82,7 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
     """Return what a network remembers of each study's people that it learnt from."""
     settings = saved.settings
     backbone, _ = split(saved.build())
-    return Remembered.of(
+    return statistics(
         [
             crops(
                 backbone,
