@@ -100,7 +100,7 @@ def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
     """Yield before and after at each answer, a line a gesture; the interval is of the last one's."""
     yield f"{'':<{NAME_WIDTH}}{'':>6}" + "".join(f"  {f'{at.frames / 54:.2f} s':>13}" for at in lengths)
     yield (
-        f"{'gesture':<{NAME_WIDTH}}{'left':>6}"
+        f"{'gesture':<{NAME_WIDTH}}{'tried':>6}"
         + "".join(f"  {'before':>6} {'after':>6}" for _ in lengths)
         + "  95 %"
     )
