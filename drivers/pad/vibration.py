@@ -46,6 +46,7 @@ ENDED_FRAMES, ENDED = 18, 4.0
 # A sine's values above 0 vary by a tenth of its amplitude's square, but may be equal where it takes two to
 # four frames. How the taxels follow is then learned from all values.
 LEAST_SPREAD = 0.03
+LEAST_SCALE = 0.1
 
 AGO = np.arange(1 - LOOK_FRAMES, 1)
 HANN = np.hanning(LOOK_FRAMES + 2)[1:-1]
@@ -186,7 +187,8 @@ def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
         above, upper = values, frames
     off = above - above.mean()
     slopes = off @ upper / (off @ off)
-    scale = float(np.median(slopes))
+    # 0 where more than half of the taxels are cut off at the top.
+    scale = max(float(np.median(slopes)), LEAST_SCALE)
     weights = np.clip(slopes / scale, 0.3, 2.0)
     rest = upper.mean(axis=0) - weights * scale * above.mean()
     return _Wave(turn, now * scale, weights.astype(np.float32), rest.astype(np.float32))
