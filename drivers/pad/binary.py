@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.frame import Frame
 from drivers.pad.format import PadFormat, checksum, decode_cells
-from drivers.pad.framing import Reading, number_frames
+from drivers.pad.framing import Reading
 from drivers.pad.parser import FrameParser
 
 Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
@@ -45,7 +45,7 @@ class BinaryFrames(FrameParser):
             readings += taken
         self._buffer = self._buffer[self._position :]
         self._position = 0
-        return number_frames(readings, self.counts)
+        return self._numbered(readings)
 
     def reset(self) -> None:
         super().reset()
@@ -177,7 +177,7 @@ class Replies(FrameParser):
             self.counts.bytes_dropped += len(data)
             self.counts.bad_framing += not self._has_stray
             self._has_stray = True
-        return number_frames(readings, self.counts)
+        return self._numbered(readings)
 
     def _take(self, reply: bytes, host_s: float) -> list[Reading]:
         described = self.format

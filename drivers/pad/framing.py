@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from drivers.frame import Counts, Frame
+from drivers.frame import Counts
 
 
 @dataclass
@@ -37,10 +37,3 @@ class Reading(NamedTuple):
     sensor_ms: int
     host_s: float
     pressure: Counts
-
-
-def number_frames(readings: list[Reading], counts: ProtocolCounts) -> list[Frame]:
-    """Turn accepted readings into frames, numbered on from those delivered before."""
-    first = counts.frames
-    counts.frames += len(readings)
-    return [Frame(number, *reading) for number, reading in enumerate(readings, first)]

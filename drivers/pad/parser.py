@@ -65,6 +65,12 @@ class FrameParser(ABC):
         self._clock.reset()
         self._arrivals.reset()
 
+    def _numbered(self, readings: list[Reading]) -> list[Frame]:
+        """Turn accepted readings into frames, numbered on from those delivered before."""
+        first = self.counts.frames
+        self.counts.frames += len(readings)
+        return [Frame(number, *reading) for number, reading in enumerate(readings, first)]
+
     def _judge(self, sensor_ms: int | None, host_s: float, values: NDArray[np.uint16]) -> list[Reading]:
         """Return the readings that a well-formed frame confirms; sensor_ms: None for a pad without a
         clock."""

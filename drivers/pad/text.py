@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.frame import CLOCK_MODULUS, Frame
 from drivers.pad.format import PadFormat
-from drivers.pad.framing import Reading, number_frames
+from drivers.pad.framing import Reading
 from drivers.pad.parser import FrameParser
 
 # A number has at most ten digits (the clock); the rest is room for separators and alignment.
@@ -53,7 +53,7 @@ class TextFrames(FrameParser):
             self.counts.bytes_dropped += given_up
             self.counts.bad_framing += not self._skipping
             self._skipping = True
-        return number_frames(readings, self.counts)
+        return self._numbered(readings)
 
     def reset(self) -> None:
         super().reset()

@@ -135,7 +135,8 @@ class QiSession:
             return future.value()
         except RuntimeError as error:
             # qi raises the same for a lost link and for an error of the robot's.
-            because = f"{what}: {_first_line(error)}"
+            first_line = (str(error).splitlines() or [type(error).__name__])[0]
+            because = f"{what}: {first_line}"
             raise (RobotRefused if self.connected() else RobotLost)(because) from error
 
 
@@ -150,10 +151,6 @@ class _Authenticator:
 
     def initialAuthData(self) -> dict[str, str]:  # noqa: N802
         return {"user": self._login.user, "token": self._login.token}
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def _with_advice(reason: str) -> str:
