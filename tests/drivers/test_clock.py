@@ -76,3 +76,10 @@ def test_a_pad_off_its_stated_rate_is_followed_within_seconds() -> None:
     clock, arrivals_s = ArrivalClock(54.0), [100.0 + number / 51.3 for number in range(270)]
     off_ms = [clock.stamp_ms(arrival_s) - 1000.0 * arrival_s for arrival_s in arrivals_s]
     assert max(map(abs, off_ms[108:])) <= 1.0
+
+
+def test_a_gap_restarts_the_clock_of_arrivals() -> None:
+    clock = ArrivalClock(54.0)
+    before = [clock.stamp_ms(number / 54) for number in range(54)]
+    assert before[-1] == round(1000 * 53 / 54)
+    assert clock.stamp_ms(1.3) == 1300

@@ -174,6 +174,8 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
         frames += [f for at in range(0, len(reply), 7) for f in parser.feed(reply[at : at + 7], number / 54)]
     assert_are(described, frames, [0, 1, 3, 4, 5])
     assert parser.counts.bad == 2
+    # All but a byte of one reply, and a byte after another.
+    assert parser.counts.bytes_dropped == described.frame_bytes
     assert parser.ask_in_s(5 / 54) == pytest.approx(1 / 54)
     parser.ask(1.0)
     assert parser.ask_in_s(1.05) == float("inf")
