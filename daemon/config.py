@@ -73,7 +73,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     size_mm: height and width of the 8x8 taxels, for lengths in touches; None gives them in taxels alone.
     """
 
-    port: str = DEFAULT_PORT
+    port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
     format: str | PadFormat | None = None
     protocol: Literal["fabric-grid", "csv"] = "fabric-grid"

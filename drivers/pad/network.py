@@ -12,6 +12,8 @@ ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
 def is_network(port: str) -> bool:
     """Whether this is an address of a pad on the network; raises ValueError for one that is malformed."""
     if not port.startswith(("tcp://", "udp://")):
+        if re.fullmatch(r"(socket|rfc2217)://[^:]*", port):
+            raise ValueError("gives no port; write it as in socket://192.168.1.20:4000")
         return False
     match = ADDRESS.fullmatch(port)
     if match is None or int(match[3]) > 65535:

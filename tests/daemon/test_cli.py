@@ -93,6 +93,7 @@ def main(arguments: Sequence[str]) -> int:
         ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
         ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),
+        ("sensor: {port: 'socket://pad.local'}", "gives no port; write it as in socket://192.168.1.20:4000"),
         ("journal: {path: /nowhere/events.jsonl}", "journal /nowhere/events.jsonl: cannot be written"),
         ("robot: {url: nao.local}", "not an address such as tcp://nao.local:9559"),
     ],

@@ -86,6 +86,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("rows: 10", "rows is not a setting; it belongs under sensor:"),
         ("scene: {zzz: 1}", "scene.zzz is not a setting; known here: gestures"),
         ("sensor: {baud: fast}", "sensor.baud must be a whole number, not 'fast'"),
+        ("sensor: {port: ''}", "sensor.port must be text of length >= 1, not ''"),
         ("sensor: {baud: 3}", "sensor.baud must be a whole number >= 1200, not 3"),
         ("sensor: {invert: maybe}", "sensor.invert must be true or false or null, not 'maybe'"),
         ("sensor: {protocol: cvs}", "sensor.protocol must be fabric-grid or csv, not 'cvs'"),
