@@ -14,7 +14,8 @@ EXTRAS = {
     "ros2": ("cyclonedds",),
     "rosbridge": ("websockets",),
     "mcap": ("mcap",),
-    "train": ("torch", "onnx", "onnxscript", "sklearn", "scipy", "tqdm"),
+    "train": ("torch", "onnx", "scipy", "tqdm"),
+    "studies": ("onnxscript", "sklearn", "mlxtend"),
 }
 
 

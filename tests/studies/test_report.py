@@ -12,7 +12,7 @@ from rigs.haart_folder import HAART, needs_haart
 from rigs.stored_report import DOCS, RESULTS
 
 pytest.importorskip("torch", reason="needs the extra train")
-pytest.importorskip("sklearn", reason="needs the extra train")
+pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 from docs.studies import accuracy, adapting
 from docs.studies.checks import evaluate

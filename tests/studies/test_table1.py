@@ -12,7 +12,7 @@ from rigs.haart_folder import HAART, needs_haart
 from rigs.stored_report import RESULTS
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytest.importorskip("sklearn", reason="needs the extra `train`")
+pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 import torch
 
