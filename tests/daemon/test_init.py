@@ -107,8 +107,8 @@ def test_the_robot_is_asked_for_tried_and_used(tmp_path: Path, monkeypatch: pyte
         assert load(path).robot is not None
         with Program(*TOUCHD, "run", "-c", path, stderr=subprocess.DEVNULL) as daemon:
             robot.calls.wait_for_raise("TouchGesture/Status", "up")
-            daemon.terminate()
-            first, *_ = [decode(line) for line in daemon.stdout if "sensor" in line]
+            first = next(decode(line) for line in daemon.stdout if "sensor" in line)
             assert isinstance(first, SensorEvent)
+            daemon.terminate()
             assert daemon.wait(WITHIN_S) == 0
     assert (tmp_path / "state/touchd/events.jsonl").stat().st_size > 0
