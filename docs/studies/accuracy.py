@@ -13,6 +13,7 @@ import numpy as np
 from docs.studies.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
 from docs.studies.folders import add_docs_argument
 from docs.studies.marked import fill
+from docs.studies.training.one_out import PLACE as ONE_OUT
 from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
 
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str]) -> int:
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")
     draw_confusion(scores.labels, scores.second_study, figures / "confusion-second-study.png")
-    fill(page, tables(scores))
+    fill(page, tables(scores), others=(ONE_OUT,))
     return 0
 
 

@@ -1,0 +1,90 @@
+"""How well the recipe does on a person when it learnt from nearly everybody else (docs/accuracy.md).
+
+A fold's network has never seen a third of the people. Here each goes on learning, from all of them but one of
+each study, and is scored on that one: nearer to the shipped network, which learnt from everybody.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
+from pathlib import Path
+
+import msgspec
+import torch
+
+from docs.studies.folders import add_haart_argument, add_second_study_argument
+from docs.studies.marked import fill, table
+from docs.studies.training import checkpoint, haart
+from docs.studies.training.calibrate import accuracies, ask_left_out
+from docs.studies.training.checkpoint import Checkpoint
+from docs.studies.training.recipe import fold_jobs, read_recipe
+from docs.studies.training.settings import Study
+from docs.studies.training.studies import Folders
+from docs.studies.training.train import CHECKPOINT_NAME, Training, save, train
+from drivers.recording import Recording
+from model.settings import LENGTHS
+
+PAGE = Path(__file__).parents[2] / "accuracy.md"
+PLACE = "one_out"
+OTHER_PLACES = ("model", "summary", "seeds", "test", "left_out", "second_study")
+TITLES: dict[Study, str] = {"haart": "HAART, training participants", "second": "second study"}
+EPOCHS = 12
+LEARNING_RATE = 0.001
+
+
+def left_out_together(fold: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the people of a fold one of each study at a time."""
+    studies = [[name for name in fold if name.startswith(letter)] for letter in "RP"]
+    for together in zip_longest(*studies):
+        yield tuple(name for name in together if name)
+
+
+def go_on(
+    saved: Checkpoint, left_out: tuple[str, ...], recordings: Sequence[Recording], runs: Path
+) -> Checkpoint:
+    """Return the network after it learnt from everybody but these; resumes what is in `runs`."""
+    name = f"{saved.settings.name}-one-out-{'-'.join(left_out)}"
+    settings = msgspec.structs.replace(
+        saved.settings,
+        name=name,
+        left_out=left_out,
+        epochs=EPOCHS,
+        rate_epochs=EPOCHS,
+        averaged_epochs=(),
+        learning_rate=LEARNING_RATE,
+    )
+    learnt = haart.without(recordings, left_out)
+    if not (path := runs / name / CHECKPOINT_NAME).exists():
+        training = Training(learnt, settings, "cpu")
+        for network in (training.network, training.average):
+            network.load_state_dict(saved.network)
+        save(training.snapshot(), path)
+    return train(learnt, settings, path.parent, "cpu")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train what is not trained yet, score it, fill the page's table; returns 0."""
+    parser = argparse.ArgumentParser(prog="python -m docs.studies one-out", description=__doc__)
+    add_haart_argument(parser)
+    add_second_study_argument(parser)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
+    parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
+    options = parser.parse_args(arguments)
+    torch.set_num_threads(options.threads)
+    recipe, folders = read_recipe(), Folders(options.haart, options.second_study)
+    recordings = folders.to_train_on(recipe.settings.studies)
+    scored = folders.to_score_on(recipe.settings.studies)
+    networks = [
+        go_on(fold, left_out, recordings, options.runs)
+        for job in fold_jobs(recipe)
+        for fold in [checkpoint.load(options.runs / job.name / CHECKPOINT_NAME)]
+        for left_out in left_out_together(job.settings.left_out)
+    ]
+    rows = []
+    for study, held in scored.items():
+        asked = [network for network in networks if haart.only(held, network.settings.left_out)]
+        shares = accuracies([ask_left_out(network, held) for network in asked])
+        rows.append((TITLES[study], *(f"**{100 * shares[str(length)]:.1f}**" for length in LENGTHS)))
+    headings = ("one left out of each study", *(f"{length} frames" for length in LENGTHS))
+    fill(PAGE, {PLACE: table(headings, rows)}, others=OTHER_PLACES)
+    return 0
