@@ -93,10 +93,13 @@ def test_the_network_is_the_mean_of_those_set_aside(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_compiled_step_learns_the_same(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
-    compiled = train(recordings(), msgspec.structs.replace(SETTINGS, compiled=True), tmp_path, DEVICE)
-    for name, value in finished[0].network.items():
-        torch.testing.assert_close(compiled.network[name], value, atol=1e-4, rtol=1e-3)
+def test_a_compiled_step_learns_the_same(tmp_path: Path) -> None:
+    # Compiled dropout draws other numbers.
+    plain = msgspec.structs.replace(SETTINGS, network=msgspec.structs.replace(NETWORK, dropout=0.0))
+    expected = train(recordings(), plain, tmp_path / "plain", DEVICE)
+    compiled = train(recordings(), msgspec.structs.replace(plain, compiled=True), tmp_path / "fast", DEVICE)
+    for name, value in expected.network.items():
+        torch.testing.assert_close(compiled.network[name], value, atol=2e-3, rtol=0.0)
 
 
 def test_a_checkpoint_with_a_removed_setting_is_readable(
