@@ -38,6 +38,11 @@ def diagnose(data: bytes, expected: PadFormat) -> tuple[str, str]:
     parser.feed(data, 0.0)
     found = propose(data)
     is_as_expected = found is not None and str(found) == str(expected)
+    if is_as_expected and parser.counts.bad_value >= LEAST_FRAMES:
+        return (
+            "format",
+            f"frames of {expected} arrive, with values above their full_scale {expected.full_scale}",
+        )
     if is_as_expected or parser.counts.duplicates + parser.counts.bad_time >= LEAST_FRAMES:
         return "clock", f"frames of {expected} arrive, but their clock stands still or jumps"
     if found is not None:
