@@ -31,7 +31,7 @@ def printed(numbers: int) -> bytes:
     return b"".join(b",".join([b"%d" % (17 * i)] * numbers) + b"\r\n" for i in range(12))
 
 
-LOW_SCALE = msgspec.structs.replace(PRESETS["csv"], full_scale=100)
+LOW_SCALE = msgspec.structs.replace(pad("csv", 8, 8), full_scale=100)
 DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
 
 
@@ -47,12 +47,7 @@ DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
         (printed(100), pad("csv", 8, 8), "format", "looks like csv 10x10, configured csv 8x8"),
         (printed(80), pad("csv", 10, 10), "format", "looks like csv 8x10, configured csv 10x10"),
         (encode_csv_line(counts_of(0), 7) * 9, pad("csv", 10, 10), "clock", "their clock stands still"),
-        (
-            printed(64),
-            PadFormat(framing="line", full_scale=100),
-            "format",
-            "values above their full_scale 100",
-        ),
+        (printed(64), LOW_SCALE, "format", "csv 8x8 arrive, with values above their full_scale 100"),
         (RANDOM, pad("fabric-grid", 10, 10), "noise", "noise, wrong baud rate?"),
         (b"\x00" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
         (b"\xff" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
