@@ -13,7 +13,6 @@ import numpy as np
 from docs.studies.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
 from docs.studies.folders import add_docs_argument
 from docs.studies.marked import fill
-from docs.studies.training.one_out import PLACE as ONE_OUT
 from model.classifier import SHIPPED_MODEL
 from model.settings import LENGTHS
 
@@ -26,6 +25,9 @@ TITLES = {
     "left_out": "HAART, training participants left out",
     "second_study": "second study, people left out",
 }
+PLACES = ("model", "summary", "seeds", *TITLES)
+ONE_OUT = "one_out"
+"""The place that `one-out` fills."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -23,7 +23,6 @@ from docs.studies.report.paper_cells import predictions_path, trained_cells
 from docs.studies.tracker import report as touch_page
 from docs.studies.tracker.figures import TouchReport
 from docs.studies.training import haart
-from docs.studies.training.one_out import PLACE as ONE_OUT
 from docs.studies.training.ship import SCORES_NAME
 from drivers.recording import Recording
 from model.classifier import SHIPPED_MODEL, Classifier
@@ -45,7 +44,11 @@ def test_recordings() -> list[Recording]:
     ("name", "tables", "others"),
     [
         ("report", lambda: page.tables(RESULTS), ()),
-        ("accuracy", lambda: accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))), (ONE_OUT,)),
+        (
+            "accuracy",
+            lambda: accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
+            (accuracy.ONE_OUT,),
+        ),
         ("adapt", lambda: adapting.tables(stored("adapt.json", adapting.Measured)), ()),
         ("touch", lambda: touch_page.tables(stored("touch.json", TouchReport)), ()),
     ],

@@ -12,6 +12,7 @@ from pathlib import Path
 import msgspec
 import torch
 
+from docs.studies.accuracy import ONE_OUT, PLACES
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
 from docs.studies.training import checkpoint, haart
@@ -25,8 +26,6 @@ from drivers.recording import Recording
 from model.settings import LENGTHS
 
 PAGE = Path(__file__).parents[2] / "accuracy.md"
-PLACE = "one_out"
-OTHER_PLACES = ("model", "summary", "seeds", "test", "left_out", "second_study")
 TITLES: dict[Study, str] = {"haart": "HAART, training participants", "second": "second study"}
 EPOCHS = 12
 LEARNING_RATE = 0.001
@@ -86,5 +85,5 @@ def main(arguments: Sequence[str]) -> int:
         shares = accuracies([ask_left_out(network, held) for network in asked])
         rows.append((TITLES[study], *(f"**{100 * shares[str(length)]:.1f}**" for length in LENGTHS)))
     headings = ("one left out of each study", *(f"{length} frames" for length in LENGTHS))
-    fill(PAGE, {PLACE: table(headings, rows)}, others=OTHER_PLACES)
+    fill(PAGE, {ONE_OUT: table(headings, rows)}, others=PLACES)
     return 0
