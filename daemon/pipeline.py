@@ -40,6 +40,7 @@ DISTURBED: tuple[PadState, str] = (
     "disturbed",
     "the pad is noisy though nobody touches it, and feels no light touch: a motor, mains hum, a loose wire?",
 )
+LOOSE = "of the pad jumps while nobody touches it: a loose wire? What it jumps is taken out"
 CALM: tuple[PadState, str] = ("up", "the pad is calm again")
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
@@ -155,6 +156,7 @@ class Pipeline:
         self._size_mm = settings.size_mm
         self._is_disturbed: bool = before._is_disturbed if before else False
         self._disturbance_frames = 0
+        self._loose_lines: tuple[str, ...] = before._loose_lines if before else ()
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
         self._feeling = Feeling(settings.ring.max_gap_s)
@@ -227,6 +229,7 @@ class Pipeline:
                 self._end(release, frame.host_s)
         if self._touch is None:
             self._watch_for_disturbance()
+            self._watch_for_loose_wire()
         else:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
@@ -246,6 +249,14 @@ class Pipeline:
         state, reason = DISTURBED if self._is_disturbed else CALM
         log.log(logging.WARNING if self._is_disturbed else logging.INFO, "%s%s", self._prefix, reason)
         self._tell_sensor(state, reason)
+
+    def _watch_for_loose_wire(self) -> None:
+        """Say once which lines jump while nobody touches the pad."""
+        if self._tracker.loose_lines == self._loose_lines:
+            return
+        self._loose_lines = self._tracker.loose_lines
+        if self._loose_lines:
+            log.warning("%s%s %s", self._prefix, ", ".join(self._loose_lines), LOOSE)
 
     def _no_touch(self, window: NDArray[np.float32]) -> float:
         """Return the probability that nothing touches the pad in these frames."""
@@ -296,10 +307,13 @@ class Pipeline:
     def _hear(self, touch: Touch) -> Generator[Step, Heard, NDArray[np.float64]]:
         """Give the model the touch's new frames; keep and return its answer."""
         length = touch.length
-        window = self._ring.window(touch.first_index + length, length - touch.given)
+        window = self._window(touch.first_index + length, length - touch.given)
         heard, touch.state = yield Step(self._model, window, touch.state, touch.given)
         touch.heard[length], touch.given = heard, length
         return heard
+
+    def _window(self, stop_index: int, length: int) -> NDArray[np.float32]:
+        return self._tracker.without_loose_wire(self._ring.window(stop_index, length))
 
     def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:
@@ -347,13 +361,13 @@ class Pipeline:
         frames = min(length, self._final_frames)
         probabilities = touch.heard.get(length)
         if probabilities is None:
-            probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
+            probabilities = self._model.probabilities(self._window(touch.first_index + length, frames))
         self._answer(touch, stage, probabilities, (frames, length), since_s)
 
     def _ask_what_goes_on(self, touch: Touch, length: int, since_s: float) -> None:
         """Tell another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
-        probabilities = self._model.probabilities(self._ring.window(touch.first_index + length, frames))
+        probabilities = self._model.probabilities(self._window(touch.first_index + length, frames))
         touch.stretches = [*touch.stretches[1 - ONGOING_STRETCHES :], probabilities]
         lately: NDArray[np.float64] = np.mean(touch.stretches, axis=0)
         if len(touch.stretches) == ONGOING_STRETCHES and touch.decision.has_changed(lately):

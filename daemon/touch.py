@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from daemon.events import EndReason
 from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
 from daemon.pad.sight import ASK_FRAMES, DOUBT, NoTouch, Sight
+from daemon.pad.wire import LOOK_FRAMES, LooseWire
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from drivers.pad.grid import GridFrame
 
@@ -166,6 +167,7 @@ class TouchTracker:
     ) -> None:
         self._baseline = Baseline()
         self._recent = LastSecond()
+        self._wire = LooseWire()
         self._index = -1
         self._sensor_ms = 0.0
         self._sunken_frames = 0
@@ -213,6 +215,15 @@ class TouchTracker:
         """Whether the untouched pad is so noisy that light touches go unnoticed."""
         return self._baseline.mean_noise_floor >= DISTURBED_FLOOR
 
+    @property
+    def loose_lines(self) -> tuple[str, ...]:
+        """The rows and columns that jump while nothing touches the pad."""
+        return self._wire.lines
+
+    def without_loose_wire(self, frames: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return (..., 8, 8) counts without what a loose line jumps, as the tracker itself sees them."""
+        return self._wire.take_out(frames, self._baseline.counts.reshape(ROWS, COLUMNS))
+
     def update(self, frame: GridFrame) -> Onset | Release | None:
         """Take the next grid frame; return what it changed. The first half second calibrates the baseline."""
         release = None
@@ -222,7 +233,7 @@ class TouchTracker:
             if not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS:
                 self._forget_rest()
         self._index, self._sensor_ms = frame.index, frame.sensor_ms
-        self._recent.push(frame.pressure.reshape(TAXELS))
+        self._recent.push(self.without_loose_wire(frame.pressure).reshape(TAXELS))
         if not self._baseline.is_known:
             if len(self._recent) == CALIBRATION_FRAMES:
                 self._calibrate()
@@ -240,6 +251,9 @@ class TouchTracker:
         return release
 
     def _watch(self, smooth: Taxels) -> Onset | None:
+        is_time = self._index % END_STRIDE_FRAMES == 0 and len(self._recent) >= LOOK_FRAMES
+        if is_time and self._wire.look(self._recent.last(LOOK_FRAMES)):
+            self._sight.forget_looks()
         rise = smooth - self._baseline.counts
         # The same for what lies above rest and for what lies below.
         both = np.maximum(ABOVE_AND_BELOW * rise - self._baseline.noise_floor, 0)
@@ -415,6 +429,7 @@ class TouchTracker:
 
     def _forget_rest(self) -> None:
         self._baseline = Baseline()
+        self._wire = LooseWire()
         self._sight.forget_rest()
 
     def _clear(self) -> None:

@@ -328,6 +328,15 @@ def test_a_disturbed_pad_is_reported_once(caplog: pytest.LogCaptureFixture) -> N
     assert [record.levelname for record in caplog.records] == ["WARNING"]
 
 
+def test_a_loose_wire_is_named_once_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    bench = Bench()
+    jumping = nothing(30.0)
+    jumping[:, 2] = 4.0 * (np.arange(len(jumping)) % 54 >= 27)[:, None]
+    assert bench.feel(nothing(2.0), jumping) == []
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said.startswith("row 3 of the pad jumps while nobody touches it: a loose wire?")
+
+
 def test_the_log_names_a_pad_among_several(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     pipeline = Pipeline(PipelineSettings(), Scripted(), lambda event: None, STOPPED, pad="head")

@@ -438,3 +438,60 @@ def test_the_noise_floor_lies_above_the_sway() -> None:
     baseline.track_sway(np.full(64, 3.0, np.float32))
     baseline.track(np.full(64, 10.0, np.float32))
     np.testing.assert_allclose(baseline.noise_floor, 3.9, rtol=1e-5)
+
+
+JUMPS = np.array([5, 4, 12, 9, 2, 2, 4, 6], np.float32)
+
+
+def loose(seconds: float, column: int = 5, jumps: Scans = JUMPS) -> Scans:
+    """A column that a breathing body's loose wire lifts, half a second in every second."""
+    scans = nothing(seconds)
+    up = np.arange(len(scans)) % 54 >= 27
+    scans[:, :, column] = up[:, None] * jumps
+    return scans
+
+
+def test_a_loose_wire_that_jumps_is_known_in_three_seconds_and_no_touch() -> None:
+    pad = TrackedPad()
+    assert pad.feel(2.0, loose(3.0)) == []
+    assert pad.tracker.loose_lines == ("column 6",)
+    assert pad.feel(loose(60.0)) == []
+
+
+@pytest.mark.parametrize("hand", [palm(3.0), pat(3.0)], ids=["palm", "pat"])
+def test_touches_on_a_pad_with_a_loose_wire_begin_and_end(hand: Scans) -> None:
+    pad = TrackedPad()
+    pad.feel(2.0, loose(6.0))
+    changes = pad.feel(*(scans for _ in range(4) for scans in (hand + loose(3.0), loose(3.0))))
+    assert [type(change) for change in changes] == [Onset, Release] * 4
+
+
+def test_what_the_network_is_asked_about_keeps_still_where_a_loose_wire_jumps() -> None:
+    pad = TrackedPad()
+    pad.feel(2.0, loose(6.0))
+    jumping = loose(2.0) + pad.rest.astype(np.float32)
+    assert np.ptp(jumping, axis=0).max() == 12.0
+    assert np.ptp(pad.tracker.without_loose_wire(jumping), axis=0).max() < 3.0
+
+
+def strokes_on_a_row(seconds: float) -> Scans:
+    scans = nothing(seconds)
+    scans[:, 3] = 5.0 * np.maximum(np.sin(np.arange(len(scans)) * 2 * np.pi / 108), 0)[:, None]
+    return scans
+
+
+@pytest.mark.parametrize(
+    "scans",
+    [nothing(10.0), fold(10.0), drift(0.5), pat(10.0), strokes_on_a_row(10.0)],
+    ids=["nothing", "fold", "drift", "pat", "strokes on a row"],
+)
+def test_what_jumps_there_and_not_back_or_not_at_once_is_no_loose_wire(pad: TrackedPad, scans: Scans) -> None:
+    pad.feel(scans, 3.0)
+    assert pad.tracker.loose_lines == ()
+    assert pad.tracker.without_loose_wire(scans) is scans
+
+
+def test_a_loose_wire_is_forgotten_with_the_sensor(pad: TrackedPad) -> None:
+    pad.feel(loose(6.0))
+    pad.tracker.forget("sensor")
+    assert pad.tracker.loose_lines == ()
