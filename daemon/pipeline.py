@@ -233,7 +233,7 @@ class Pipeline:
         else:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
-            self._touch.meter.add(frame.pressure)
+            self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
             yield from self._follow(self._touch)
             self._ask_what_is_due(self._touch, frame)
 
@@ -284,7 +284,7 @@ class Pipeline:
         )
         # The caller adds the newest frame, like those that follow.
         for earlier in so_far[:-1]:
-            self._touch.meter.add(earlier.pressure)
+            self._touch.meter.add(self._tracker.without_loose_wire(earlier.pressure))
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
