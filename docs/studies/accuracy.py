@@ -25,9 +25,9 @@ TITLES = {
     "left_out": "HAART, training participants left out",
     "second_study": "second study, people left out",
 }
-PLACES = ("model", "summary", "seeds", *TITLES)
-ONE_OUT = "one_out"
-"""The place that `one-out` fills."""
+PLACES = ("model", "summary", *TITLES)
+SEEDS, ONE_OUT = "seeds", "one_out"
+"""The places that the studies of these names fill."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -42,14 +42,13 @@ def main(arguments: Sequence[str]) -> int:
     draw_accuracy(scores, figures / "accuracy.png")
     draw_confusion(scores.labels, scores.test, figures / "confusion.png")
     draw_confusion(scores.labels, scores.second_study, figures / "confusion-second-study.png")
-    fill(page, tables(scores), others=(ONE_OUT,))
+    fill(page, tables(scores), others=(SEEDS, ONE_OUT))
     return 0
 
 
 def tables(scores: Scores) -> dict[str, str]:
     """Return the page's tables by name."""
     lines = {"model": _model_lines(scores), "summary": _summary_table(scores)}
-    lines["seeds"] = _seed_table(scores)
     for name in TITLES:
         lines[name] = _evaluation_tables(getattr(scores, name))
     return {name: "\n".join(each) for name, each in lines.items()}
@@ -116,18 +115,6 @@ def _evaluation_tables(evaluation: Evaluation) -> Iterable[str]:
     yield from _share_table("person", evaluation, lambda row: row.per_participant)
     yield from _share_table("condition", evaluation, lambda row: row.per_condition)
     yield from _disturbance_table(evaluation)
-
-
-def _seed_table(scores: Scores) -> Iterable[str]:
-    yield f"| seed | {' | '.join(f'{length} frames' for length in LENGTHS)} |"
-    yield f"|---{'|---' * len(LENGTHS)}|"
-    for seed, accuracies in scores.seeds.items():
-        yield f"| {seed} | {' | '.join(_percent(accuracies[str(length)]) for length in LENGTHS)} |"
-    if len(scores.seeds) > 1:
-        columns = [[100 * row[str(length)] for row in scores.seeds.values()] for length in LENGTHS]
-        spread = " | ".join(f"{np.mean(c):.1f} ± {np.std(c, ddof=1):.1f}" for c in columns)
-        yield f"| **mean ± sd** | {spread} |"
-    yield ""
 
 
 def _length_table(evaluation: Evaluation) -> Iterable[str]:

@@ -47,7 +47,7 @@ def test_recordings() -> list[Recording]:
         (
             "accuracy",
             lambda: accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
-            (accuracy.ONE_OUT,),
+            (accuracy.SEEDS, accuracy.ONE_OUT),
         ),
         ("adapt", lambda: adapting.tables(stored("adapt.json", adapting.Measured)), ()),
         ("touch", lambda: touch_page.tables(stored("touch.json", TouchReport)), ()),

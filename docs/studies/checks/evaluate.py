@@ -65,8 +65,6 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     command: str
     machine: str
     labels: tuple[str, ...]
-    seeds: dict[str, dict[str, float]]
-    """Of the recipe's every seed, the shipped one too: accuracy on test by frames, realigned."""
     test: Evaluation
     left_out: Evaluation
     second_study: Evaluation

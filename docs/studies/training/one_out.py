@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import torch
 
-from docs.studies.accuracy import ONE_OUT, PLACES
+from docs.studies.accuracy import ONE_OUT, PLACES, SEEDS
 from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
 from docs.studies.training import checkpoint, haart
@@ -21,7 +21,7 @@ from docs.studies.training.checkpoint import Checkpoint
 from docs.studies.training.recipe import fold_jobs, read_recipe
 from docs.studies.training.settings import Study
 from docs.studies.training.studies import Folders
-from docs.studies.training.train import CHECKPOINT_NAME, Training, save, train
+from docs.studies.training.train import CHECKPOINT_NAME, Training, fastest_device, save, train
 from drivers.recording import Recording
 from model.settings import LENGTHS
 
@@ -54,11 +54,11 @@ def go_on(
     )
     learnt = haart.without(recordings, left_out)
     if not (path := runs / name / CHECKPOINT_NAME).exists():
-        training = Training(learnt, settings, "cpu")
+        training = Training(learnt, settings, fastest_device())
         for network in (training.network, training.average):
             network.load_state_dict(saved.network)
         save(training.snapshot(), path)
-    return train(learnt, settings, path.parent, "cpu")
+    return train(learnt, settings, path.parent, fastest_device())
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -85,5 +85,5 @@ def main(arguments: Sequence[str]) -> int:
         shares = accuracies([ask_left_out(network, held) for network in asked])
         rows.append((TITLES[study], *(f"**{100 * shares[str(length)]:.1f}**" for length in LENGTHS)))
     headings = ("one left out of each study", *(f"{length} frames" for length in LENGTHS))
-    fill(PAGE, {ONE_OUT: table(headings, rows)}, others=PLACES)
+    fill(PAGE, {ONE_OUT: table(headings, rows)}, others=(*PLACES, SEEDS))
     return 0

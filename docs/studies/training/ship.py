@@ -41,8 +41,14 @@ REMEMBERED_CROPS = 3
 def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
     """Train every network of the recipe that is not finished in `runs` yet."""
     for job in (*fold_jobs(recipe), *final_jobs(recipe)):
-        if not _finished(job, runs):
-            train_studies(folders, job.settings, runs / job.name, threads)
+        trained(job, folders, runs, threads)
+
+
+def trained(job: Job, folders: Folders, runs: Path, threads: int) -> Checkpoint:
+    """Return a job's network, trained unless it is finished in `runs`."""
+    if _finished(job, runs):
+        return _load(job, runs)
+    return train_studies(folders, job.settings, runs / job.name, threads)
 
 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
@@ -102,17 +108,12 @@ def evaluate_shipped(folders: Folders, weights: Path, command: str) -> evaluate.
     classifier = Classifier.load(model)
     test = haart.read_test(folders.haart)
     scored = folders.to_score_on(("second",))
-    seeds = [model, *sorted((weights / SEEDS_FOLDER).glob("*.onnx"))]
     return evaluate.Scores(
         model=classifier.name,
         model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
         command=command,
         machine=f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
         labels=classifier.labels,
-        seeds={
-            str(seed.metadata.training["seed"]): evaluate.accuracies([(seed, test)], LENGTHS)
-            for seed in map(Classifier.load, seeds)
-        },
         test=evaluate.evaluate([(classifier, test)]),
         left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(folders.haart))),
         second_study=evaluate.evaluate(left_out_split(weights, scored["second"])),

@@ -207,6 +207,10 @@ def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path
 def train_studies(folders: Folders, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
     """Train on the people of the studies in `settings` whom it does not leave out."""
     torch.set_num_threads(threads)
-    device = "cuda" if torch.cuda.is_available() else "cpu"
     recordings = haart.without(folders.to_train_on(settings.studies), settings.left_out)
-    return train(recordings, settings, folder, device)
+    return train(recordings, settings, folder, fastest_device())
+
+
+def fastest_device() -> str:
+    """Return "cuda" where there is a GPU, else "cpu"."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
