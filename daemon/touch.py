@@ -222,7 +222,7 @@ class TouchTracker:
 
     def without_loose_wire(self, frames: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return (..., 8, 8) counts without what a loose line jumps, as the tracker itself sees them."""
-        return self._wire.take_out(frames, self._baseline.counts.reshape(ROWS, COLUMNS))
+        return self._wire.take_out(frames, self._baseline.counts)
 
     def update(self, frame: GridFrame) -> Onset | Release | None:
         """Take the next grid frame; return what it changed. The first half second calibrates the baseline."""

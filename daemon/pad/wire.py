@@ -41,8 +41,9 @@ class LooseWire:
         """Return (..., 8, 8) counts, nearer to those at rest by what a loose line jumps, or that array."""
         if not self.lines:
             return frames
-        counts = self._counts.reshape(rest.shape)
-        without: NDArray[np.float32] = frames - np.clip(frames - rest, -counts, counts)
+        counts = self._counts.reshape(ROWS, COLUMNS)
+        off = frames - rest.reshape(ROWS, COLUMNS)
+        without: NDArray[np.float32] = frames - np.clip(off, -counts, counts)
         return without
 
     def look(self, frames: NDArray[np.float32]) -> bool:
