@@ -40,8 +40,8 @@ DISTURBED: tuple[PadState, str] = (
     "disturbed",
     "the pad is noisy though nobody touches it, and feels no light touch: a motor, mains hum, a loose wire?",
 )
-LOOSE = "of the pad jumps while nobody touches it: a loose wire? What it jumps is taken out"
 CALM: tuple[PadState, str] = ("up", "the pad is calm again")
+LOOSE = "of the pad jumps while nobody touches it: a loose wire? What it jumps is taken out"
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")

@@ -443,11 +443,11 @@ def test_the_noise_floor_lies_above_the_sway() -> None:
 JUMPS = np.array([5, 4, 12, 9, 2, 2, 4, 6], np.float32)
 
 
-def loose(seconds: float, column: int = 5, jumps: Scans = JUMPS) -> Scans:
+def loose(seconds: float) -> Scans:
     """A column that a breathing body's loose wire lifts, half a second in every second."""
     scans = nothing(seconds)
     up = np.arange(len(scans)) % 54 >= 27
-    scans[:, :, column] = up[:, None] * jumps
+    scans[:, :, 5] = up[:, None] * JUMPS
     return scans
 
 

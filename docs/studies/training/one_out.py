@@ -61,14 +61,19 @@ def go_on(
     return train(learnt, settings, path.parent, fastest_device())
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Train what is not trained yet, score it, fill the page's table; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies one-out", description=__doc__)
+def read_options(name: str, description: str | None, arguments: Sequence[str]) -> argparse.Namespace:
+    """Read the arguments of a study that trains networks of the recipe again."""
+    parser = argparse.ArgumentParser(prog=f"python -m docs.studies {name}", description=description)
     add_haart_argument(parser)
     add_second_study_argument(parser)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
     parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
-    options = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train what is not trained yet, score it, fill the page's table; returns 0."""
+    options = read_options("one-out", __doc__, arguments)
     torch.set_num_threads(options.threads)
     recipe, folders = read_recipe(), Folders(options.haart, options.second_study)
     recordings = folders.to_train_on(recipe.settings.studies)

@@ -3,18 +3,15 @@
 The recipe's folds are trained again with other seeds, and each answers the people that it never saw.
 """
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from docs.studies.accuracy import ONE_OUT, PLACES, SEEDS
-from docs.studies.folders import add_haart_argument, add_second_study_argument
 from docs.studies.marked import fill, table
 from docs.studies.training.calibrate import accuracies, ask_left_out
-from docs.studies.training.one_out import PAGE, TITLES
+from docs.studies.training.one_out import PAGE, TITLES, read_options
 from docs.studies.training.recipe import fold_jobs, read_recipe
 from docs.studies.training.ship import trained
 from docs.studies.training.studies import Folders
@@ -25,12 +22,7 @@ SHOWN_SEEDS = (0, 1, 2)
 
 def main(arguments: Sequence[str]) -> int:
     """Train what is not trained yet, score it, fill the page's table; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies seeds", description=__doc__)
-    add_haart_argument(parser)
-    add_second_study_argument(parser)
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
-    parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
-    options = parser.parse_args(arguments)
+    options = read_options("seeds", __doc__, arguments)
     recipe, folders = read_recipe(), Folders(options.haart, options.second_study)
     scored = folders.to_score_on(recipe.settings.studies)
     networks = {
