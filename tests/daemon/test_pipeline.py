@@ -334,7 +334,8 @@ def test_a_loose_wire_is_named_once_in_the_log(caplog: pytest.LogCaptureFixture)
     jumping[:, 2] = 4.0 * (np.arange(len(jumping)) % 54 >= 27)[:, None]
     assert bench.feel(nothing(2.0), jumping) == []
     (said,) = (record.getMessage() for record in caplog.records)
-    assert said.startswith("row 3 of the pad jumps while nobody touches it: a loose wire?")
+    assert said.startswith("a loose wire?")
+    assert said.endswith("on row 3")
 
 
 def test_the_log_names_a_pad_among_several(caplog: pytest.LogCaptureFixture) -> None:
