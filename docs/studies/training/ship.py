@@ -46,8 +46,11 @@ def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> 
 
 def trained(job: Job, folders: Folders, runs: Path, threads: int) -> Checkpoint:
     """Return a job's network, trained unless it is finished in `runs`."""
-    if _finished(job, runs):
-        return _load(job, runs)
+    path = runs / job.name / CHECKPOINT_NAME
+    if path.exists():
+        saved = checkpoint.load(path)
+        if saved.settings == job.settings and saved.epoch == job.settings.epochs:
+            return saved
     return train_studies(folders, job.settings, runs / job.name, threads)
 
 
@@ -187,14 +190,6 @@ def export_checkpoint(
         scores=dict(scores),
     )
     export(saved.build(), metadata, path)
-
-
-def _finished(job: Job, runs: Path) -> bool:
-    path = runs / job.name / CHECKPOINT_NAME
-    if not path.exists():
-        return False
-    saved = checkpoint.load(path)
-    return saved.settings == job.settings and saved.epoch == job.settings.epochs
 
 
 def _load(job: Job, runs: Path) -> Checkpoint:
