@@ -41,7 +41,7 @@ DISTURBED: tuple[PadState, str] = (
     "the pad is noisy though nobody touches it, and feels no light touch: a motor, mains hum, a loose wire?",
 )
 CALM: tuple[PadState, str] = ("up", "the pad is calm again")
-LOOSE = "a loose wire? While nobody touches the pad, there are jumps, which are taken out, on"
+LOOSE = "the pad's values jump on %s while nobody touches it: a loose wire? The jumps are taken out"
 # The floor measured while a hand leaves is too high, and falls within three seconds.
 DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
@@ -256,7 +256,7 @@ class Pipeline:
             return
         self._loose_lines = self._tracker.loose_lines
         if self._loose_lines:
-            log.warning("%s%s %s", self._prefix, LOOSE, ", ".join(self._loose_lines))
+            log.warning("%s%s", self._prefix, LOOSE % ", ".join(self._loose_lines))
 
     def _no_touch(self, window: NDArray[np.float32]) -> float:
         """Return the probability that nothing touches the pad in these frames."""
