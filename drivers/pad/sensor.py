@@ -7,6 +7,7 @@ import time
 from drivers.backoff import Backoff
 from drivers.frame import Frame
 from drivers.pad.diagnosis import diagnose
+from drivers.pad.line_watch import LineWatch
 from drivers.pad.parser import FrameParser
 from drivers.pad.port import Line, SensorError, check_port, open_port, read_waiting, reads_all
 from drivers.pad.sensor_state import Announcer, SensorState
@@ -68,6 +69,7 @@ class Sensor:
         self._reopen_after_s = reopen_after_s
         self.may_wait = False
         self._announcer = Announcer(queue.put)
+        self._watch = LineWatch(protocol, self._where)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
@@ -132,6 +134,7 @@ class Sensor:
             self._announcer.up(self._port)
         for frame in frames:
             self._queue.put(frame)
+        self._watch.update(host_s)
         return bool(frames)
 
     def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
@@ -142,5 +145,8 @@ class Sensor:
         else:
             kind, reason = diagnose(recent, self._protocol.format)
             reason += "; touchd doctor says what to set" if kind in ("format", "noise") else ""
-        where = self._port if "://" in self._port else f"{self._port} at {self._baud} baud"
-        self._announcer.down(kind, f"{where}: {reason}", since_s)
+        self._announcer.down(kind, f"{self._where}: {reason}", since_s)
+
+    @property
+    def _where(self) -> str:
+        return self._port if "://" in self._port else f"{self._port} at {self._baud} baud"

@@ -1,0 +1,102 @@
+"""A line that loses a part of the pad's frames is told of in the log, with what to do."""
+
+import logging
+
+import numpy as np
+import pytest
+from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.line_faults import Faults
+from rigs.sensor_rig import next_frames, sensing, stream_of
+
+from drivers.fakes.fake_port import FakePort
+from drivers.frame import Counts
+from drivers.pad import line_watch
+from drivers.pad.format import PadFormat, encode_frame
+from drivers.pad.line_watch import LOOK_S, SAME_TROUBLE_S, LineWatch
+from drivers.pad.parser import FrameParser
+from drivers.pad.protocol import parser_of
+
+SENT = PadFormat(framing="line", rows=8, columns=8, full_scale=4095)
+CONFIGURED = PadFormat(framing="line", rows=8, columns=8, full_scale=1023)
+TRY = "damaged on the way; try a shorter cable and another USB port, no hub"
+CABLE = f"COM3: 5 % of the last frames were refused, {TRY}"
+SET = "with values above full_scale 1023; if firm presses do that, set a larger one in sensor.format"
+FIRM = f"COM3: 22 % of the last frames were refused, {SET}"
+
+
+def watch(parser: FrameParser, packets: list[bytes], turns: int = 1) -> None:
+    """Let the packets arrive over one look, again and again, after a first frame."""
+    watched = LineWatch(parser, "COM3")
+    watched.update(0.0)
+    for turn in range(turns):
+        for number, packet in enumerate(packets, 1):
+            now_s = LOOK_S * (turn + number / len(packets))
+            parser.feed(packet, now_s)
+            watched.update(now_s)
+
+
+def pressed(counts: int, numbers: range) -> list[bytes]:
+    frame = np.full((8, 8), counts, np.uint16)
+    return [encode_frame(SENT, frame, round(1000 * number / 54)) for number in numbers]
+
+
+def faulty(**every: int) -> list[bytes]:
+    faults, stream = Faults(**every), stream_of(540)
+    sent = zip(stream.counts, stream.sensor_ms.tolist(), strict=True)
+    return [faults.on_line(number, encode_fabric_grid(*frame)) for number, frame in enumerate(sent, 1)]
+
+
+def test_presses_beyond_the_full_scale_are_told_with_what_to_set(caplog: pytest.LogCaptureFixture) -> None:
+    packets = pressed(100, range(420)) + pressed(900, range(420, 540))
+    watch(parser_of(CONFIGURED), packets)
+    assert caplog.messages == [FIRM]
+
+
+def test_a_line_that_damages_a_frame_in_twenty_is_told_with_what_to_try(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    watch(FabricGrid(), faulty(flip_bit_every=20))
+    assert caplog.messages == [CABLE]
+
+
+@pytest.mark.parametrize("every", [{}, {"flip_bit_every": 100}, {"repeat_frame_every": 5}])
+def test_a_sound_line_is_not_warned_of(every: dict[str, int], caplog: pytest.LogCaptureFixture) -> None:
+    watch(FabricGrid(), faulty(**every))
+    assert caplog.messages == []
+
+
+def test_the_same_trouble_is_told_once_in_ten_minutes(caplog: pytest.LogCaptureFixture) -> None:
+    packets = pressed(100, range(420)) + pressed(900, range(420, 540))
+    watch(parser_of(CONFIGURED), packets, turns=round(SAME_TROUBLE_S / LOOK_S) + 1)
+    assert caplog.messages[0] == FIRM
+    assert len(caplog.messages) == 2
+
+
+def test_frames_that_were_refused_while_the_pad_was_away_are_not_told(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    parser = parser_of(CONFIGURED)
+    watched = LineWatch(parser, "COM3")
+    watched.update(0.0)
+    for packet in pressed(900, range(540)):
+        parser.feed(packet, 10.0)
+    watched.update(3 * LOOK_S)
+    assert caplog.messages == []
+
+
+def test_a_running_sensor_tells_which_port_damages_frames(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.WARNING)
+    monkeypatch.setattr(line_watch, "LOOK_S", 0.5)
+    faults = Faults(flip_bit_every=10)
+    numbers = iter(range(1, 10_000))
+
+    def damaged(counts: Counts, sensor_ms: int) -> bytes:
+        return faults.on_line(next(numbers), encode_fabric_grid(counts, sensor_ms))
+
+    with FakePort(stream_of(), damaged) as port, sensing(port.path) as queue:
+        next_frames(queue, 70)
+        (warned,) = caplog.messages
+        assert warned.startswith(f"{port.path} at 512000 baud: ")
+        assert warned.endswith(f" % of the last frames were refused, {TRY}")
