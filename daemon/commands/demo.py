@@ -9,7 +9,7 @@ import threading
 import time
 import typing
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
@@ -62,14 +62,24 @@ def actions_in(language: Language) -> tuple[ActionRule, ...]:
     )
 
 
-NEXT = """
+NEXT: Mapping[Language, str] = {
+    "en": """
 What to try next:
   {touchd} demo --live    the same on a page for browsers, again and again
   {touchd} classify       all answers to the same recording at once
   {touchd} replay         the recording as a pad: prints the command that reads it
   {touchd} doctor         looks for a pad and a robot, and says what to do
 docs/install.md tells how to wire a real pad and a real Nao.
-"""
+""",
+    "de": """
+Was als Nächstes?
+  {touchd} demo --live    dasselbe auf einer Seite für Browser, immer wieder
+  {touchd} classify       alle Antworten auf dieselbe Aufnahme auf einmal
+  {touchd} replay         die Aufnahme als Kissen: nennt den Befehl, der es liest
+  {touchd} doctor         sucht Kissen und Roboter und sagt, was zu tun ist
+Wie man ein echtes Kissen und einen echten Nao anschließt, steht in docs/install.md.
+""",
+}
 
 
 class PlainLines:
@@ -130,17 +140,22 @@ def main(arguments: Sequence[str]) -> int:
         )
         show = PlainLines(settings) if options.plain else _show(closing, settings)
         predictions, told = _play(stream, show, closing, settings)
-    hand = [name_of(settings.vocabulary, span.gesture) for span in stream.spans if span.gesture != "notouch"]
+    did = [span.gesture for span in stream.spans if span.gesture != "notouch"]
     latencies = [prediction.latency_ms for prediction in predictions]
+    language = settings.language
     lines = [
         "",
-        f"The simulated hand did:  {', '.join(hand)}",
-        f"The robot was told:      {', '.join(name_of(settings.vocabulary, gesture) for gesture in told)}",
-        f"{len(latencies)} answers, half of them within {statistics.median(latencies):.1f} ms of a frame.",
-        NEXT.format(touchd=own_name()),
+        term(language, "did", names=_names(did, settings)),
+        term(language, "told in all", names=_names(told, settings)),
+        term(language, "answer times", count=len(latencies), ms=f"{statistics.median(latencies):.1f}"),
+        NEXT[language].format(touchd=own_name()),
     ]
     sys.stdout.write("\n".join(lines))
     return 0
+
+
+def _names(gestures: Iterable[str], settings: Settings) -> str:
+    return ", ".join(name_of(settings.vocabulary, gesture) for gesture in gestures)
 
 
 def _available(live: LiveSettings) -> LiveSettings:
@@ -157,7 +172,7 @@ def _show(closing: ExitStack, settings: Settings) -> Show:
         return PlainLines(settings)
     urls = urls_of(settings.live, settings.live.port) if settings.live else []
     view = View(
-        " ".join(urls) or "the daemon at work",
+        " ".join(urls) or term(settings.language, "at work"),
         settings.vocabulary,
         settings.scene.answer_at_frames,
         console,
@@ -210,7 +225,7 @@ def _play(
     if live is None:
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
     else:
-        show.note(f"live page: {' '.join(urls_of(live, live.port))}   Ctrl-C ends")
+        show.note(term(settings.language, "live page", urls=" ".join(urls_of(live, live.port))))
     predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
@@ -255,7 +270,7 @@ def _showing(
 def _heard(call: Call, language: Language) -> str:
     """Return a call to the stand-in robot as one line, empty for those that its link reports already."""
     if call.refused:
-        return f"robot refuses {call.method}: {call.refused}"
+        return term(language, "refuses", what=call.method, why=call.refused)
     if call.method != "raiseEvent":
         return ""
     event = str(call.arguments[0]).rpartition("/")[2]

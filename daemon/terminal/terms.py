@@ -10,11 +10,17 @@ LANGUAGES: tuple[Language, ...] = typing.get_args(Language)
 # One text for each of LANGUAGES. Logs, errors and help stay in English.
 TERMS: Mapping[str, tuple[str, ...]] = {
     "after": ("after", "nach"),
+    "answer times": (
+        "{count} answers, half of them within {ms} ms of a frame.",
+        "{count} Antworten, die Hälfte binnen {ms} ms nach einem Frame.",
+    ),
     "answered": ("answered", "beantwortet"),
     "awaited": ("awaited", "erwartet"),
+    "at work": ("the daemon at work", "der Daemon bei der Arbeit"),
     "before": ("{names} before", "vorher {names}"),
     "begins": ("touch {number} begins", "Berührung {number} beginnt"),
     "degraded": ("degraded", "gestört"),
+    "did": ("The simulated hand did:  {names}", "Die simulierte Hand:       {names}"),
     "disturbed": ("disturbed", "verrauscht"),
     "does": ("robot does {what} ({action})", "Roboter macht {what} ({action})"),
     "down": ("down", "weg"),
@@ -29,6 +35,7 @@ TERMS: Mapping[str, tuple[str, ...]] = {
     "last touches": ("Last touches", "Letzte Berührungen"),
     "light": ("light", "leicht"),
     "likelier": ("{name} is likelier now", "{name} ist jetzt wahrscheinlicher"),
+    "live page": ("live page: {urls}   Ctrl-C ends", "Live-Seite: {urls}   Strg-C beendet"),
     "longest": (", longer than a touch may last", ", länger als eine Berührung dauern darf"),
     "missed": (
         "no touch was felt in {missed} of {all} recordings of touches",
@@ -41,6 +48,7 @@ TERMS: Mapping[str, tuple[str, ...]] = {
     "probabilities": ("Probabilities", "Wahrscheinlichkeiten"),
     "quote": ("“{what}”", "„{what}“"),
     "recorded": ("recorded", "aufgenommen"),
+    "refuses": ("robot refuses {what}: {why}", "Roboter verweigert {what}: {why}"),
     "released": ("released", "losgelassen"),
     "revised": ("revised", "geändert"),
     "right": ("{right} of {all} touches right", "{right} von {all} Berührungen richtig"),
@@ -52,6 +60,7 @@ TERMS: Mapping[str, tuple[str, ...]] = {
     "sure": (" sure, after {at} s", " sicher, nach {at} s"),
     "told": ("told", "gesagt"),
     "told after": ("told after {at} s", "gesagt nach {at} s"),
+    "told in all": ("The robot was told:      {names}", "Dem Roboter wurde gesagt:  {names}"),
     "touch": ("Touch {number} · {length} s", "Berührung {number} · {length} s"),
     "touch me": ("touch me", "berühre mich"),
     "uncertain": ("uncertain", "unsicher"),

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from daemon.commands.demo import SAYINGS
+from daemon.commands.demo import NEXT, SAYINGS
 from daemon.events import EndReason, PadState, Stage
 from daemon.live.page import FOLDER
 from daemon.setup.words import SHIPPED
@@ -51,5 +51,5 @@ def test_every_stage_state_and_ending_has_a_term() -> None:
 
 
 def test_every_language_names_the_same_gestures() -> None:
-    assert SHIPPED.keys() == SAYINGS.keys() == set(LANGUAGES)
+    assert SHIPPED.keys() == SAYINGS.keys() == NEXT.keys() == set(LANGUAGES)
     assert len({frozenset(words) for words in SHIPPED.values()}) == 1
