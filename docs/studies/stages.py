@@ -33,6 +33,7 @@ from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout
 from docs.studies.folders import add_docs_argument
 from docs.studies.marked import fill, table
+from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort
 from drivers.fakes.loopback_robot import LoopbackRobot
 from drivers.fakes.services import Call
@@ -55,6 +56,10 @@ BAR_MS = 0.05
 GESTURE = "TouchGesture/Gesture"
 REST_S = 4.0
 PASSED = ("arrived", "parsed", "taken", "asked", "answered", "told")
+
+
+class NotTimedError(TouchdError):
+    """Nothing came through that could be timed."""
 
 
 class Times(msgspec.Struct, frozen=True, kw_only=True):
@@ -122,13 +127,27 @@ def measure(seconds: float) -> Times:
             call.time_s for call in calls if call.method == "raiseEvent" and call.arguments[0] == GESTURE
         ]
     pad.join()
-    rows = rows[: len(raised_s)]
-    frames = np.searchsorted(sent_s[0], [row[0] for row in rows]) - 1
-    since_boot_s = np.array(raised_s) - (time.time() - time.monotonic())
-    passed = np.column_stack([sent_s[0][frames], rows, since_boot_s])
+    boot_s = time.time() - time.monotonic()
+    return times_of(sent_s[0], rows, [at_s - boot_s for at_s in raised_s])
+
+
+def times_of(
+    sent_s: NDArray[np.float64], rows: Sequence[tuple[float, ...]], raised_s: Sequence[float]
+) -> Times:
+    """Return the figures of answers that passed PASSED at these times.
+
+    sent_s, raised_s: when each frame was sent, and when the robot was told. All in seconds of one clock, in
+    order. Raises NotTimedError where no answer is left.
+    """
+    told = min(len(rows), len(raised_s))
+    arrived = np.array(rows[:told]).reshape(told, len(PASSED))
+    frames = np.searchsorted(sent_s, arrived[:, 0]) - 1
+    passed = np.column_stack([sent_s[frames], arrived, raised_s[:told]])
     steps_ms = 1000 * np.diff(passed, axis=1)
     # An answer that waited for a quiet time to end was computed earlier.
     steps_ms = steps_ms[(steps_ms >= 0).all(axis=1)]
+    if not len(steps_ms):
+        raise NotTimedError("no answer could be followed to the robot: touch longer, on a machine at rest")
     in_all_ms = steps_ms.sum(axis=1)
     return Times(
         answers=len(steps_ms),
