@@ -26,9 +26,11 @@ LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
 # A calm pad's mean varies by less, which spares it the search.
 LEAST_VARIANCE = LEAST_COUNTS**2 / 4
-# Taxels follow it together: those at the lower sixteenth and quarter, as shares of that at the upper tenth.
-LOW, QUARTER, HIGH = 6, 16, 57
+# Taxels follow it together: those at the lower tenth and quarter, as shares of that at the upper tenth.
+# Those that stand still, as on a row whose wire broke, follow nothing; most must be alive.
+LOW, QUARTER, HIGH = 6 / 64, 16 / 64, 57 / 64
 LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
+LEAST_ALIVE = 48
 # While the sine fills less than the window, it is found anew.
 NEW_LOOKS = 3
 # A fit that differs more, by amplitude or phase, comes from a hand or a step of the rest. Six that are weak,
@@ -86,7 +88,8 @@ class _Wave:
 
     def fit(self, frames: Counts) -> complex:
         """Fit the sine to the light taxels."""
-        light = np.sort((frames - self.rest) / self.weights, axis=1)[:, LIGHT]
+        follows = self.weights > 0
+        light = np.sort((frames - self.rest)[:, follows] / self.weights[follows], axis=1)[:, LIGHT]
         sine = self.turn * AGO
         parts = np.stack([*LEVEL_AND_SLOPE, np.cos(sine), -np.sin(sine)], axis=1)
         *_, real, imaginary = np.linalg.lstsq(parts, light, rcond=None)[0].tolist()
@@ -173,10 +176,19 @@ def _find(frames: Counts, common: NDArray[np.float64]) -> tuple[float, complex] 
     explained = HANN.sum() * abs(now) ** 2 / 2
     if abs(now) < LEAST_COUNTS or explained < LEAST_EXPLAINED * float(HANN @ common**2):
         return None
-    following = np.sort((WAVES[at] @ (frames - frames.mean(axis=0)) / now).real)
-    is_common = following[LOW] >= LOW_SHARE * following[HIGH]
-    is_common &= following[QUARTER] >= QUARTER_SHARE * following[HIGH]
+    alive = frames[:, _is_alive(frames)]
+    following = np.sort((WAVES[at] @ (alive - alive.mean(axis=0)) / now).real)
+    if len(following) < LEAST_ALIVE:
+        return None
+    low, quarter, high = (following[int(share * len(following))] for share in (LOW, QUARTER, HIGH))
+    is_common = low >= LOW_SHARE * high and quarter >= QUARTER_SHARE * high
     return (float(TURNS[at]), now) if is_common else None
+
+
+def _is_alive(frames: Counts) -> NDArray[np.bool_]:
+    """Return (64,), which taxels change in (T, 64) counts."""
+    alive: NDArray[np.bool_] = (frames != frames[0]).any(axis=0)
+    return alive
 
 
 def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
@@ -189,6 +201,6 @@ def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
     slopes = off @ upper / (off @ off)
     # 0 where more than half of the taxels are cut off at the top.
     scale = max(float(np.median(slopes)), LEAST_SCALE)
-    weights = np.clip(slopes / scale, 0.3, 2.0)
+    weights = np.where(_is_alive(frames), np.clip(slopes / scale, 0.3, 2.0), 0.0)
     rest = upper.mean(axis=0) - weights * scale * above.mean()
     return _Wave(turn, now * scale, weights.astype(np.float32), rest.astype(np.float32))

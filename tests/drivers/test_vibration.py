@@ -63,6 +63,20 @@ def test_a_vibration_of_the_whole_pad_is_removed(vibration: Scans) -> None:
     assert left < 0.5 * raw
 
 
+@pytest.mark.parametrize("stuck_at", [0, 200])
+@pytest.mark.parametrize("vibration", [hum(540), motor(540)])
+def test_a_broken_row_follows_nothing_and_hides_no_vibration(vibration: Scans, stuck_at: int) -> None:
+    clean, shaken = MadePad().counts(nothing(10.0)), MadePad().counts(vibration)
+    clean[:, 3] = shaken[:, 3] = stuck_at
+    last = slice(-108, None)
+    frames = laid(shaken)[last]
+    assert (frames[:, 3] == stuck_at).all()
+    assert (
+        np.abs(frames - clean[last]).mean()
+        < 0.5 * np.abs(shaken[last].astype(np.float32) - clean[last]).mean()
+    )
+
+
 @pytest.mark.parametrize("hz", [18.0, 180.0])
 def test_a_sine_of_few_values_is_taken_out(hz: float) -> None:
     raw, left = off(nothing(10.0), hum(540, hz))
