@@ -362,7 +362,9 @@ class TouchTracker:
         older, newer = self._recent.halves()
         change, spread = np.abs(newer - older), self._recent.spread()
         rise = newer - self._baseline.counts
-        level = float(np.maximum(rise - self._baseline.noise_floor, 0).sum())
+        # What the lightest quarter rose by, a hand seldom did: the rest has drifted.
+        drift = max(float(np.sort(rise)[TAXELS // 4]), 0.0)
+        level = float(np.maximum(rise - drift - self._baseline.noise_floor, 0).sum())
         activity = float(change.sum() + spread.sum())
         held.level, held.activity = max(held.level, level), max(held.activity, activity)
         is_far_below = level <= LOW_SHARE * held.level
