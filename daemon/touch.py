@@ -362,9 +362,10 @@ class TouchTracker:
         older, newer = self._recent.halves()
         change, spread = np.abs(newer - older), self._recent.spread()
         rise = newer - self._baseline.counts
-        # What the lightest quarter rose by, a hand seldom did: the rest has drifted.
+        above = rise - self._baseline.noise_floor
+        # By what the lightest quarter rose, the whole pad may have drifted.
         drift = max(float(np.sort(rise)[TAXELS // 4]), 0.0)
-        level = float(np.maximum(rise - drift - self._baseline.noise_floor, 0).sum())
+        level, undrifted = (float(np.maximum(each, 0).sum()) for each in (above, above - drift))
         activity = float(change.sum() + spread.sum())
         held.level, held.activity = max(held.level, level), max(held.activity, activity)
         is_far_below = level <= LOW_SHARE * held.level
@@ -374,10 +375,11 @@ class TouchTracker:
         is_restful = self._sight.is_lost and activity <= RESTFUL * self._rest_activity
         is_still = self._is_still(change, spread, rise) or (is_low and is_restful)
         held.still_frames = held.still_frames + END_STRIDE_FRAMES if is_still else 0
-        may_be_none = is_low and (self._sight.knows_rest or not self.is_disturbed)
+        may_be_low = undrifted <= max(LOW_SHARE * held.level, LOW_COUNTS)
+        may_be_none = may_be_low and (self._sight.knows_rest or not self.is_disturbed)
         if not (is_far_below or held.still_frames or may_be_none):
             self._sight.forget_looks()
-        elif self._index % ASK_FRAMES == 0 and self._index - held.last <= END_STRIDE_FRAMES:
+        elif self._index % ASK_FRAMES == 0:
             self._sight.look(self._recent.last(SECOND_FRAMES))
         seems_left = (is_low and held.still_frames >= STILL_FRAMES) or held.calm_frames >= CALM_FRAMES
         if self._sight.is_none or (seems_left and self._is_left(held, level)):

@@ -272,7 +272,7 @@ def test_a_careful_scene_waits_longer_than_an_eager_one() -> None:
 
 
 def test_a_lasting_change_of_gesture_is_told() -> None:
-    bench = Bench(Scripted(lambda asked: "stroke" if asked <= 3 else "rub"))
+    bench = Bench(Scripted(lambda asked: "stroke" if asked <= 1 else "rub"))
     events = bench.feel(palm(8.0, counts=60.0), nothing(2.0))
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
     assert [event.stage for event in predictions(events)] == ["early", "revised", "final", "ongoing"]

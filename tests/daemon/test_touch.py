@@ -313,6 +313,32 @@ def test_the_network_ends_a_false_touch(seen: TrackedPad) -> None:
     assert release.last_index - left <= 54
 
 
+def drifting(scans: Scans) -> Scans:
+    """The same while the whole pad drifts by four counts a second."""
+    return scans + 4.0 * (np.arange(len(scans), dtype=np.float32) / 54)[:, None, None]
+
+
+def test_the_network_ends_a_touch_on_a_pad_that_drifts(seen: TrackedPad, network: Network) -> None:
+    scans = drifting(np.concatenate([pat(3.0), breath(2.0, counts=6.0)]))
+    network.no_touch = 0.02
+    (onset,) = seen.feel(scans[: 3 * 54])
+    network.no_touch = 0.9
+    (release, *_) = seen.feel(scans[3 * 54 :])
+    assert isinstance(onset, Onset)
+    assert isinstance(release, Release)
+    assert release.reason == "released"
+
+
+def test_the_network_is_asked_between_contacts_whether_a_touch_is_over(
+    seen: TrackedPad, network: Network
+) -> None:
+    network.no_touch = 0.02
+    seen.feel(pat(3.0))
+    network.windows.clear()
+    assert seen.feel(nothing(0.7)) == []
+    assert network.windows.count(54) >= 2
+
+
 def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: Network) -> None:
     began = seen.index
     network.no_touch = 0.02
