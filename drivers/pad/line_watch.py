@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 
 from drivers.pad.parser import FrameParser
+from drivers.pad.watch import SAME_TROUBLE_S
 
 log = logging.getLogger(__name__)
 
@@ -13,7 +14,6 @@ LOOK_S = 10.0
 MANY_SHARE = 0.02
 # A damaged line often breaks the value first looked at, so nearly all must be above the full scale.
 MOSTLY = 0.9
-SAME_TROUBLE_S = 600.0
 
 
 class LineWatch:

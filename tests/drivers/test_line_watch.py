@@ -12,9 +12,10 @@ from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
 from drivers.pad import line_watch
 from drivers.pad.format import PadFormat, encode_frame
-from drivers.pad.line_watch import LOOK_S, SAME_TROUBLE_S, LineWatch
+from drivers.pad.line_watch import LOOK_S, LineWatch
 from drivers.pad.parser import FrameParser
 from drivers.pad.protocol import parser_of
+from drivers.pad.watch import SAME_TROUBLE_S
 
 SENT = PadFormat(framing="line", rows=8, columns=8, full_scale=4095)
 CONFIGURED = PadFormat(framing="line", rows=8, columns=8, full_scale=1023)
