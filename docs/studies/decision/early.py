@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
 from daemon.pipeline import STAGES
+from docs.studies.accuracy import PAPER_ACCURACY
 from docs.studies.decision.measure import Told
 from docs.studies.decision.report import MOST_HARMED
 from docs.studies.decision.streams import FRAMES, Streams, collect, collect_windows
@@ -30,8 +31,6 @@ Frames = NDArray[np.int64]
 Rule = Callable[[Streams], Frames]
 # Errors that a second of waiting is worth.
 PRICES = (0.02, 0.05, 0.1)
-# The paper's table 3: test accuracy in per cent by seconds.
-PAPER = {9: 57.0, 27: 66.6, 54: 70.8, 81: 71.1, 108: 72.3, 144: 72.8, 216: 71.6}
 LEARN_EVERY = 9
 MARKS = DecisionSettings().answer_at_frames
 # Confidence after a second, of the falling one.
@@ -335,7 +334,7 @@ def draw(
         axes.legend(fontsize=7)
     curve = [(row.mean_s, 100 * (1 - row.right)) for row in challenge]
     last.plot(*zip(*curve, strict=True), marker=".", label="falling confidence")
-    paper = [(frames / FRAME_RATE_HZ, 100 - right) for frames, right in PAPER.items()]
+    paper = [(frames / FRAME_RATE_HZ, 100 - right) for frames, right in PAPER_ACCURACY.items()]
     last.plot(*zip(*paper, strict=True), "ks", label="the paper, fixed time")
     last.set(title="the challenge's test windows, seven gestures")
     last.legend(fontsize=7)
