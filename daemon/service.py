@@ -24,7 +24,7 @@ from drivers.frame import Frame
 from drivers.pad.sensor import SensorState
 from drivers.queue import Signal
 
-# Poll interval for the stop flag while no frames arrive, which also bounds an idle daemon's wake-ups.
+# How often the loop looks at the stop flag, and at frames of an untouched pad, which do not wake it.
 IDLE_S = 0.25
 # Delay after a frame before the model catches up: late, so that the next frame's answer finds warm caches.
 CATCH_UP_S = 0.008
@@ -199,6 +199,7 @@ class Service:
         """Pass on a frame that a pad's pipeline has processed."""
         parts = self._parts
         pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
+        pad.sensor.loop_may_sleep = pad.sensor.may_wait and not pad.pipeline.has_touch
         pad.catch_up_s = frame.host_s + CATCH_UP_S if pad.pipeline.is_behind else math.inf
         self._health.frame_processed(pad.name)
         pad.watch.update(frame)

@@ -3,6 +3,9 @@
 import logging
 import threading
 import time
+from collections.abc import Sequence
+
+import numpy as np
 
 from drivers.backoff import Backoff
 from drivers.frame import Frame
@@ -21,6 +24,8 @@ log = logging.getLogger(__name__)
 RECENT_BYTES = 8192
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
 WAIT_S = 0.0745
+# Noise changes a taxel by less within a tenth of a second; nearly all touches change one by more.
+MOVED_COUNTS = 10
 # Half of what Linux keeps of a port's bytes until they are read: where as much has come, more is on its way.
 MANY_BYTES = 2048
 
@@ -45,6 +50,7 @@ class Sensor:
     may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread. Those of
     a pad that has no clock, is polled or sends much, or whose line gives a little at a time, are read at once
     all the same.
+    loop_may_sleep: whether frames need wake nobody while the pad keeps still; to be set from any thread.
     """
 
     def __init__(
@@ -68,6 +74,8 @@ class Sensor:
         self._silence_s = silence_s
         self._reopen_after_s = reopen_after_s
         self.may_wait = False
+        self.loop_may_sleep = False
+        self._newest: Frame | None = None
         self._announcer = Announcer(queue.put)
         self._watch = LineWatch(protocol, self._where)
         self._stop = threading.Event()
@@ -132,10 +140,17 @@ class Sensor:
         frames = self._protocol.feed(data, host_s)
         if frames:
             self._announcer.up(self._port)
-        for frame in frames:
-            self._queue.put(frame)
+            wakes = not (self.loop_may_sleep and self._keeps_still(frames))
+            for frame in frames:
+                self._queue.put(frame, wakes)
+            self._newest = frames[-1]
         self._watch.update(host_s)
         return bool(frames)
+
+    def _keeps_still(self, frames: Sequence[Frame]) -> bool:
+        """Whether no taxel has changed by more than noise since the newest frame before these."""
+        counts = np.array([frame.pressure for frame in (self._newest or frames[0], *frames)])
+        return bool((counts.max(axis=0) - counts.min(axis=0)).max() < MOVED_COUNTS)
 
     def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
         """Say why no frame has come since `since_s`."""

@@ -16,6 +16,8 @@ from drivers.frame import Counts, Frame
 from drivers.pad.format import PRESETS, encode_frame
 from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
+from drivers.queue import Signal
+from drivers.recording import Stream, ideal_clock_ms
 
 
 @pytest.mark.parametrize("speed", [None, 20.0])
@@ -73,6 +75,23 @@ def test_frames_that_may_wait_arrive_together_and_complete() -> None:
     delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s
     assert np.median(delay_s) < 0.1
     assert len(set(came)) <= 40 / 2
+
+
+def test_a_pad_that_keeps_still_wakes_nobody_until_it_is_touched() -> None:
+    still, touched = 40, 5
+    counts = np.random.default_rng(0).integers(20, 24, (still + touched, 8, 8)).astype(np.uint16)
+    counts[still:, 3, 4] += 30
+    arrived = Signal()
+    queue = FrameQueue(filled=arrived)
+    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid) as port:
+        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
+        sensor.loop_may_sleep = True
+        sensor.start()
+        assert arrived.wait(WITHIN_S)
+        assert isinstance(queue.get_nowait(), SensorState)
+        assert arrived.wait(WITHIN_S)
+        assert still < len(queue) <= still + touched
+        sensor.stop()
 
 
 def test_frames_stamped_on_arrival_never_wait() -> None:

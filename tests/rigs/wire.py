@@ -4,15 +4,12 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from hypothesis import settings
 from rigs.formats import encode_fabric_grid
 
 from drivers.frame import Counts, Frame
 from drivers.pad.parser import FrameParser
 
 PERIOD_MS = 19
-# Examples have no deadline, as the machine may be busy.
-UNHURRIED = settings(deadline=None)
 SIZE = 4 + 4 + 2 * 100 + 1
 TIME_BITS = range(32, 64)
 # Bits 8 and 9 of a value do not enter the checksum and leave it below 1024: no reader can see them flip.
