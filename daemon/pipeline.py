@@ -60,7 +60,7 @@ SHOWN_STRIDE_FRAMES = 3
 BEHIND_FRAMES = 27
 # So near a mark it catches up every frame: pads touched at once take half a frame's time for nine frames.
 NEAR_FRAMES = 2
-# Frames may wait only when no answer is due within this many, more than twice as many as wait together.
+# Frames may wait only when no mark is reached within this many, more than twice as many as wait together.
 WAIT_FRAMES = 10
 
 
@@ -167,13 +167,14 @@ class Pipeline:
 
     @property
     def may_wait(self) -> bool:
-        """Whether the next WAIT_FRAMES frames can bring no answer, nor end a touch; they may begin one."""
+        """Whether the next WAIT_FRAMES frames reach no mark and end no touch.
+
+        They may begin one, or show that the gesture has changed after the final answer.
+        """
         touch = self._touch
-        if touch is None or not self._tracker.is_settled:
-            return self._tracker.is_settled
-        over = touch.length - self._final_frames
-        left = touch.due[0][0] - touch.length if touch.due else -over % ONGOING_STRIDE_FRAMES
-        return left > WAIT_FRAMES and not touch.waits_until_sure
+        is_far = touch is None or not touch.due or touch.due[0][0] - touch.length > WAIT_FRAMES
+        may_be_sure = touch is not None and touch.waits_until_sure
+        return self._tracker.is_settled(WAIT_FRAMES) and is_far and not may_be_sure
 
     @property
     def is_behind(self) -> bool:

@@ -197,12 +197,11 @@ class TouchTracker:
             return self._index
         return max(self._held.first, self._held.last - SMOOTH_FRAMES // 2)
 
-    @property
-    def is_settled(self) -> bool:
-        """Whether the pad rests, or is clearly touched: nothing ambiguous has begun."""
+    def is_settled(self, frames: int) -> bool:
+        """Whether nothing ambiguous has begun, and the next `frames` frames cannot end a touch."""
         if self._held is None:
             return self._light is None and self._baseline.is_known
-        return self._index == self._held.last and not self.may_be_over
+        return self._index - self._held.last < self._quiet_frames - frames and not self.may_be_over
 
     @property
     def may_be_over(self) -> bool:
