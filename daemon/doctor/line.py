@@ -10,6 +10,7 @@ from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
+from drivers.pad.line_watch import MANY_SHARE
 from drivers.pad.pace import clock_ms, pace_of
 from drivers.pad.port import Line
 from drivers.pad.protocol import parser_of
@@ -20,8 +21,7 @@ USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
 TRY_BAUD_S = 0.5
 # Rates that the ring resamples to the model's 54 Hz.
 SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
-# One lost frame in a thousand is harmless; one in fifty is a fault that will grow.
-CLEAN_SHARE, BROKEN_SHARE = 0.001, 0.02
+CLEAN_SHARE = 0.001
 COMPARABLE_S = 1.5
 CLOCK_TOLERANCE = 0.05
 STOPPED_S = 1.0
@@ -114,7 +114,7 @@ def check_damage(heard: Heard) -> Check:
     share = heard.damaged / (heard.damaged + len(heard.frames))
     figures = {"frames": float(len(heard.frames)), "damaged": float(heard.damaged)}
     found = f"{len(heard.frames)} frames intact, {heard.damaged} damaged"
-    if share > BROKEN_SHARE:
+    if share > MANY_SHARE:
         return Check("line", "to do", found, ADVICE_FOR_BYTES["damage"], figures)
     return Check("line", "ok" if share <= CLEAN_SHARE else "warning", found, "", figures)
 

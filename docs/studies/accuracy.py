@@ -9,6 +9,8 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
 
 from docs.studies.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
 from docs.studies.folders import add_docs_argument
@@ -28,6 +30,7 @@ TITLES = {
 PLACES = ("model", "summary", *TITLES)
 SEEDS, ONE_OUT = "seeds", "one_out"
 """The places that the studies of these names fill."""
+DARK_PERCENT = 55
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -75,18 +78,22 @@ def draw_confusion(labels: Sequence[str], evaluation: Evaluation, path: Path) ->
     """Draw the confusion matrices at the three answers, in percent of each true gesture."""
     figure, panels = plt.subplots(1, len(LENGTHS), figsize=(13, 4.6), layout="constrained", sharey=True)
     for axes, length in zip(panels, LENGTHS, strict=True):
-        counts = np.array(_at(evaluation, length).confusion)
-        shares = 100 * counts / counts.sum(axis=1, keepdims=True)
-        axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
-        for (row, column), share in np.ndenumerate(shares):
-            colour = "white" if share > 55 else "black"
-            axes.text(column, row, f"{share:.0f}", ha="center", va="center", color=colour, fontsize=8)
-        axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
-        axes.set_yticks(range(len(labels)), labels)
+        draw_shares(axes, np.array(_at(evaluation, length).confusion), labels)
         axes.set_title(f"after {length / 54:.2f} s")
     panels[0].set_ylabel("true gesture")
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+def draw_shares(axes: Axes, counts: NDArray[np.int64], labels: Sequence[str]) -> None:
+    """Draw confusion counts (C, C) in percent of each true gesture."""
+    shares = 100 * counts / counts.sum(axis=1, keepdims=True)
+    axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
+    for (row, column), share in np.ndenumerate(shares):
+        colour = "white" if share > DARK_PERCENT else "black"
+        axes.text(column, row, f"{share:.0f}", ha="center", va="center", color=colour, fontsize=8)
+    axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
+    axes.set_yticks(range(len(labels)), labels)
 
 
 def _model_lines(scores: Scores) -> Iterable[str]:

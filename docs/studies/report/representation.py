@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from sklearn.manifold import TSNE
 from torch import Tensor, nn
 
+from docs.studies.accuracy import draw_shares
 from docs.studies.marked import table
 from docs.studies.report import paper_training
 from docs.studies.report.paper_cells import (
@@ -45,7 +46,6 @@ BATCH = 64
 OURS = "representation/ours"
 CONFUSION_PICTURE = "report-confusion.png"
 TSNE_PICTURE = "report-tsne.png"
-DARK_PERCENT = 55
 COLOURS = tuple(f"C{number}" for number in range(len(GESTURES)))
 
 
@@ -161,13 +161,7 @@ def draw_confusions(confusions: Mapping[str, NDArray[np.int64]], path: Path) -> 
     """Draw confusion counts (7, 7) in percent of each true gesture, one panel a network."""
     figure, panels = _panels(len(confusions), height=5.0)
     for axes, (name, counts) in zip(panels, confusions.items(), strict=False):
-        shares = 100 * counts / counts.sum(axis=1, keepdims=True)
-        axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
-        for (row, column), share in np.ndenumerate(shares):
-            colour = "white" if share > DARK_PERCENT else "black"
-            axes.text(column, row, f"{share:.0f}", ha="center", va="center", color=colour, fontsize=8)
-        axes.set_xticks(range(len(GESTURES)), GESTURES, rotation=45, ha="right")
-        axes.set_yticks(range(len(GESTURES)), GESTURES)
+        draw_shares(axes, counts, GESTURES)
         axes.set_title(name, fontsize=10)
     panels[0].set_ylabel("true gesture")
     _save(figure, path)
