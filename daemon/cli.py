@@ -3,6 +3,7 @@
 import difflib
 import errno
 import importlib
+import io
 import os
 import signal
 import sys
@@ -16,6 +17,9 @@ from drivers.extras import extra_of, how_to_install
 
 USERS_MISTAKE = 2
 OUR_MISTAKE = 1
+INTERRUPTED = 130
+UNTIL_ENDED = ("run", "demo", "replay", "fake-robot")
+"""Commands that go on until a signal ends them, which is then no interruption."""
 
 
 @dataclass(frozen=True)
@@ -53,25 +57,29 @@ class UsageError(TouchdError):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words
+    """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours, 130 when a signal cut it short."""
+    given = sys.argv[1:] if arguments is None else arguments
+    words = [word for word in given if word != "--debug"]
+    ended = 0 if words[:1] and words[0] in UNTIL_ENDED else INTERRUPTED
     _open_missing_streams()
+    _replace_what_cannot_be_written()
     # SIGTERM and SIGHUP raise KeyboardInterrupt, so that commands clean up.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     try:
-        code = _run([word for word in words if word != "--debug"])
+        code = _run(words)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
-        return 0
+        return ended
     except BrokenPipeError:
         _discard_output()
         return 0
     except Exception as error:
-        if debug:
+        if _was_interrupted(error):
+            return ended
+        if "--debug" in given:
             raise
         return _complain(error)
 
@@ -99,6 +107,18 @@ def _open_missing_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
+
+
+def _replace_what_cannot_be_written() -> None:
+    """Have a terminal that lacks a character show another one."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether a signal caused an error: compiled modules report one that comes while they are imported."""
+    return error is not None and (isinstance(error, KeyboardInterrupt) or _was_interrupted(error.__cause__))
 
 
 def _discard_output() -> None:

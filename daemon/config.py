@@ -29,6 +29,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 log = logging.getLogger(__name__)
 RENAMED_TOUCH_KEYS = {"onset_level": "onset_threshold", "release_level": "release_threshold"}
 Keys = tuple[str, ...]
+Steps = tuple[str | int, ...]
 
 PLAIN_WORDS = {
     "int": "a whole number",
@@ -275,17 +276,16 @@ class _StrictLoader(yaml.SafeLoader):
             )
         return super().compose_node(parent, index)
 
+    def __init__(self, text: bytes | str) -> None:
+        super().__init__(text)
+        self.empty: list[str] = []
+
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()
         for key, value in node.value:
             if isinstance(key, yaml.ScalarNode):
                 if isinstance(value, yaml.ScalarNode) and not value.value and value.style is None:
-                    line = key.start_mark.line + 1
-                    log.warning(
-                        "configuration, line %d: %s is empty, so not used; {} takes its defaults",
-                        line,
-                        key.value,
-                    )
+                    self.empty.append(f"line {key.start_mark.line + 1}: {key.value}")
                 if key.value in seen:
                     raise yaml.constructor.ConstructorError(
                         problem=f"{key.value} is set twice", problem_mark=key.start_mark
@@ -297,16 +297,20 @@ class _StrictLoader(yaml.SafeLoader):
 def convert(text: bytes | str, struct: type[T]) -> T:
     """Return the struct that YAML text describes; an empty text is all defaults. Raises StrictYamlError."""
     try:
-        raw = yaml.load(text, _StrictLoader)
+        loader = _StrictLoader(text)
+        raw = loader.get_single_data()
     except yaml.MarkedYAMLError as error:
         raise StrictYamlError(_plain_syntax(error)) from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise StrictYamlError(f"not YAML: {' '.join(str(error).split())}") from error
     _rename(raw)
     try:
-        return msgspec.convert({} if raw is None else raw, struct)
+        converted = msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
         raise StrictYamlError(_plainly(str(error), raw, struct)) from error
+    for empty in loader.empty:
+        log.warning("configuration, %s is empty, so not used; {} takes its defaults", empty)
+    return converted
 
 
 def _rename(raw: object) -> None:
@@ -334,33 +338,49 @@ def _plain_syntax(error: yaml.MarkedYAMLError) -> str:
     return f"{where}{hint} ({problem})"
 
 
-def _name_in_mapping(where: str, raw: Any, struct: type[msgspec.Struct]) -> str:
-    """Put the name of the wrong value into a path; for a mapping msgspec says only [...]."""
-    before, bracket, after = where.partition("[...]")
-    if not bracket:
-        return where
-    keys = tuple(re.findall(r"\.(\w+)", before))
-    for name, value in _value(raw, keys).items():
-        try:
-            msgspec.convert(value, _section(struct, keys))
-        except msgspec.ValidationError:
-            return f"{before}.{name}{after}"
-    return where
+def _path_to(where: str, raw: Any, struct: type[msgspec.Struct]) -> Steps:
+    """Return the names and places that lead to a wrong value; msgspec calls a name in a mapping "..."."""
+    path: Steps = ()
+    for name, place in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", where):
+        if place == "...":
+            hint = typing.get_type_hints(_section(struct, _names(path[:-1])))[_names(path)[-1]]
+            of = next(typing.get_args(part)[1] for part in _parts(hint) if typing.get_origin(part) is dict)
+            path += (next(key for key, value in _value(raw, path).items() if not _is(value, of)),)
+        else:
+            path += (name or int(place),)
+    return path
+
+
+def _names(path: Steps) -> Keys:
+    return tuple(step for step in path if isinstance(step, str))
+
+
+def _is(value: Any, kind: Any) -> bool:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        return False
+    return True
 
 
 def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
     """Turn msgspec's message into one that names the setting, the allowed values and the given one."""
     problem, _, where = message.partition(" - at `")
-    keys = tuple(re.findall(r"\.(\w+)", _name_in_mapping(where, raw, struct)))
+    path = _path_to(where, raw, struct)
+    keys, value = _names(path), _value(raw, path)
     name = ".".join(keys)
+    if where.startswith("key`"):
+        name, value = f"a name in {name}", list(value)
     unknown = re.fullmatch(r"Object contains unknown field `(.*)`", problem)
     if unknown:
         return _unknown_key(keys, unknown[1], struct)
     missing = re.fullmatch(r"Object missing required field `(.*)`", problem)
     if missing:
         return f"{'.'.join((*keys, missing[1]))} is missing and has no default"
+    if value is None and name:
+        return f"{name} is empty; give it a value, or leave it out"
     if problem.startswith("Invalid enum value"):
-        return f"{name} must be {_choices(struct, keys)}, not {_shortly(_value(raw, keys))}"
+        return f"{name} must be {_choices(struct, keys)}, not {_shortly(value)}"
     expected = re.fullmatch(r"Expected `(.*?)`(.*?)(, got .*)?", problem)
     if expected:
         kinds = " or ".join(PLAIN_WORDS.get(kind, kind) for kind in expected[1].split(" | "))
@@ -368,7 +388,7 @@ def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
         if how.startswith(" matching regex"):
             default = getattr(_section(struct, keys[:-1])(), keys[-1])
             how = f" such as {default}" if default else " in another form"
-        return f"{name or 'the file'} must be {kinds}{how}, not {_shortly(_value(raw, keys))}"
+        return f"{name or 'the file'} must be {kinds}{how}, not {_shortly(value)}"
     return f"{name}: {problem}" if name else problem
 
 
@@ -414,9 +434,9 @@ def _parts(hint: Any) -> list[Any]:
     return [hint, *(part for argument in typing.get_args(hint) for part in _parts(argument))]
 
 
-def _value(raw: Any, keys: Keys) -> Any:
-    for key in keys:
-        raw = raw.get(key) if isinstance(raw, dict) else raw
+def _value(raw: Any, path: Steps) -> Any:
+    for step in path:
+        raw = raw.get(step) if isinstance(raw, dict) else raw[step]
     return raw
 
 

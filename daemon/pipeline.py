@@ -62,6 +62,8 @@ BEHIND_FRAMES = 27
 NEAR_FRAMES = 2
 # Frames may wait only when no mark is reached within this many, more than twice as many as wait together.
 WAIT_FRAMES = 10
+# The loop may sleep at rest where a touch's first answer comes no sooner: twice that time.
+SLEEP_FRAMES = 27
 
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
@@ -175,6 +177,13 @@ class Pipeline:
         is_far = touch is None or not touch.due or touch.due[0][0] - touch.length > WAIT_FRAMES
         may_be_sure = touch is not None and touch.waits_until_sure
         return self._tracker.is_settled(WAIT_FRAMES) and is_far and not may_be_sure
+
+    @property
+    def may_sleep(self) -> bool:
+        """Whether nothing touches, and a touch may be noticed 0.25 s late, before its first answer."""
+        settings = self._decision_settings
+        first = 0 if settings.early == "when_sure" else settings.answer_at_frames[0]
+        return self._touch is None and first >= SLEEP_FRAMES
 
     @property
     def is_behind(self) -> bool:

@@ -94,6 +94,8 @@ class Service:
         number is lost. Raises TouchdError, with nothing changed.
         """
         before = self._parts
+        if settings == before.settings:
+            return []
         parts = self._make(settings, before)
         readers = [pad.sensor for pad in parts.pads.values()]
         readers_before = [pad.sensor for pad in before.pads.values()]
@@ -199,7 +201,7 @@ class Service:
         """Pass on a frame that a pad's pipeline has processed."""
         parts = self._parts
         pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
-        pad.sensor.loop_may_sleep = pad.sensor.may_wait and not pad.pipeline.has_touch
+        pad.sensor.loop_may_sleep = pad.sensor.may_wait and pad.pipeline.may_sleep
         pad.catch_up_s = frame.host_s + CATCH_UP_S if pad.pipeline.is_behind else math.inf
         self._health.frame_processed(pad.name)
         pad.watch.update(frame)

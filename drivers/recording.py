@@ -162,7 +162,7 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
                 for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
                     writer.writerow([*_keys(recording), int(ms), *frame.ravel().tolist()])
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error})") from error
+        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def realign(recording: Recording) -> Recording:

@@ -38,6 +38,8 @@ def main(arguments: Sequence[str]) -> int:
     file, out = options.file, options.out
     if out.suffix not in (".csv", ".mcap"):
         raise ConvertError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
+    if out.exists():
+        raise ConvertError(f"{out}: is there already; give another --out, or move it away")
     is_recording = file.name.endswith(SUFFIXES)
     if out.suffix == ".mcap":
         # Before the work, as it may not be installed.
@@ -52,8 +54,8 @@ def main(arguments: Sequence[str]) -> int:
                     mcap.write_recordings(recordings, target)
         else:
             # The journal's faults are reported before there is a file.
-            for _ in read(file):
-                pass
+            if not sum(1 for _ in read(file)):
+                raise ConvertError(f"{file}: no events in it")
             if out.suffix == ".csv":
                 with out.open("x", encoding="utf-8", newline="") as table:
                     _write_table(file, table)

@@ -179,15 +179,20 @@ def load_models(settings: Settings, before: Mapping[str, Pad]) -> dict[str, Clas
 
 
 def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
-    """Raise ConfigError when a scene asks for gestures or lengths that the model does not have."""
-    known = set(classifier.labels)
+    """Raise ConfigError when a scene asks for gestures or lengths that the model or the scene rules out."""
+    known = set(classifier.labels) - {NO_TOUCH}
     acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}
     for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
         if unknown := sorted(gestures - known):
             raise ConfigError(
                 f"{name}: {unknown[0]} is no gesture of the model {classifier.name}; "
-                f"it knows {', '.join(sorted(known - {NO_TOUCH}))}"
+                f"it knows {', '.join(sorted(known))}"
             )
+    if scene.gestures and (never := sorted(acted_on - set(scene.gestures))):
+        raise ConfigError(
+            f"scene.actions: {never[0]} is never told, as scene.gestures leaves it out; add it there, or "
+            "remove it here"
+        )
     longest = classifier.metadata.max_length
     if scene.answer_at_frames[-1] > longest:
         raise ConfigError(

@@ -1,6 +1,7 @@
 """The pad on its serial port: a thread that reads frames, notices when they stop, and finds the pad again."""
 
 import logging
+import math
 import threading
 import time
 from collections.abc import Sequence
@@ -24,8 +25,9 @@ log = logging.getLogger(__name__)
 RECENT_BYTES = 8192
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
 WAIT_S = 0.0745
-# Noise changes a taxel by less within a tenth of a second; nearly all touches change one by more.
-MOVED_COUNTS = 10
+# Noise changes a taxel by less within this time; nearly all touches change one by more.
+MOVED_COUNTS = 12
+MOVED_S = 0.25
 # Half of what Linux keeps of a port's bytes until they are read: where as much has come, more is on its way.
 MANY_BYTES = 2048
 
@@ -50,7 +52,7 @@ class Sensor:
     may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread. Those of
     a pad that has no clock, is polled or sends much, or whose line gives a little at a time, are read at once
     all the same.
-    loop_may_sleep: whether frames need wake nobody while the pad keeps still; to be set from any thread.
+    loop_may_sleep: whether frames wake nobody unless the pad has lately moved; to be set from any thread.
     """
 
     def __init__(
@@ -75,7 +77,8 @@ class Sensor:
         self._reopen_after_s = reopen_after_s
         self.may_wait = False
         self.loop_may_sleep = False
-        self._newest: Frame | None = None
+        self._compared: Frame | None = None
+        self._moved_s = -math.inf
         self._announcer = Announcer(queue.put)
         self._watch = LineWatch(protocol, self._where)
         self._stop = threading.Event()
@@ -140,17 +143,21 @@ class Sensor:
         frames = self._protocol.feed(data, host_s)
         if frames:
             self._announcer.up(self._port)
-            wakes = not (self.loop_may_sleep and self._keeps_still(frames))
+            wakes = not self.loop_may_sleep or self._has_moved(frames)
             for frame in frames:
                 self._queue.put(frame, wakes)
-            self._newest = frames[-1]
         self._watch.update(host_s)
         return bool(frames)
 
-    def _keeps_still(self, frames: Sequence[Frame]) -> bool:
-        """Whether no taxel has changed by more than noise since the newest frame before these."""
-        counts = np.array([frame.pressure for frame in (self._newest or frames[0], *frames)])
-        return bool((counts.max(axis=0) - counts.min(axis=0)).max() < MOVED_COUNTS)
+    def _has_moved(self, frames: Sequence[Frame]) -> bool:
+        """Whether a taxel has changed by more than noise, now or in the last MOVED_S."""
+        before = self._compared or frames[0]
+        counts = np.array([frame.pressure for frame in (before, *frames)])
+        now_s = frames[-1].host_s
+        if (counts.max(axis=0) - counts.min(axis=0)).max() >= MOVED_COUNTS:
+            self._moved_s = now_s
+        self._compared = frames[-1] if now_s - before.host_s >= MOVED_S else before
+        return now_s - self._moved_s < MOVED_S
 
     def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
         """Say why no frame has come since `since_s`."""

@@ -1,7 +1,9 @@
 """The command line: its commands, and for every mistake one clear line and the right exit code."""
 
 import json
+import os
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -25,6 +27,7 @@ from daemon.terminal.describe import describe
 from docs.studies.__main__ import STUDIES
 from docs.studies.hand import write_simulated
 from drivers.recording import Recording, Selection, read_recordings, write_recordings
+from drivers.robot.actions import Action, ActionRule
 from drivers.robot.session import qi_installed
 from model.classifier import Classifier
 
@@ -55,6 +58,35 @@ def test_help_names_every_command(capsys: pytest.CaptureFixture[str]) -> None:
 def test_no_command_shows_the_help_and_is_a_mistake(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main([]) == 2
     assert "touchd run" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("command", "code"), [("run", 0), ("doctor", 130)])
+@pytest.mark.parametrize("while_loading", [True, False])
+def test_ctrl_c_ends_a_daemon_and_cuts_others_short(
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    code: int,
+    while_loading: bool,
+) -> None:
+    def interrupted(words: Sequence[str]) -> int:
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            if while_loading:
+                # As compiled modules do.
+                raise ImportError("initialization failed") from error
+            raise
+
+    monkeypatch.setattr(cli, "_run", interrupted)
+    assert cli.main([command]) == code
+    assert capfd.readouterr().err == ""
+
+
+def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
+    program = "from daemon import cli; cli.main(['--version']); print('\u201chi\u201d')"
+    shown = ran([sys.executable, "-c", program], env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    assert shown.stdout.splitlines()[-1] == "?hi?"
 
 
 def test_an_unknown_command_is_named_and_a_mistyped_one_corrected(refusal: Refusal) -> None:
@@ -106,6 +138,21 @@ def test_an_unusable_setting_is_refused_in_one_line(
     threads = set(threading.enumerate())
     assert message in refusal("run", "-c", str(path))
     assert set(threading.enumerate()) == threads
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        (SceneSettings(gestures=("notouch",)), "scene.gestures: notouch is no gesture"),
+        (
+            SceneSettings(gestures=("pat",), actions=(ActionRule(do=(Action(say="a"),), gestures=("rub",)),)),
+            "scene.actions: rub is never told, as scene.gestures leaves it out",
+        ),
+    ],
+)
+def test_gestures_that_are_never_told_are_refused(scene: SceneSettings, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        check_fit(scene, Classifier.load())
 
 
 def test_marks_beyond_the_models_longest_window_are_refused() -> None:

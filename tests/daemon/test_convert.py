@@ -95,6 +95,7 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
     [
         ("events.jsonl", "events.xlsx", "neither .csv nor .mcap"),
         ("nowhere", "events.csv", "cannot be read (No such file or directory)"),
+        ("empty", "events.csv", "no events in it"),
         ("events.jsonl", "events.jsonl.csv/x.csv", "No such file or directory"),
         ("text", "events.csv", "text, line 1: not an event"),
         ("zeros", "events.csv", "zeros, line 1: longer than any event"),
@@ -103,8 +104,17 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
 def test_an_impossible_conversion_is_refused_in_one_line(
     journal: Path, capsys: pytest.CaptureFixture[str], file: str, out: str, said: str
 ) -> None:
+    (journal.parent / "empty").touch()
     (journal.parent / "text").write_text("hello\n")
     (journal.parent / "zeros").write_bytes(bytes(100_000))
     assert main(["convert", str(journal.parent / file), "-o", str(journal.parent / out)]) == 2
     assert said in capsys.readouterr().err
     assert not (journal.parent / out).exists()
+
+
+def test_no_file_is_written_over(journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    there = tmp_path / "mine.csv"
+    there.write_text("mine")
+    assert main(["convert", str(journal), "-o", str(there)]) == 2
+    assert "is there already; give another --out, or move it away" in capsys.readouterr().err
+    assert there.read_text() == "mine"

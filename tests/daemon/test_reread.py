@@ -15,7 +15,9 @@ from daemon.bridges.settings import MqttSettings
 from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from daemon.health import Health, Notifier
 from daemon.pipeline import Pipeline, PipelineSettings
+from daemon.service import Service
 from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings
@@ -56,6 +58,12 @@ def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
     ):
         assert line.startswith("WARNING daemon.setup.reread: the new configuration is refused")
         assert why in line
+
+
+def test_a_reload_that_changes_nothing_waits_for_no_touch() -> None:
+    settings = Settings(sensor=SensorSettings(port="/dev/nowhere"))
+    # Its loop does not run, as if a touch never ended.
+    assert Service(settings, Health(Notifier({}))).reload(settings) == []
 
 
 def test_a_reload_loses_no_frame_and_no_number(daemon: Daemon, tmp_path: Path) -> None:
