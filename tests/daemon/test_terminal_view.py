@@ -33,12 +33,13 @@ MARKS = (54, 81, 144)
 
 # Shows a view until a line is typed.
 SHOWN = """
+import sys
 from daemon.events import SensorEvent
 from daemon.terminal.view import View
 from daemon.setup.words import vocabulary
 with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
     view.put(SensorEvent(state="up", time=""))
-    input()
+    sys.stdin.read()
 print("gone")
 """
 
@@ -177,11 +178,11 @@ def test_resizing_and_ending_leave_the_terminal_clean() -> None:
     environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
     with subprocess.Popen(
         [sys.executable, "-c", SHOWN],
-        stdin=slave,
+        stdin=subprocess.PIPE,
         stdout=slave,
         stderr=subprocess.DEVNULL,
         env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
-    ):
+    ) as process:
         show_until("pad up")
         resize(60, 24)
         # A refresh starts at the top left; after two more everything has been redrawn.
@@ -192,7 +193,8 @@ def test_resizing_and_ending_leave_the_terminal_clean() -> None:
         stream.feed(drawn)
         for once in ("touchd", "Last touches", "firm", "2.67 s"):
             assert sum(once in line for line in screen.display) == 1, (once, screen.display)
-        os.write(master, b"\n")
+        assert process.stdin is not None
+        process.stdin.close()
         left = b""
         while b"gone" not in left:
             assert select.select([master], [], [], WITHIN_S)[0], left
