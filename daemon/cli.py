@@ -110,10 +110,9 @@ def _open_missing_streams() -> None:
 
 
 def _replace_what_cannot_be_written() -> None:
-    """Have a terminal that lacks a character show another one."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
+    """Have a terminal that lacks a character show another one; standard error does so by itself."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

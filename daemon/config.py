@@ -268,6 +268,10 @@ class _StrictLoader(yaml.SafeLoader):
     A few hundred bytes of aliases can expand to gigabytes.
     """
 
+    def __init__(self, text: bytes | str) -> None:
+        super().__init__(text)
+        self.empty: list[str] = []
+
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         if self.check_event(yaml.AliasEvent):
             raise yaml.constructor.ConstructorError(
@@ -275,10 +279,6 @@ class _StrictLoader(yaml.SafeLoader):
                 problem_mark=self.peek_event().start_mark,  # type: ignore[no-untyped-call]
             )
         return super().compose_node(parent, index)
-
-    def __init__(self, text: bytes | str) -> None:
-        super().__init__(text)
-        self.empty: list[str] = []
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         seen: set[str] = set()

@@ -21,6 +21,7 @@ USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
 TRY_BAUD_S = 0.5
 # Rates that the ring resamples to the model's 54 Hz.
 SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
+# One lost frame in a thousand is harmless.
 CLEAN_SHARE = 0.001
 COMPARABLE_S = 1.5
 CLOCK_TOLERANCE = 0.05

@@ -10,7 +10,7 @@ from drivers.pad.watch import SAME_TROUBLE_S
 log = logging.getLogger(__name__)
 
 LOOK_S = 10.0
-# One lost frame in a thousand is harmless; one in fifty is a fault that will grow.
+# One lost frame in fifty is a fault that will grow.
 MANY_SHARE = 0.02
 # A damaged line often breaks the value first looked at, so nearly all must be above the full scale.
 MOSTLY = 0.9

@@ -31,7 +31,7 @@ SIZES = [(60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
 
 
-# Shows a view until a line is typed.
+# Shows a view until its input ends.
 SHOWN = """
 import sys
 from daemon.events import SensorEvent
