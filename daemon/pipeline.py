@@ -1,8 +1,9 @@
 """From frames to events: ring, touch tracker, classifier and decision, joined without threads or I/O."""
 
+import itertools
 import logging
 import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -118,6 +119,7 @@ class Pipeline:
 
     Events depend only on the frames, not on when or how they arrived; their times are the clock's. While
     nothing touches, the model is asked three times a second.
+    numbers: of its touches; 1, 2, ... without them.
     before: the pipeline that this one replaces between two touches; its knowledge of the pad and its touch
     numbers are taken over.
     viewers: returns the current viewers, to be called with live predictions.
@@ -135,6 +137,7 @@ class Pipeline:
         viewers: Viewers = tuple,
         behind_frames: int = BEHIND_FRAMES,
         first_index: int = 0,
+        numbers: Iterator[int] | None = None,
         before: "Pipeline | None" = None,
     ) -> None:
         self._emit = emit
@@ -154,7 +157,7 @@ class Pipeline:
         self._ring: Ring = Ring(
             settings.ring, _history_frames(settings), before._ring if before else None, first_index
         )
-        self._touches: int = before._touches if before else 0
+        self._numbers: Iterator[int] = before._numbers if before else numbers or itertools.count(1)
         self._size_mm = settings.size_mm
         self._is_disturbed: bool = before._is_disturbed if before else False
         self._disturbance_frames = 0
@@ -282,10 +285,9 @@ class Pipeline:
         self._ring.reset()
 
     def _begin(self, first_index: int, frame: GridFrame) -> None:
-        self._touches += 1
         so_far = self._ring.frames(first_index, frame.index + 1)
         self._touch = Touch(
-            number=self._touches,
+            number=next(self._numbers),
             first_index=first_index,
             decision=Decision(self._decision_settings, self._model.labels),
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
@@ -296,7 +298,7 @@ class Pipeline:
         for earlier in so_far[:-1]:
             self._touch.meter.add(self._tracker.without_loose_wire(earlier.pressure))
         sensor_ms = _as_sent(so_far[0])
-        self._emit(TouchBegan(touch=self._touches, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
+        self._emit(TouchBegan(touch=self._touch.number, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
     def _follow(self, touch: Touch) -> Work:
         """Ask the model at marks, where somebody looks, and where an early answer waits until it is sure."""

@@ -32,9 +32,13 @@ SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
 REPLACED_STOP_S = 1.0
+# A reload waits so long for touches to end before the log says so.
+PATIENCE_S = 5.0
 
 if typing.TYPE_CHECKING:
     from daemon.terminal.view import View
+
+log = logging.getLogger(__name__)
 
 
 class Service:
@@ -98,19 +102,18 @@ class Service:
             return []
         parts = self._make(settings, before)
         readers = [pad.sensor for pad in parts.pads.values()]
-        readers_before = [pad.sensor for pad in before.pads.values()]
         for pad in before.pads.values():
             if pad.sensor not in readers:
                 pad.sensor.stop(SENSORS_STOP_S)
-                pad.queue.put(SensorState("down", "another port is read now, as configured"))
+                what = "another port" if pad.name in parts.pads else "no such pad"
+                pad.queue.put(SensorState("down", f"{what} is configured now"))
         self._taken_over.clear()
         self._next = parts
-        self._taken_over.wait()
+        if not self._taken_over.wait(PATIENCE_S):
+            log.info("the new configuration waits for a touch to end")
+            self._taken_over.wait()
         if self._has_ended:
             return parts.changed
-        for reader in readers:
-            if reader not in readers_before:
-                reader.start()
         # One after the other: the old journal may be the same file.
         _stop([sink for sink in before.sinks if sink not in parts.sinks], REPLACED_STOP_S)
         for sink in parts.sinks:
@@ -146,10 +149,17 @@ class Service:
             else:
                 new.go_on_from(pad)
                 self._pads[name] = new
+                if new.sensor is not pad.sensor:
+                    new.sensor.start()
         if any(parts.pads.get(name) is not pad for name, pad in self._pads.items()):
             return
         before, self._parts, self._next = self._parts, parts, None
+        for pad in parts.pads.values():
+            if pad.name not in self._pads:
+                pad.sensor.start()
         self._pads = dict(parts.pads)
+        if before.robot not in (None, parts.robot):
+            self._events.forget_robot()
         for sink in (parts.robot, parts.live, *parts.bridges.values()):
             if sink is not None and sink not in before.sinks:
                 for (_, pad_name), event in self._events.standing.items():

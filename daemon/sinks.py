@@ -5,6 +5,7 @@ import logging
 import os
 import select
 import threading
+import time
 import typing
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -12,7 +13,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, encode, epoch_s
+from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, encode, epoch_s, timestamp
 from daemon.kept.journal import Journal
 from drivers.queue import DroppingQueue
 from drivers.robot.link import RobotLink
@@ -60,6 +61,14 @@ class EventFanout:
         for sink in self.sinks:
             sink.put(event)
 
+    def forget_robot(self) -> None:
+        """Tell that a robot which is up is gone: another one is configured now, or none."""
+        last = self.standing.get((RobotEvent, ""))
+        if isinstance(last, RobotEvent) and last.state == "up":
+            now = timestamp(time.time())
+            self.emit(RobotEvent(state="down", time=now, reason="it is no longer configured"))
+        self.standing.pop((RobotEvent, ""), None)
+
 
 class QueuedSink(ABC, Generic[Item]):
     """A thread that passes items, events mostly, on one by one; a full queue drops and counts its oldest."""
@@ -72,10 +81,14 @@ class QueuedSink(ABC, Generic[Item]):
         self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, lambda item: item is not None)
         self._draining = False
         self._abandoned = threading.Event()
+        self._starting = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
 
     def start(self) -> None:
-        self._thread.start()
+        """Begin to pass items on; may be repeated."""
+        with self._starting:
+            if self._thread.ident is None:
+                self._thread.start()
 
     @property
     def dropped(self) -> int:
@@ -86,6 +99,9 @@ class QueuedSink(ABC, Generic[Item]):
 
     def stop(self, timeout_s: float) -> None:
         """Write what is queued, for at most half of `timeout_s`, then give up the rest; may be repeated."""
+        if len(self._items):
+            # The daemon may end between a reload's swap and its start of new sinks.
+            self.start()
         if self._thread.ident is None:
             return
         self._draining = True

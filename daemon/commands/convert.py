@@ -2,18 +2,20 @@
 
 import argparse
 import csv
+import io
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 
 from daemon.events import Event, EventError
 from daemon.kept.journal import JournalError
-from daemon.kept.touches import read_lines
-from drivers.errors import TouchdError
+from daemon.kept.touches import lines_in
+from drivers.errors import TouchdError, os_errors_as
 from drivers.recording import SUFFIXES, read_provenance, read_recordings, write_recordings
+from drivers.whole_file import whole_file
 
 
 class ConvertError(TouchdError):
@@ -40,48 +42,59 @@ def main(arguments: Sequence[str]) -> int:
         raise ConvertError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
     if out.exists():
         raise ConvertError(f"{out}: is there already; give another --out, or move it away")
-    is_recording = file.name.endswith(SUFFIXES)
     if out.suffix == ".mcap":
         # Before the work, as it may not be installed.
-        from daemon.convert import mcap
+        import daemon.convert.mcap  # noqa: F401
     try:
-        if is_recording:
-            recordings = read_recordings(file)
-            if out.suffix == ".csv":
-                write_recordings(out, recordings, read_provenance(file))
+        with whole_file(out, replace=False) as partial:
+            if file.name.endswith(SUFFIXES):
+                _convert_recording(file, partial)
             else:
-                with out.open("xb") as target:
-                    mcap.write_recordings(recordings, target)
-        else:
-            # The journal's faults are reported before there is a file.
-            if not sum(1 for _ in read(file)):
-                raise ConvertError(f"{file}: no events in it")
-            if out.suffix == ".csv":
-                with out.open("x", encoding="utf-8", newline="") as table:
-                    _write_table(file, table)
-            else:
-                with out.open("xb") as target:
-                    mcap.write_events(read(file), target)
+                _convert_journal(file, partial)
     except OSError as error:
-        raise ConvertError(f"{error.filename}: {error.strerror}; give another --out") from error
+        raise ConvertError(f"{out}: {error.strerror}; give another --out") from error
     sys.stdout.write(f"{out}\n")
     return 0
 
 
-def read(path: Path) -> Iterator[Event]:
-    """Yield a journal's events. Raises JournalError."""
-    for number, event in enumerate(read_lines(path), 1):
+def _convert_recording(file: Path, out: Path) -> None:
+    recordings = read_recordings(file)
+    if out.suffix == ".csv":
+        write_recordings(out, recordings, read_provenance(file))
+        return
+    from daemon.convert import mcap
+
+    with out.open("xb") as target:
+        mcap.write_recordings(recordings, target)
+
+
+def _convert_journal(file: Path, out: Path) -> None:
+    # Read once: a running daemon may write on, and begin another file.
+    with os_errors_as(JournalError, f"journal {file}: cannot be read", "check the path"):
+        journal = io.BytesIO(file.read_bytes())
+    if not any(True for _ in _read(file, journal)):
+        raise ConvertError(f"{file}: no events in it")
+    if out.suffix == ".csv":
+        columns = dict.fromkeys(name for event in _read(file, journal) for name in _flat(event))
+        with out.open("x", encoding="utf-8", newline="") as target:
+            # For pandas and spreadsheets.
+            table = csv.DictWriter(target, list(columns), lineterminator="\n")
+            table.writeheader()
+            table.writerows(map(_flat, _read(file, journal)))
+        return
+    from daemon.convert import mcap
+
+    with out.open("xb") as messages:
+        mcap.write_events(_read(file, journal), messages)
+
+
+def _read(path: Path, journal: io.BytesIO) -> Iterator[Event]:
+    """Yield a journal's events from its beginning. Raises JournalError."""
+    journal.seek(0)
+    for number, event in enumerate(lines_in(journal), 1):
         if isinstance(event, EventError):
             raise JournalError(f"{path}, line {number}: {event}")
         yield event
-
-
-def _write_table(journal: Path, file: IO[str]) -> None:
-    """Write a row an event, a column each field, for pandas and spreadsheets."""
-    columns = dict.fromkeys(name for event in read(journal) for name in _flat(event))
-    table = csv.DictWriter(file, list(columns), lineterminator="\n")
-    table.writeheader()
-    table.writerows(map(_flat, read(journal)))
 
 
 def _flat(event: Event) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+import yaml
 from rich.console import Console
 
 from daemon.commands.settings import add_settings, settings_of
@@ -75,9 +76,14 @@ def main(arguments: Sequence[str]) -> int:
 
 def with_model(text: str, model: Path) -> str:
     """Return a configuration file's text with `model:` set, everything else as it was."""
-    line = f"model: {json.dumps(str(model))}"
-    changed, count = re.subn(r"^#? ?model:.*$", lambda _: line, text, count=1, flags=re.MULTILINE)
-    return changed if count else f"{line}\n{text}"
+    value = json.dumps(str(model))
+    root = yaml.compose(text, yaml.SafeLoader)
+    for key, old in root.value if isinstance(root, yaml.MappingNode) else ():
+        if key.value == "model":
+            return f"{text[: key.end_mark.index]}: {value}{text[old.end_mark.index :]}"
+    line = f"model: {value}"
+    changed, count = re.subn(r"^# ?model:.*$", lambda _: line, text, count=1, flags=re.MULTILINE)
+    return changed if count else f"{text.rstrip()}\n{line}\n"
 
 
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
@@ -114,9 +120,13 @@ def put_into_use(console: Console, config: Path | None, model: Path, *, is_worse
     with os_errors_as(ConfigError, f"{config}: cannot be written", "try with sudo"):
         if is_service:
             model = _beside(model)
-        with whole_file(config) as new:
+        # A link stays one.
+        with whole_file(config.resolve()) as new:
             new.write_text(with_model(config.read_text(encoding="utf-8"), model), encoding="utf-8")
-            load(new)
+            try:
+                load(new)
+            except ConfigError as error:
+                raise ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself") from error
     then = "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {config}"
     console.print(f"Set. To begin with it: {then}")
 

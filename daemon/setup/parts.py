@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
@@ -39,7 +40,7 @@ class Pad:
     """One pad: its reader, the queue that this fills, and the pipeline that empties it.
 
     settings: those of this pad. arrived: set whenever something waits in the queue.
-    number: its place among the pads. behind_frames: see `Pipeline`.
+    number: its place among the pads. behind_frames, touch_numbers: see `Pipeline`.
     before: the same pad under the previous settings; its queue is kept, and its reader if the port stays.
     catch_up_s: when its pipeline should catch up, `time.monotonic()`.
     """
@@ -54,6 +55,7 @@ class Pad:
         arrived: Signal,
         number: int,
         behind_frames: int,
+        touch_numbers: Iterator[int],
         before: Pad | None = None,
     ) -> None:
         self.name = name
@@ -68,6 +70,7 @@ class Pad:
             viewers=viewers,
             behind_frames=behind_frames,
             first_index=number,
+            numbers=touch_numbers,
         )
         self.catch_up_s = math.inf
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
@@ -116,9 +119,20 @@ class Parts:
             check_pad(settings)
         models = load_models(settings, pads_before)
         behind_frames = BEHIND_OF_SEVERAL_FRAMES if len(settings.pads) > 1 else BEHIND_FRAMES
+        # Also those of pads that are gone: one may come back.
+        self._touch_numbers: dict[str, Iterator[int]] = before._touch_numbers if before else {}
         self.pads: dict[str, Pad] = {
             name: Pad(
-                name, pad, models[name], emit, viewers, arrived, number, behind_frames, pads_before.get(name)
+                name,
+                pad,
+                models[name],
+                emit,
+                viewers,
+                arrived,
+                number,
+                behind_frames,
+                self._touch_numbers.setdefault(name, itertools.count(1)),
+                pads_before.get(name),
             )
             for number, (name, pad) in enumerate(settings.pads.items())
         }

@@ -104,14 +104,19 @@ class Sensor:
                 with open_port(self._port, self._baud) as opened:
                     self._read(opened)
             except SensorError as error:
-                self._announcer.down(error.kind, str(error))
+                self._fail(error.kind, str(error))
             except Exception as error:
                 # Retry after any error: a dead reader would stay down.
                 log.debug("the reader of %s failed", self._port, exc_info=True)
-                self._announcer.down("internal", f"internal error while reading {self._port}: {error!r}")
+                self._fail("internal", f"internal error while reading {self._port}: {error!r}")
             if time.monotonic() - begun_s > self._longest_retry_s:
                 self._backoff.reset()
             self._stop.wait(self._backoff.pause_s())
+
+    def _fail(self, kind: str, why: str) -> None:
+        """Report a failure, unless told to stop: another reader may fill the queue by now."""
+        if not self._stop.is_set():
+            self._announcer.down(kind, why)
 
     def _read(self, opened: Line) -> None:
         """Read until stopped, or until a long silence calls for reopening the port."""

@@ -1,27 +1,34 @@
 """SIGHUP: a reload loses no frame, and a wrong configuration changes nothing."""
 
+import logging
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rigs.expectations import LENGTHS, expected, outline, stream_of
+from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.patient_port import playing
 from rigs.robots import Robot
 from rigs.running_daemon import SPEED, Daemon
 from rigs.wait import WITHIN_S, wait_for
 
 from daemon.bridges.settings import MqttSettings
-from daemon.config import JournalSettings, SceneSettings, SensorSettings, Settings
+from daemon.config import JournalSettings, PadSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode
 from daemon.health import Health, Notifier
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.service import Service
+from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
 from daemon.touch import TouchSettings
+from drivers.fakes.fake_port import FakePort
 from drivers.frame import Frame
+from drivers.recording import Stream, ideal_clock_ms
 from drivers.robot.settings import RobotSettings
 
 
@@ -100,6 +107,78 @@ def test_a_reload_can_change_the_port(daemon: Daemon) -> None:
         assert other.path in states[-1].reason
 
 
+class Heard:
+    """A sink that keeps what a daemon of two pads says; it may be asked about one of them."""
+
+    name = "heard"
+
+    def __init__(self) -> None:
+        self.events: list[Event] = []
+
+    def start(self) -> None: ...
+
+    def stop(self, timeout_s: float) -> None: ...
+
+    def put(self, event: Event) -> None:
+        self.events.append(event)
+
+    def of(self, kind: type[Event], pad: str) -> list[Event]:
+        return [
+            event for event in self.events if isinstance(event, kind) and getattr(event, "pad", "") == pad
+        ]
+
+
+def pressed(*scans: Scans) -> FakePort:
+    """A pad that is pressed so, at twice the pace, and then lies at rest."""
+    counts = MadePad().counts(np.concatenate([nothing(2.0), *scans, nothing(200.0)]))
+    return FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encoder_for(SensorSettings()), speed=2.0)
+
+
+@contextmanager
+def serving(settings: Settings) -> Iterator[tuple[Service, Heard]]:
+    service, heard, stop = Service(settings, Health(Notifier({}))), Heard(), threading.Event()
+    service.tell(heard)
+    thread = threading.Thread(target=service.run, args=(stop,))
+    level = logging.getLogger().level
+    thread.start()
+    try:
+        yield service, heard
+    finally:
+        stop.set()
+        thread.join()
+        # A reload sets it to the configured one.
+        logging.getLogger().setLevel(level)
+
+
+def test_a_pads_other_port_is_read_while_a_hand_lies_on_another_pad() -> None:
+    def ports(arm: FakePort) -> Settings:
+        return Settings(sensors={"head": PadSettings(port=head.path), "arm": PadSettings(port=arm.path)})
+
+    with pressed(palm(100.0)) as head, pressed() as arm, pressed() as other_arm:
+        with serving(ports(arm)) as (service, heard):
+            wait_for(lambda: heard.of(TouchBegan, "head"))
+            reloading = threading.Thread(target=service.reload, args=(ports(other_arm),))
+            reloading.start()
+            wait_for(
+                lambda: any(other_arm.path in event.reason for event in heard.of(SensorEvent, "arm"))  # type: ignore[union-attr]
+            )
+            assert not heard.of(TouchEnded, "head")
+        reloading.join()
+
+
+def test_a_pad_that_comes_back_goes_on_counting_its_touches() -> None:
+    presses = [palm(0.5), nothing(1.5)]
+    with pressed() as head, pressed(*presses * 3) as arm:
+        one = Settings(sensors={"head": PadSettings(port=head.path)})
+        two = Settings(sensors={**one.sensors, "arm": PadSettings(port=arm.path)})
+        with serving(two) as (service, heard):
+            wait_for(lambda: heard.of(TouchEnded, "arm"))
+            service.reload(one)
+            service.reload(two)
+            wait_for(lambda: len(heard.of(TouchEnded, "arm")) == 2)
+            assert [event.touch for event in heard.of(TouchBegan, "arm")] == [1, 2]  # type: ignore[union-attr]
+
+
 def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
     with Robot() as robot:
         daemon.configure(robot=RobotSettings(url=robot.url))
@@ -107,6 +186,9 @@ def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
         robot.calls.wait_for(lambda call: "TouchGesture/Gesture" in call.arguments)
         daemon.configure()
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
+    wait_for(
+        lambda: [event.state for event in daemon.events if isinstance(event, RobotEvent)] == ["up", "down"]
+    )
     touches = [event.touch for event in daemon.finish() if isinstance(event, TouchBegan)]
     assert touches == list(range(1, len(touches) + 1))
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rigs.made_events import touch
+from rigs.made_events import PREDICTION, touch
 from rigs.programs import Program, ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
@@ -89,6 +89,14 @@ def test_stopping_writes_what_is_queued_and_may_be_repeated(tmp_path: Path) -> N
     lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
     assert [decode(line) for line in lines] == [touch(number) for number in range(200)]
     assert "touchd-journal" not in names()
+
+
+def test_what_waits_in_a_sink_that_was_not_started_yet_is_written_at_the_end(tmp_path: Path) -> None:
+    sink = JournalSink(Journal(tmp_path / "events.jsonl", max_bytes=10_000, keep=0))
+    sink.put(PREDICTION)
+    sink.stop(WITHIN_S)
+    sink.start()
+    assert [decode(line) for line in (tmp_path / "events.jsonl").read_bytes().splitlines()] == [PREDICTION]
 
 
 def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path) -> None:

@@ -16,20 +16,30 @@ from rigs.wait import WITHIN_S
 from daemon import cli
 from daemon.commands import teach
 from daemon.commands.teach import with_model
-from daemon.config import SensorSettings, Settings, load
+from daemon.config import ConfigError, SensorSettings, Settings, load
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
 from drivers.recording import Stream, ideal_clock_ms
 from model.classifier import Classifier
 
 
-@pytest.mark.parametrize("before", ["", "# mine\nmodel: old.onnx\n", "#model: null\nrobot: null\n"])
+@pytest.mark.parametrize(
+    "before",
+    [
+        "",
+        "# mine\nmodel: old.onnx\n",
+        "#model: null\nrobot: null\n",
+        "# model: older.onnx\nmodel : old.onnx\nrobot: null\n",
+        "---\nrobot: null\n",
+        "model:\nrobot: null\n",
+    ],
+)
 def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str) -> None:
     path = tmp_path / "touchd.yaml"
     path.write_text(with_model(before, Path("/srv/a: b.onnx")))
     assert load(path).model == "/srv/a: b.onnx"
     kept = [line for line in before.splitlines() if "model" not in line]
-    assert [line for line in path.read_text().splitlines() if not line.startswith("model")] == kept
+    assert [line for line in path.read_text().splitlines() if line and "model" not in line] == kept
 
 
 def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str | None:
@@ -38,6 +48,23 @@ def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str
         patched.setattr(sys, "stdin", io.StringIO(f"{answer}\n"))
         teach.put_into_use(Console(file=io.StringIO()), config, model, is_worse=is_worse)
     return load(config).model
+
+
+def test_a_configuration_that_is_a_link_stays_one(tmp_path: Path) -> None:
+    kept, config, model = tmp_path / "kept.yaml", tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
+    kept.write_text("robot: null\n")
+    config.symlink_to(kept)
+    assert used_after("", config, model, is_worse=False) == str(model)
+    assert config.is_symlink()
+    assert load(kept).model == str(model)
+
+
+def test_a_configuration_that_cannot_be_changed_stays_and_its_person_is_told(tmp_path: Path) -> None:
+    config = tmp_path / "touchd.yaml"
+    config.write_text("{robot: null}\n")
+    with pytest.raises(ConfigError, match=r"touchd.yaml stays as it was; set `model: .*lab-1.onnx` in it"):
+        used_after("", config, tmp_path / "lab-1.onnx", is_worse=False)
+    assert config.read_text() == "{robot: null}\n"
 
 
 def test_a_worse_model_is_used_only_if_asked_for(tmp_path: Path) -> None:

@@ -1,7 +1,10 @@
 """Faults of the pad's cable are reported once, and frames arrive again when they are over."""
 
 import logging
+import socket
+import threading
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +23,12 @@ from rigs.sensor_rig import (
     silence,
     stream_of,
 )
+from rigs.wait import wait_for
 
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.pad import sensor_state
-from drivers.pad.sensor import FrameQueue, SensorState
+from drivers.pad.sensor import FrameQueue, Sensor, SensorState
 from drivers.pad.sensor_state import Announcer
 from drivers.recording import Stream
 
@@ -48,6 +52,21 @@ def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture)
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again after ")
+
+
+def test_a_reader_told_to_stop_while_it_waits_for_an_address_says_nothing_more() -> None:
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as deaf, ExitStack() as waiting:
+        # A full backlog: further connections are neither taken nor refused, as by a board that is off.
+        for _ in range(3):
+            caller = waiting.enter_context(socket.socket())
+            caller.setblocking(False)
+            caller.connect_ex(deaf.getsockname())
+        queue = FrameQueue()
+        sensor = Sensor(f"tcp://127.0.0.1:{deaf.getsockname()[1]}", 0, FabricGrid(), queue)
+        sensor.start()
+        sensor.stop(0.1)
+        wait_for(lambda: "touchd-sensor" not in [thread.name for thread in threading.enumerate()])
+    assert len(queue) == 0
 
 
 def half_frames(counts: Counts, sensor_ms: int) -> bytes:
