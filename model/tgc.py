@@ -43,12 +43,17 @@ class FeatureDropout(nn.Module):
 class FrameStem(nn.Module):
     """Embed each frame and its change since the one before: (B, T, 8, 8) counts to (B, T, width)."""
 
+    plane_weights: Tensor
+    plane_biases: Tensor
+
     def __init__(self, stem_width: int, width: int, dropout: float, smooth_frames: int) -> None:
         super().__init__()
-        self.smooth_frames = smooth_frames
-        self.past = max(1, 2 * smooth_frames - 1)
+        weights, biases = _planes(smooth_frames)
+        self.past = weights.shape[2] - 1
+        self.register_buffer("plane_weights", weights, persistent=False)
+        self.register_buffer("plane_biases", biases, persistent=False)
         self.convolutions = nn.Sequential(
-            nn.Conv2d(4 if smooth_frames else 2, stem_width, 3, padding=1),
+            nn.Conv2d(len(weights), stem_width, 3, padding=1),
             nn.ReLU(),
             nn.AvgPool2d(2),
             nn.Conv2d(stem_width, 2 * stem_width, 3, padding=1),
@@ -75,13 +80,9 @@ class FrameStem(nn.Module):
     def embed_level(self, level: Tensor, last: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) levels and those before them, (B, past, 8, 8)."""
         B, T = level.shape[:2]
-        n = self.smooth_frames
-        seen = torch.cat([last.expand(B, -1, -1, -1), level], dim=1)
-        planes = [(level - LEVEL_MEAN) / LEVEL_SPREAD, (level - seen[:, self.past - 1 : -1]) / CHANGE_SPREAD]
-        if n:
-            mean = torch.stack([seen[:, i : i + T + n] for i in range(n)]).mean(dim=0)  # (B, T + n, 8, 8)
-            planes += [(mean[:, n:] - LEVEL_MEAN) / LEVEL_SPREAD, (mean[:, n:] - mean[:, :T]) / CHANGE_SPREAD]
-        pixels = torch.stack(planes, dim=2).reshape(-1, len(planes), ROWS, COLUMNS)
+        seen = torch.cat([last, level], dim=1).reshape(B, 1, -1, ROWS * COLUMNS)
+        planes = functional.conv2d(seen, self.plane_weights, self.plane_biases)  # (B, planes, T, 64)
+        pixels = planes.transpose(1, 2).reshape(B * T, -1, ROWS, COLUMNS)
         features = self.convolutions(pixels).reshape(B, T, -1)
         embedded: Tensor = self.norm(self.dropout(self.embed(features)))
         return embedded
@@ -90,11 +91,14 @@ class FrameStem(nn.Module):
 class GatedConvolution(nn.Module):
     """A causal dilated convolution over time with a gate and a residual: (B, T, width) to the same."""
 
+    taps: Tensor
+
     def __init__(self, width: int, dilation: int, dropout: float) -> None:
         super().__init__()
         self.past = 2 * dilation
         self.convolution = nn.Conv1d(width, 2 * width, 3, dilation=dilation)
         self.project = nn.Linear(width, width)
+        self.register_buffer("taps", torch.arange(3) * dilation, persistent=False)
         self.norm = nn.LayerNorm(width)
         self.dropout = FeatureDropout(dropout)
 
@@ -104,7 +108,12 @@ class GatedConvolution(nn.Module):
 
     def follow(self, x: Tensor, padded: Tensor) -> Tensor:
         """Return (B, T, width) from as many frames x; padded: the same with the `past` frames before them."""
-        signal, gate = self.convolution(padded.transpose(1, 2)).transpose(1, 2).chunk(2, dim=-1)
+        B, T, width = x.shape
+        # One matrix product: of a few frames, ONNX Runtime's convolution takes up to three times as long.
+        places = torch.arange(T, device=x.device)[:, None] + self.taps
+        seen = padded.index_select(1, places.flatten()).reshape(B, T, 3 * width)
+        weight = self.convolution.weight.transpose(1, 2).flatten(1)
+        signal, gate = functional.linear(seen, weight, self.convolution.bias).chunk(2, dim=-1)
         updated: Tensor = self.norm(x + self.dropout(self.project(torch.tanh(signal) * torch.sigmoid(gate))))
         return updated
 
@@ -212,3 +221,19 @@ class TGC(nn.Module):
         """Return (..., 3 * width), what the dense layers see, of (..., width) each."""
         deviation = torch.sqrt(variance.clamp_min(VARIANCE_FLOOR))
         return torch.cat([mean, deviation, highest], dim=-1)
+
+
+def _planes(smooth_frames: int) -> tuple[Tensor, Tensor]:
+    """Return what the stem sees of a taxel's last levels: weights (planes, 1, past + 1, 1), biases (planes,).
+
+    They are its level and the change since the frame before; with smooth_frames, also the mean over so many
+    frames and its change since as many before.
+    """
+    spans = (1, smooth_frames) if smooth_frames else (1,)
+    weights = []
+    for span in spans:
+        now = torch.zeros(2 * spans[-1])
+        now[-span:] = 1.0 / span
+        weights += [now / LEVEL_SPREAD, (now - now.roll(-span)) / CHANGE_SPREAD]
+    biases = torch.tensor([-LEVEL_MEAN / LEVEL_SPREAD, 0.0] * len(spans))
+    return torch.stack(weights)[:, None, :, None], biases
