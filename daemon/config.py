@@ -176,6 +176,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         for name in self.sensors:
             if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
                 raise ValueError(f"sensors: {name!r} is no name of a pad; use one word such as left_arm")
+            if not name.isascii() and (self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)):
+                raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
         ports = [pad.port for pad in self.sensors.values()]
         if shared := [port for port in ports if ports.count(port) > 1]:
             raise ValueError(f"sensors: {shared[0]} is the port of more than one pad; give each its own")

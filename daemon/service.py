@@ -105,8 +105,8 @@ class Service:
         for pad in before.pads.values():
             if pad.sensor not in readers:
                 pad.sensor.stop(SENSORS_STOP_S)
-                what = "another port" if pad.name in parts.pads else "no such pad"
-                pad.queue.put(SensorState("down", f"{what} is configured now"))
+                why = "its settings have changed" if pad.name in parts.pads else "it is no longer configured"
+                pad.queue.put(SensorState("down", why))
         self._taken_over.clear()
         self._next = parts
         if not self._taken_over.wait(PATIENCE_S):

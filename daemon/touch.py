@@ -346,8 +346,10 @@ class TouchTracker:
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
         if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
             held.last = self._index
-        elif self._index - held.last >= self._quiet_frames:
-            if not self._sight.sees_touch(self._recent.last(GLANCE_FRAMES), NO_TOUCH_STILL):
+        elif (quiet_frames := self._index - held.last) >= self._quiet_frames:
+            # About the quiet alone, where `quiet_s` is short.
+            asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
+            if len(asked) < LEAST_ASKED_FRAMES or not self._sight.sees_touch(asked, NO_TOUCH_STILL):
                 return self._end("released")
             held.last = self._index - self._quiet_frames + ASK_FRAMES
         if self._index - held.first >= self._longest_frames:

@@ -4,10 +4,12 @@ cyclonedds reads the annotations at run time, so `from __future__ import annotat
 """
 
 import math
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
+from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.annotations import final
@@ -20,9 +22,14 @@ from cyclonedds.util import duration
 from daemon.bridges.bridge import Bridge, arrival_s
 from daemon.bridges.settings import Ros2Settings
 from daemon.events import Event, Prediction, encode
+from daemon.live.address import own_addresses
+from drivers.backoff import Backoff
 from drivers.frame import COLUMNS, ROWS, Frame
 
 BYTES_PER_TAXEL = 2
+# DDS chooses a network when it begins: how often to look for another, and to try where there is none.
+LOOK_S = 5.0
+FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 10.0
 
 # The defaults of rclpy and rclcpp. A reliable writer suits reliable and best-effort readers.
 QOS = Qos(
@@ -95,9 +102,24 @@ class Ros2Bridge(Bridge):
 
     def __init__(self, settings: Ros2Settings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
+        self._addresses: set[str] = set()
+        self._looked_s = 0.0
+        self._writers: dict[str, DataWriter[Any]] = {}
         super().__init__("ros2", pad, math.inf)
 
     def open(self) -> None:
+        backoff = Backoff(FIRST_RETRY_S, LONGEST_RETRY_S)
+        while not self._abandoned.is_set():
+            try:
+                self._join()
+                return
+            except DDSException as error:
+                self._tell_away("a network for DDS", str(error).splitlines()[0])
+                self._abandoned.wait(backoff.pause_s())
+
+    def _join(self) -> None:
+        """Join by the network that there is now; raises DDSException without one."""
+        self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
         participant = DomainParticipant(self._settings.domain)
         publisher = Publisher(participant)
         # ROS 2 has its topics under rt.
@@ -106,18 +128,30 @@ class Ros2Bridge(Bridge):
         def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
             return DataWriter(publisher, Topic(participant, f"{prefix}/{name}", kind), QOS)
 
-        self._gesture = writer("gesture", String)
-        self._event = writer("event", String)
-        self._pressure = writer("pressure", Image)
+        self._writers = {
+            "gesture": writer("gesture", String),
+            "event": writer("event", String),
+            "pressure": writer("pressure", Image),
+        }
+        if self._was_away:
+            self._tell_there("DDS")
         self._peer_is_there.set()
 
     def write(self, item: Event | Frame) -> None:
+        if time.monotonic() - self._looked_s > LOOK_S:
+            self._looked_s = time.monotonic()
+            if set(own_addresses()) != self._addresses:
+                self._log.info("ros2: the network has changed; joining anew")
+                # A process chooses anew only once all its pads have left, each within this time.
+                self._writers.clear()
+                self._abandoned.wait(2 * LOOK_S)
+                self.open()
         if isinstance(item, Frame):
-            self._pressure.write(image(item, self.pad))
+            self._writers["pressure"].write(image(item, self.pad))
             return
         if isinstance(item, Prediction) and item.told:
-            self._gesture.write(String(item.gesture))
-        self._event.write(String(encode(item).decode()))
+            self._writers["gesture"].write(String(item.gesture))
+        self._writers["event"].write(String(encode(item).decode()))
 
     def close(self) -> None:
-        del self._gesture, self._event, self._pressure
+        self._writers.clear()

@@ -10,6 +10,7 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
+from daemon.commands.record import LONGEST_S, SHORTEST_S
 from daemon.commands.settings import add_settings, settings_of
 from daemon.config import ConfigError, Settings, load
 from daemon.kept.recording_file import prepare
@@ -42,7 +43,12 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--rounds", type=within(int, 1, 10), default=ROUNDS, metavar="N", help="of each gesture (%(default)s)"
     )
-    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each recording (%(default)g)")
+    parser.add_argument(
+        "--seconds",
+        type=within(float, SHORTEST_S, LONGEST_S),
+        default=SECONDS,
+        help="of each recording (%(default)g)",
+    )
     return parser
 
 

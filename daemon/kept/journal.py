@@ -32,7 +32,8 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, max_bytes: int, keep: int, before: "Journal | None" = None) -> None:
-        self._path = path
+        # Of a link, what it leads to is rotated, and stays on its disk.
+        self._path = path = path.resolve()
         self._max_bytes = max_bytes
         self._keep = keep
         self._failing = False

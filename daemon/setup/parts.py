@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 
+import msgspec
 import numpy as np
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.bridges import Key, make_bridges
-from daemon.config import ConfigError, SceneSettings, Settings
+from daemon.config import ConfigError, SceneSettings, SensorSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event
 from daemon.kept.touch_sink import TouchSink
@@ -77,7 +78,7 @@ class Pad:
         self.watch: PadWatch = before.watch if before else PadWatch(name)
         sensor = settings.sensor
         self.sensor: Sensor
-        if before is not None and sensor == before.settings.sensor:
+        if before is not None and _is_read_alike(sensor, before.settings.sensor):
             self.sensor = before.sensor
         else:
             self.sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self.queue)
@@ -166,6 +167,11 @@ class Parts:
     def sinks(self) -> tuple[Sink, ...]:
         one_each = (self.journal, self.robot, self.live, self.kept)
         return (*(sink for sink in one_each if sink is not None), *self.bridges.values())
+
+
+def _is_read_alike(one: SensorSettings, other: SensorSettings) -> bool:
+    """Whether one reader does for both: nothing but the pad's size differs."""
+    return one == msgspec.structs.replace(other, size_mm=one.size_mm)
 
 
 def load_model(settings: Settings) -> Classifier:

@@ -38,8 +38,10 @@ class Reloader:
         try:
             settings = self._read()
             if not self._one_at_a_time.acquire(timeout=PATIENCE_S):
-                log.warning("not reloaded: an earlier reload still waits for a touch to end, or for a file")
-                return
+                log.warning(
+                    "an earlier reload still waits for a touch to end, or for a file; this one comes next"
+                )
+                self._one_at_a_time.acquire()
             try:
                 if number == self._latest:
                     changed = ", ".join(self._use(settings))

@@ -47,5 +47,10 @@ class LineWatch:
                 "if firm presses do that, set a larger one in sensor.format"
             )
         else:
-            why = "damaged on the way; try a shorter cable and another USB port, no hub"
+            is_cable = "://" not in self._where
+            why = "damaged on the way; " + (
+                "try a shorter cable and another USB port, no hub"
+                if is_cable
+                else "does another board send there too?"
+            )
         log.warning("%s: %.0f %% of the last frames were refused, %s", self._where, 100 * share, why)

@@ -3,6 +3,7 @@
 import base64
 import threading
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from rigs.made_events import PREDICTION
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of
 from rigs.wait import WITHIN_S, wait_for
 
+from daemon.bridges.settings import Ros2Settings
 from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
 
 
@@ -102,6 +104,47 @@ def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
     assert (picture.encoding, picture.step, picture.header.frame_id) == ("mono16", 16, PAD)
     np.testing.assert_array_equal(np.frombuffer(bytes(picture.data), "<u2").reshape(8, 8), frame(1).pressure)
     assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
+
+
+def test_ros2_waits_for_a_network_and_follows_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.core import DDSException
+
+    from daemon.bridges import ros2
+
+    monkeypatch.setattr(ros2, "FIRST_RETRY_S", 0.01)
+    monkeypatch.setattr(ros2, "LOOK_S", 0.05)
+    peer = Ros2Peer(tmp_path)
+    bridge = ros2.Ros2Bridge(Ros2Settings(domain=peer.domain), PAD)
+    join, failures = bridge._join, iter((DDSException(DDSException.DDS_RETCODE_ERROR),))
+
+    def fail_once() -> None:
+        if (failure := next(failures, None)) is not None:
+            raise failure
+        join()
+
+    def heard() -> bool:
+        bridge.put(PREDICTION)
+        time.sleep(0.05)
+        return bool(peer.heard)
+
+    monkeypatch.setattr(bridge, "_join", fail_once)
+    with caplog.at_level("INFO"), closing(peer):
+        peer.start()
+        bridge.start()
+        wait_for(heard)
+        monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
+        wait_for(lambda: heard() and "the network has changed" in caplog.text)
+        peer.heard.clear()
+        wait_for(heard)
+        bridge.stop(2.0)
+    assert [record.message.partition(" (")[0] for record in caplog.records] == [
+        "ros2: a network for DDS is away",
+        "ros2: connected to DDS",
+        "ros2: the network has changed; joining anew",
+    ]
 
 
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:

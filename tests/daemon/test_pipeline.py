@@ -32,7 +32,9 @@ LEAD_FRAMES = 108
 class Bench:
     """A pipeline fed by a made pad at 54 Hz, and its events."""
 
-    def __init__(self, model: Scripted | None = None, settings: PipelineSettings | None = None) -> None:
+    def __init__(
+        self, model: Scripted | Classifier | None = None, settings: PipelineSettings | None = None
+    ) -> None:
         self.model = model or Scripted()
         self.emitted: list[Event] = []
         self.pipeline = Pipeline(settings or PipelineSettings(), self.model, self.emitted.append, STOPPED)
@@ -387,6 +389,14 @@ def test_an_answer_due_in_a_bridged_gap_is_whole() -> None:
         ("revised", 81, False),
         ("final", 144, True),
     ]
+
+
+@pytest.mark.parametrize("quiet_s", [0.1, 0.3, 0.5, 0.8])
+def test_pauses_longer_than_the_quiet_time_part_touches(quiet_s: float) -> None:
+    settings = PipelineSettings(touch=TouchSettings(quiet_s=quiet_s))
+    bench = Bench(Classifier.load(), settings)
+    events = bench.feel(*[palm(0.8, 60.0), nothing(0.9)] * 4)
+    assert [event.frames for event in events if isinstance(event, TouchEnded)] == [43] * 4
 
 
 def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:

@@ -22,6 +22,7 @@ from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan
 from daemon.health import Health, Notifier
 from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.service import Service
+from daemon.setup import reread
 from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
@@ -268,3 +269,29 @@ def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCapture
                 thread.join(WITHIN_S)
     # The older reload changes nothing when it continues.
     assert caplog.text.count("configuration read again") == 1
+
+
+def test_of_two_reloads_during_a_long_touch_the_later_one_stays(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reread, "PATIENCE_S", 0.05)
+    languages = iter(["de", "en"])
+    begun, touch_ends = threading.Event(), threading.Event()
+    used: list[Settings] = []
+
+    def use(settings: Settings) -> list[str]:
+        used.append(settings)
+        begun.set()
+        touch_ends.wait(WITHIN_S)
+        return ["language"]
+
+    asked = threading.Event()
+    reloader = Reloader(lambda: Settings(language=next(languages)), use)
+    with caplog.at_level("INFO"), rereading(asked, reloader):
+        asked.set()
+        assert begun.wait(WITHIN_S)
+        asked.set()
+        await_message(caplog, "this one comes next")
+        touch_ends.set()
+        wait_for(lambda: len(used) == 2)
+    assert [settings.language for settings in used] == ["de", "en"]

@@ -112,6 +112,17 @@ def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path) -> None:
     assert numbers == list(range(numbers[0], 200))
 
 
+def test_a_journal_behind_a_link_rotates_where_it_lies(tmp_path: Path) -> None:
+    (disk := tmp_path / "disk").mkdir()
+    (link := tmp_path / "events.jsonl").symlink_to(disk / "touches.jsonl")
+    journal = Journal(link, max_bytes=100, keep=1)
+    for number in range(20):
+        journal.append(b'{"type":"n","n": %d}' % number)
+    journal.close()
+    assert link.is_symlink()
+    assert sorted(file.name for file in disk.iterdir()) == ["touches.jsonl", "touches.jsonl.1"]
+
+
 def test_a_journal_that_keeps_nothing_older_begins_anew(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "events.jsonl", max_bytes=100, keep=0)
     for number in range(100):

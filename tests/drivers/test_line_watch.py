@@ -25,9 +25,9 @@ SET = "with values above full_scale 1023; if firm presses do that, set a larger 
 FIRM = f"COM3: 22 % of the last frames were refused, {SET}"
 
 
-def watch(parser: FrameParser, packets: list[bytes], turns: int = 1) -> None:
+def watch(parser: FrameParser, packets: list[bytes], turns: int = 1, where: str = "COM3") -> None:
     """Let the packets arrive over one look, again and again, after a first frame."""
-    watched = LineWatch(parser, "COM3")
+    watched = LineWatch(parser, where)
     watched.update(0.0)
     for turn in range(turns):
         for number, packet in enumerate(packets, 1):
@@ -58,6 +58,13 @@ def test_a_line_that_damages_a_frame_in_twenty_is_told_with_what_to_try(
 ) -> None:
     watch(FabricGrid(), faulty(flip_bit_every=20))
     assert caplog.messages == [CABLE]
+
+
+def test_of_a_network_other_boards_are_asked_for_instead_of_cables(caplog: pytest.LogCaptureFixture) -> None:
+    watch(FabricGrid(), faulty(flip_bit_every=20), where="udp://0.0.0.0:4000")
+    assert [message.rpartition("; ")[2] for message in caplog.messages] == [
+        "does another board send there too?"
+    ]
 
 
 @pytest.mark.parametrize("every", [{}, {"flip_bit_every": 100}, {"repeat_frame_every": 5}])
