@@ -145,7 +145,7 @@ class Parts:
         self.kept: TouchSink | None = before.kept if before else None
         if changed & {"journal", "sensor", "sensors"}:
             stores = open_touch_stores(settings)
-            self.kept = TouchSink(stores) if stores else None
+            self.kept = TouchSink(stores, self.kept) if stores else None
         self.bridges: dict[Key, Bridge] = make_bridges(settings, models, before.bridges if before else {})
         self.journal: JournalSink | None = before.journal if before else None
         self.live: LiveServer | None = before.live if before else None

@@ -51,8 +51,8 @@ class StoreBench:
         for counts in self.pad.counts(np.concatenate(pressures)):
             self._feel(counts)
 
-    def keep(self, store: TouchStore) -> None:
-        self.sink, self._folder = TouchSink({"pad": store}), store._folder
+    def keep(self, store: TouchStore, before: TouchSink | None = None) -> None:
+        self.sink, self._folder = TouchSink({"pad": store}, before), store._folder
         self.sink.start()
 
     def end(self) -> list[KeptTouch]:
@@ -192,6 +192,17 @@ def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: P
     bench.end()
     assert len(ended(bench.events)) == 2
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
+
+
+def test_a_touch_during_which_the_settings_change_is_kept_whole(store: TouchStore) -> None:
+    bench = StoreBench(store)
+    bench.feel(palm(0.5))
+    bench.sink.stop(WITHIN_S)
+    bench.keep(store, bench.sink)
+    bench.feel(palm(0.5), nothing(1.5))
+    (kept,) = bench.end()
+    (end,) = ended(bench.events)
+    assert len(read_frames(kept).touch.counts) == end.frames
 
 
 def test_only_the_last_touches_are_kept() -> None:
