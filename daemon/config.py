@@ -390,7 +390,8 @@ def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
         if how.startswith(" matching regex"):
             default = getattr(_section(struct, keys[:-1])(), keys[-1])
             how = f" such as {default}" if default else " in another form"
-        return f"{name or 'the file'} must be {kinds}{how}, not {_shortly(value)}"
+        hint = "; put it in quotes" if kinds == "text" and isinstance(value, int | float) else ""
+        return f"{name or 'the file'} must be {kinds}{how}, not {_shortly(value)}{hint}"
     return f"{name}: {problem}" if name else problem
 
 

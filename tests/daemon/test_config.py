@@ -1,12 +1,15 @@
 """The configuration: each mistake is reported in one line that names it and says what to do."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from msgspec import inspect
 
 from daemon.bridges.settings import LslSettings
 from daemon.config import MAX_BYTES, ConfigError, Settings, convert, load
+from drivers.pad.format import PadFormat
 from model.classifier import SHIPPED_MODEL, Classifier
 
 EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
@@ -75,6 +78,30 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     assert shown.scene.answer_at_frames == default.scene.answer_at_frames
     assert shown.scene.speak_above == default.scene.speak_above
     assert shown.scene.revise_margin == default.scene.revise_margin
+    assert shown.scene.stale_s == default.scene.stale_s
+
+
+def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
+    text, seen = EXAMPLE.read_text(), set()
+
+    def names(kind: inspect.Type) -> Iterator[str]:
+        match kind:
+            case inspect.StructType(cls=cls, fields=fields) if cls is not PadFormat and cls not in seen:
+                seen.add(cls)
+                for field in fields:
+                    yield field.encode_name
+                    yield from names(field.type)
+            case inspect.UnionType(types=several):
+                for each in several:
+                    yield from names(each)
+            case inspect.ListType(item_type=inner) | inspect.VarTupleType(item_type=inner):
+                yield from names(inner)
+            case inspect.DictType(value_type=inner):
+                yield from names(inner)
+
+    # protocol: the old name of format.
+    named = set(names(inspect.type_info(Settings))) - {"protocol"}
+    assert {name for name in named if not re.search(rf"\b{name}:", text)} == set()
 
 
 @pytest.mark.parametrize(
@@ -98,7 +125,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         ("touch: {onset_level: 4, onset_threshold: 5}", "touch.onset_level is not a setting"),
         ("touch: {onset_threshold: .nan}", "touch.onset_threshold must be a number >= 0.001, not nan"),
         ("scene: {speak_above: 1.5}", "scene.speak_above must be a number <= 1.0, not 1.5"),
-        ("scene: {gestures: [3]}", "scene.gestures must be text, not 3"),
+        ("scene: {gestures: [3]}", "scene.gestures must be text, not 3; put it in quotes"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
         ("robot: {}", "robot.url is missing and has no default"),
         (
