@@ -100,9 +100,15 @@ def as_yaml(described: PadFormat) -> str:
 
 
 def caution(proposed: PadFormat) -> str:
-    """Return what to check in a proposal, "" if nothing: a pad at rest does not show its range."""
-    is_known = proposed in PRESETS.values() or (proposed.framing == "binary" and proposed.cell == "u8")
-    return "" if is_known else "full_scale is only the largest value seen: set what a cell can send at most"
+    """Return what to check in a proposal, "" if nothing: neither range nor sides show in a pad's bytes."""
+    if proposed in PRESETS.values():
+        return ""
+    parts = []
+    if proposed.framing != "rows" and proposed.rows != proposed.columns:
+        parts.append(f"{proposed.cells} cells came: how many rows and columns is a guess")
+    if proposed.framing != "binary" or proposed.cell != "u8":
+        parts.append("full_scale is a guess from the largest value seen: set what a cell can send at most")
+    return "; ".join(parts)
 
 
 def _as_preset(guess: PadFormat) -> PadFormat:

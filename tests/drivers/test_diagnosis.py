@@ -6,7 +6,7 @@ import pytest
 from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.wire import counts_of
 
-from drivers.pad.diagnosis import diagnose
+from drivers.pad.diagnosis import caution, diagnose, propose
 from drivers.pad.format import PRESETS, PadFormat
 
 
@@ -66,3 +66,12 @@ def test_a_diagnosis_names_found_and_configured_format(
 def test_a_few_frames_are_enough_to_tell() -> None:
     data = b"".join(encode_fabric_grid(counts_of(i), 19 * i) for i in range(4))
     assert diagnose(data, pad("fabric-grid", 8, 8))[1].startswith("looks like fabric-grid 10x10")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"), [(72, "72 cells came: how many rows and columns"), (64, "full_scale")]
+)
+def test_what_is_guessed_in_a_proposal_is_said(numbers: int, words: str) -> None:
+    proposed = propose(printed(numbers))
+    assert proposed is not None
+    assert caution(proposed).startswith(words)
