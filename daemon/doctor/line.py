@@ -36,7 +36,7 @@ ADVICE_FOR_PORT = {
 ADVICE_FOR_BYTES = {
     "format": "set sensor.format to what it looks like",
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
-    "damage": "try a shorter cable and another USB port, no hub; for firm presses, a larger full_scale",
+    "damage": "try a shorter cable, another USB port, no hub; if firm presses do it, full_scale or checksum",
     "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy",
 }
 

@@ -100,7 +100,7 @@ def as_yaml(described: PadFormat) -> str:
 
 
 def caution(proposed: PadFormat) -> str:
-    """Return what to check in a proposal, "" if nothing: neither range nor sides show in a pad's bytes."""
+    """Return what to check in a proposal, "" if nothing: a pad at rest shows neither range nor sides."""
     if proposed in PRESETS.values():
         return ""
     parts = []
@@ -108,6 +108,8 @@ def caution(proposed: PadFormat) -> str:
         parts.append(f"{proposed.cells} cells came: how many rows and columns is a guess")
     if proposed.framing != "binary" or proposed.cell != "u8":
         parts.append("full_scale is a guess from the largest value seen: set what a cell can send at most")
+    if proposed.checksum in ("values", "sum8") and proposed.cell == "u16" and proposed.full_scale < 256:
+        parts.append("checksum may be values or sum8: press the pad firmly while the doctor listens")
     return "; ".join(parts)
 
 

@@ -7,7 +7,7 @@ from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.wire import counts_of
 
 from drivers.pad.diagnosis import caution, diagnose, propose
-from drivers.pad.format import PRESETS, PadFormat
+from drivers.pad.format import PRESETS, PadFormat, encode_frame
 
 
 def pad(preset: str, rows: int, columns: int) -> PadFormat:
@@ -75,3 +75,11 @@ def test_what_is_guessed_in_a_proposal_is_said(numbers: int, words: str) -> None
     proposed = propose(printed(numbers))
     assert proposed is not None
     assert caution(proposed).startswith(words)
+
+
+def test_two_checksums_that_agree_at_rest_are_both_named() -> None:
+    format = PadFormat(rows=8, columns=8, header="beef", checksum="sum8")
+    frames = [encode_frame(format, counts_of(number) % 7, 19 * number) for number in range(12)]
+    proposed = propose(b"".join(frames))
+    assert proposed is not None
+    assert "checksum may be values or sum8" in caution(proposed)
