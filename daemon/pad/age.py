@@ -24,8 +24,13 @@ class Age:
         self._offset_s: float | None = None
         self._lag_s = 0.0
         self._host_s = 0.0
+        self._sensor_ms = 0.0
 
     def update(self, frame: GridFrame) -> None:
+        if frame.sensor_ms < self._sensor_ms:
+            # The pad's clock started anew. Frames that were held up come late, but in order.
+            self.forget()
+        self._sensor_ms = frame.sensor_ms
         lag_s = frame.host_s - frame.sensor_ms / 1000.0
         later_s, passed_s = lag_s - self._lag_s, max(0.0, frame.host_s - self._host_s)
         self._lag_s, self._host_s = lag_s, frame.host_s

@@ -391,6 +391,19 @@ def test_an_answer_due_in_a_bridged_gap_is_whole() -> None:
     ]
 
 
+def test_touches_after_a_reset_of_the_board_are_told() -> None:
+    emitted: list[Event] = []
+    pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, Clock(lambda: host_s))
+    pad = MadePad()
+    host_s = 0.0
+    for clock_s in (100.0, 1.0):
+        for number, counts in enumerate(pad.counts(np.concatenate([nothing(2.0), palm(2.0), nothing(2.0)]))):
+            host_s += 1 / 54
+            pipeline.on_frame(Frame(number, round(1000 * (clock_s + number / 54)), host_s, counts))
+    assert [touch.gesture for touch in emitted if isinstance(touch, TouchEnded)] == ["stroke", "stroke"]
+    assert max(answer.age_ms for answer in predictions(emitted)) < 1000.0
+
+
 @pytest.mark.parametrize("quiet_s", [0.1, 0.3, 0.5, 0.8])
 def test_pauses_longer_than_the_quiet_time_part_touches(quiet_s: float) -> None:
     settings = PipelineSettings(touch=TouchSettings(quiet_s=quiet_s))
