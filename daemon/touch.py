@@ -33,6 +33,8 @@ SMOOTH_FRAMES = 3
 CALIBRATION_FRAMES = 27
 WIRE_COUNTS = 25.0
 BACKDATE_COUNTS = 1.0
+# Up to this threshold the network may begin a touch that has too little contact.
+NOTICED_COUNTS = 4.0
 # A pad silent for longer, or restarted, may have been moved or changed: it is calibrated anew.
 CHANGED_AFTER_MS = 2000.0
 
@@ -88,14 +90,15 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """How a touch is told from a pad at rest. The defaults were chosen by measurement: docs/touch.md.
 
     onset_threshold: contact that begins a touch, in counts summed over the pad above each taxel's noise
-        floor; lower notices lighter touches and raises more false alarms.
+        floor; lower notices lighter touches and raises more false alarms. Above the default, none begins
+        because the network sees it.
     release_threshold: contact below which the pad is quiet, in the same counts.
     quiet_s: a touch ends after this much quiet; longer than the lift-off between two strokes. Seconds.
     settled_s: a load that has kept still for this long is taken for the pad's new rest. Seconds.
     longest_s: a touch that goes on for longer is ended, and what lies on the pad is its new rest. Seconds.
     """
 
-    onset_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = 4.0
+    onset_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = NOTICED_COUNTS
     release_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = 4.0
     quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
     settled_s: Annotated[float, msgspec.Meta(ge=5, le=3600)] = 10.0
@@ -287,7 +290,8 @@ class TouchTracker:
         self._watched_frames += 1
         if self._index % ASK_FRAMES or self._watched_frames < GLANCE_FRAMES or not self._sight.is_there:
             return None
-        if not self._sight.look_at_rest(self._recent.last(GLANCE_FRAMES)):
+        is_seen = self._sight.look_at_rest(self._recent.last(GLANCE_FRAMES))
+        if not is_seen or self._settings.onset_threshold > NOTICED_COUNTS:
             return None
         self._sight.forget_looks()
         self._held = _Held(self._index - GLANCE_FRAMES - ASK_FRAMES, self._index)
@@ -345,6 +349,10 @@ class TouchTracker:
     def _hold(self, smooth: Taxels, held: _Held) -> Release | None:
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
         if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
+            if self._index - held.last > SECOND_FRAMES:
+                # The hand is back; what the last second looked like is over.
+                held.still_frames = held.calm_frames = 0
+                self._sight.forget_looks()
             held.last = self._index
         elif (quiet_frames := self._index - held.last) >= self._quiet_frames:
             # About the quiet alone, where `quiet_s` is short.
@@ -383,7 +391,9 @@ class TouchTracker:
         elif self._index % ASK_FRAMES == 0:
             self._sight.look(self._recent.last(SECOND_FRAMES))
         seems_left = (is_low and held.still_frames >= STILL_FRAMES) or held.calm_frames >= CALM_FRAMES
-        if self._sight.is_none or (seems_left and self._is_left(held, level)):
+        # Without contact a quiet time that is longer than this look is waited for.
+        is_quiet = held.last < self._index and self._quiet_frames > SECOND_FRAMES
+        if not is_quiet and (self._sight.is_none or (seems_left and self._is_left(held, level))):
             return self._take_for_rest(held, "released")
         return self._take_for_rest(held, "settled") if held.still_frames >= self._settled_frames else None
 

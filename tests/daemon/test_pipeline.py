@@ -412,6 +412,24 @@ def test_pauses_longer_than_the_quiet_time_part_touches(quiet_s: float) -> None:
     assert [event.frames for event in events if isinstance(event, TouchEnded)] == [43] * 4
 
 
+@pytest.mark.parametrize("quiet_s", [2.0, 5.0])
+def test_pauses_shorter_than_the_quiet_time_part_no_touch(quiet_s: float) -> None:
+    settings = PipelineSettings(touch=TouchSettings(quiet_s=quiet_s))
+    bench = Bench(Classifier.load(), settings)
+    events = bench.feel(*[palm(0.4, 60.0), nothing(1.8)] * 4, nothing(quiet_s))
+    assert [(event.frames, event.reason) for event in events if isinstance(event, TouchEnded)] == [
+        (round(54 * (4 * 0.4 + 3 * 1.8)) + 1, "released")
+    ]
+
+
+def test_a_raised_threshold_feels_no_lighter_touch_and_firm_ones_at_once() -> None:
+    settings = PipelineSettings(touch=TouchSettings(onset_threshold=200.0))
+    bench = Bench(Classifier.load(), settings)
+    assert bench.feel(palm(2.0, 12.0), nothing(3.0)) == []
+    events = bench.feel(palm(2.0, 100.0), nothing(3.0))
+    assert [event.frames for event in events if isinstance(event, TouchEnded)] == [108]
+
+
 def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:
     bench = Bench()
     events = bench.feel(palm(3.0), skip=range(100, 120))
