@@ -411,10 +411,11 @@ class TouchTracker:
     def _take_for_rest(self, held: _Held, reason: EndReason) -> Release | None:
         """End the touch, and take the current readings as rest."""
         if reason == "released":
-            over_frames = (
-                max(held.still_frames, held.calm_frames, SECOND_FRAMES if self._sight.is_none else 0)
-                + SECOND_FRAMES // 2
+            over_frames = max(
+                held.still_frames, held.calm_frames, SECOND_FRAMES if self._sight.is_none else 0
             )
+            # The ring holds no older frames.
+            over_frames = min(over_frames, LEFT_ANYHOW_FRAMES) + SECOND_FRAMES // 2
             held.last = max(held.first, min(held.last, self._index - over_frames))
         if reason != "released" or self._sight.sees_touch(self._recent.last(SECOND_FRAMES)):
             # The network takes what lies there for a hand, and would begin the touch anew.

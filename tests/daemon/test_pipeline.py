@@ -430,6 +430,13 @@ def test_a_raised_threshold_feels_no_lighter_touch_and_firm_ones_at_once() -> No
     assert [event.frames for event in events if isinstance(event, TouchEnded)] == [108]
 
 
+def test_a_still_load_that_slowly_gives_way_ends_as_a_touch() -> None:
+    bench = Bench(Classifier.load(), PipelineSettings(touch=TouchSettings(settled_s=60.0)))
+    gives_way = palm(25.0, 60.0, trembling=False) * np.exp(-np.arange(25 * 54) / (20 * 54))[:, None, None]
+    events = bench.feel(palm(1.0, 60.0), gives_way.astype(np.float32), nothing(3.0))
+    assert [event.reason for event in events if isinstance(event, TouchEnded)] == ["released"]
+
+
 def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:
     bench = Bench()
     events = bench.feel(palm(3.0), skip=range(100, 120))
