@@ -345,7 +345,8 @@ def _path_to(where: str, raw: Any, struct: type[msgspec.Struct]) -> Steps:
     path: Steps = ()
     for name, place in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", where):
         if place == "...":
-            hint = typing.get_type_hints(_section(struct, _names(path[:-1])))[_names(path)[-1]]
+            section = _section(struct, _names(path[:-1]))
+            hint = typing.get_type_hints(section, include_extras=True)[_names(path)[-1]]
             of = next(typing.get_args(part)[1] for part in _parts(hint) if typing.get_origin(part) is dict)
             path += (next(key for key, value in _value(raw, path).items() if not _is(value, of)),)
         else:

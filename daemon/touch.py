@@ -107,7 +107,8 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def __post_init__(self) -> None:
         if self.release_threshold > self.onset_threshold:
             raise ValueError(
-                f"release_threshold {self.release_threshold} is above onset_threshold {self.onset_threshold}"
+                f"release_threshold {self.release_threshold} is above onset_threshold "
+                f"{self.onset_threshold}; set it to {self.onset_threshold} or less too"
             )
 
 

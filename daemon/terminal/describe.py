@@ -1,6 +1,15 @@
 """Events in words, for people at a terminal."""
 
-from daemon.events import Event, Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import (
+    UNCERTAIN,
+    Event,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+)
 from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.terms import term
 from drivers.frame import FRAME_RATE_HZ
@@ -12,9 +21,11 @@ def describe(event: Event, words: Vocabulary, language: Language = "en") -> str:
             return term(language, "begins", number=event.touch)
         case Prediction():
             after, told = term(language, "after"), term(language, "told")
+            # The confidence is the likeliest gesture's, not that of being unsure.
+            sure = "" if event.gesture == UNCERTAIN else f"{event.confidence:4.0%}"
             return (
                 f"  {term(language, event.stage):<9} {after} {event.elapsed_s:4.1f} s: "
-                f"{name_of(words, event.gesture):<10} {event.confidence:4.0%}  in {event.latency_ms:.1f} ms"
+                f"{name_of(words, event.gesture):<10} {sure:4}  in {event.latency_ms:.1f} ms"
                 f"{f'  {told}' if event.told else ''}"
             )
         case TouchEnded():

@@ -44,6 +44,7 @@ NOISE_COUNTS = 3.0
 LATE_FRAMES = 3
 LONGEST_TRACE = 60 * 54
 NARROWEST, LOWEST = 40, 16
+LEAST_COLUMNS, LEAST_ROWS = 20, 6
 # Minimum heights for large letters, and for blank lines between parts.
 LOW, HIGH = 18, 33
 # Room for bars before the first answer.
@@ -188,7 +189,8 @@ class View:
         width, height = console.size
         paper = self._palette.paper
         with self._lock:
-            lines = self._draw(width, height)
+            # In a terminal that is smaller, the rest is cut off.
+            lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
         for row in range(height):
             yield from _fit(lines[row] if row < len(lines) else [], width, paper)
             if row < height - 1:

@@ -27,6 +27,8 @@ UNCERTAIN = "uncertain"
 Measure: TypeAlias = Literal[
     "duration_s", "peak", "mean", "area", "row", "column", "path", "down", "right", "rhythm_hz"
 ]
+# Not a NaN, which no measure is above or below.
+Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
 COLORS = {
     "white": 0xFFFFFF,
@@ -113,8 +115,8 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     gestures: tuple[Name, ...] = ()
     stages: tuple[Stage, ...] = ()
     changed: bool = False
-    above: dict[Measure, float] = {}
-    below: dict[Measure, float] = {}
+    above: dict[Measure, Finite] = {}
+    below: dict[Measure, Finite] = {}
     refractory_s: Seconds = 0.0
 
 

@@ -149,6 +149,14 @@ def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
             "scene.actions.above.peak must be a number, not 'x'",
         ),
         ("scene: {actions: [{above: {peek: 3}, do: [{say: a}]}]}", "rhythm_hz, not ['peek']"),
+        (
+            "scene: {actions: [{above: {peak: .nan}, do: [{say: a}]}]}",
+            "scene.actions.above.peak must be a number",
+        ),
+        (
+            "touch: {onset_threshold: 2}",
+            "release_threshold 4.0 is above onset_threshold 2.0; set it to 2.0 or less too",
+        ),
         ("log_level: loud", "log_level must be debug or info or warning or error, not 'loud'"),
         ("model: null\nmodel: x.onnx", "line 2: model is set twice"),
         ("sensor: [", "line 1, column 10: "),

@@ -27,7 +27,7 @@ from daemon.setup.words import Language, vocabulary
 from daemon.terminal.big_words import big
 from daemon.terminal.view import View
 
-SIZES = [(60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
+SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
 
 
