@@ -45,7 +45,10 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.write(f"{port.path}\n")
         sys.stdout.flush()
         if sys.stdout.isatty():
-            sys.stderr.write(f"In another terminal: {own_name()} run --view --port {port.path}\n")
+            file = f" -c {options.config}" if options.config else ""
+            sys.stderr.write(f"In another terminal: {own_name()} run{file} --view --port {port.path}\n")
+            if options.format:
+                sys.stderr.write(f"with `sensor: {{format: {options.format}}}` in its configuration (-c)\n")
         port.wait(threading.TIMEOUT_MAX)
     return 0
 

@@ -46,5 +46,8 @@ def main(arguments: Sequence[str]) -> int:
     adapted = adapt_folder(options.extra, output, AdaptSettings(seed=options.seed), options.keep_all)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
-    sys.stdout.write(f"\nWritten: {output}. To use it, set `model: {output.resolve()}` in touchd.yaml.\n")
+    sys.stdout.write(
+        f"\nWritten: {output}. To use it, set `model: {output.resolve()}` in touchd.yaml, "
+        "and in scene.gestures those that it knows.\n"
+    )
     return 0

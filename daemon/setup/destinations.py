@@ -33,12 +33,16 @@ def open_journal(settings: JournalSettings | None, before: Journal | None = None
     """Return the configured journal, if any, in place of the one before; raises JournalError."""
     if settings is None:
         return None
-    if settings.path is None:
-        # Make the default state folder when it is missing, but not the folder of a configured path.
-        with suppress(OSError):
-            settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _make_state_folder(settings)
     max_bytes = round(settings.max_mb * BYTES_PER_MB)
     return Journal(settings.file, max_bytes=max_bytes, keep=settings.keep, before=before)
+
+
+def _make_state_folder(settings: JournalSettings) -> None:
+    """Make the default state folder when it is missing, but not the folder of a configured path."""
+    if settings.path is None:
+        with suppress(OSError):
+            settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
 
 
 def open_touch_stores(settings: Settings) -> dict[str, TouchStore]:
@@ -46,6 +50,7 @@ def open_touch_stores(settings: Settings) -> dict[str, TouchStore]:
     journal = settings.journal
     if journal is None or journal.keep_touches is None:
         return {}
+    _make_state_folder(journal)
     try:
         return {
             name: TouchStore(folder_of(journal.file, name), journal.keep_touches, description_of(pad.sensor))

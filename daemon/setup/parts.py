@@ -206,7 +206,7 @@ def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
         if unknown := sorted(gestures - known):
             raise ConfigError(
                 f"{name}: {unknown[0]} is no gesture of the model {classifier.name}; "
-                f"it knows {', '.join(sorted(known))}"
+                f"it knows {', '.join(sorted(known))}: name those, or leave {name} out"
             )
     if scene.gestures and (never := sorted(acted_on - set(scene.gestures))):
         raise ConfigError(

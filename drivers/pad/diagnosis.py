@@ -74,12 +74,14 @@ def propose(data: bytes) -> PadFormat | None:
 
 
 def _plausibility(guess: PadFormat) -> float:
-    """Rate a guess: a checksum or clock that fits is no accident; pads are mostly square; a long header is
-    cells."""
+    """Rate a guess: a preset's line is known; a checksum or clock that fits is hardly an accident; pads are
+    mostly square; a long header is cells."""
     square = min(guess.rows, guess.columns) / max(guess.rows, guess.columns)
     header = len(guess.first_bytes)
+    is_known = guess.framing == "binary" and any(preset.line == guess.line for preset in PRESETS.values())
     return (
-        3 * (guess.checksum != "none")
+        5 * is_known
+        + 3 * (guess.checksum != "none")
         + 2 * guess.clock
         + 2 * square
         + 0.5 * (guess.cell == "u16")
@@ -114,8 +116,13 @@ def caution(proposed: PadFormat) -> str:
 
 
 def _as_preset(guess: PadFormat) -> PadFormat:
-    """Return the preset with the same line and grid, which knows the pad's border; else the guess itself."""
-    same = (p for p in PRESETS.values() if str(p) == str(guess) and p.full_scale == guess.full_scale)
+    """Return the preset with the same line and grid, which knows border and range; else the guess itself."""
+    alike = [preset for preset in PRESETS.values() if str(preset) == str(guess)]
+    # A text of numbers says less of its pad than a header does.
+    is_told = guess.framing == "binary"
+    same = (
+        p for p in alike if p.full_scale == guess.full_scale or (is_told and p.full_scale > guess.full_scale)
+    )
     return next(same, guess)
 
 

@@ -77,6 +77,13 @@ def test_what_is_guessed_in_a_proposal_is_said(numbers: int, words: str) -> None
     assert caution(proposed).startswith(words)
 
 
+def test_a_presets_line_is_known_also_from_a_pad_at_rest() -> None:
+    format = PRESETS["m1616"]
+    rest = np.zeros((8, 8), np.uint16) + 3
+    proposed = propose(b"".join(encode_frame(format, rest + number % 2, 19 * number) for number in range(12)))
+    assert proposed == format
+
+
 def test_two_checksums_that_agree_at_rest_are_both_named() -> None:
     format = PadFormat(rows=8, columns=8, header="beef", checksum="sum8")
     frames = [encode_frame(format, counts_of(number) % 7, 19 * number) for number in range(12)]
