@@ -195,6 +195,11 @@ def load_models(settings: Settings, before: Mapping[str, Pad]) -> dict[str, Clas
         else:
             loaded[pad.model] = load_model(pad)
         models[name] = loaded[pad.model]
+    named = {UNCERTAIN}.union(*(model.labels for model in models.values()))
+    if unknown := sorted(set(settings.words) - named):
+        raise ConfigError(
+            f"words: {unknown[0]} is nothing that is told; name one of {', '.join(sorted(named))}"
+        )
     return models
 
 

@@ -119,6 +119,14 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     below: dict[Measure, Finite] = {}
     refractory_s: Seconds = 0.0
 
+    def __post_init__(self) -> None:
+        is_told_only = set(self.stages) == {UNCERTAIN} and UNCERTAIN not in self.gestures
+        is_meant_only = set(self.gestures) == {UNCERTAIN} and self.stages and UNCERTAIN not in self.stages
+        if is_told_only or is_meant_only:
+            raise ValueError(
+                f"such a rule never acts: {UNCERTAIN} is told at stage {UNCERTAIN}; name it in both"
+            )
+
 
 def spoken(template: str, gesture: str, confidence: float, words: Mapping[str, Words]) -> str:
     """Fill in the gesture, its words where it has any, and the confidence (0 to 1) in whole percent."""

@@ -122,6 +122,7 @@ def main(arguments: Sequence[str]) -> int:
         ("model: nowhere.onnx", "nowhere.onnx: the model cannot be read"),
         ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
         ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is no gesture"),
+        ("words: {tikle: {name: a, phrase: b}}", "words: tikle is nothing that is told; name one of"),
         ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
         ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),

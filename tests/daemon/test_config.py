@@ -8,7 +8,7 @@ import pytest
 from msgspec import inspect
 
 from daemon.bridges.settings import LslSettings
-from daemon.config import MAX_BYTES, ConfigError, Settings, convert, load
+from daemon.config import MAX_BYTES, ConfigError, Settings, load
 from drivers.pad.format import PadFormat
 from model.classifier import SHIPPED_MODEL, Classifier
 
@@ -26,9 +26,10 @@ def refusal(tmp_path: Path, text: str) -> str:
     return message.removeprefix(f"{path}: ")
 
 
-def test_a_renamed_key_is_taken_with_one_warning(caplog: pytest.LogCaptureFixture) -> None:
-    settings = convert("touch: {onset_level: 6.0}", Settings)
-    assert settings.touch.onset_threshold == 6.0
+def test_a_renamed_key_is_taken_with_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("touch: {onset_level: 6.0}\n")
+    assert load(path).touch.onset_threshold == 6.0
     (record,) = caplog.records
     assert "touch.onset_level is now called touch.onset_threshold" in record.message
 

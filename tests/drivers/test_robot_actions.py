@@ -52,6 +52,9 @@ def test_the_example_in_the_documentation_is_valid() -> None:
         ("[{do: [{leds: {color: pink}}]}]", "'pink' is neither #rrggbb nor one of white, red"),
         ("[{do: [{say: a}], stages: [middle]}]", "Invalid enum value 'middle'"),
         ("[{do: [{say: a}], refractory_s: -1}]", ">= 0"),
+        ("[{do: [{say: a}], stages: [uncertain]}]", "never acts: uncertain is told at stage uncertain"),
+        ("[{do: [{say: a}], stages: [uncertain], gestures: [pat]}]", "never acts"),
+        ("[{do: [{say: a}], stages: [final], gestures: [uncertain]}]", "never acts"),
     ],
 )
 def test_a_wrong_rule_is_refused_with_what_is_wrong(text: str, complaint: str) -> None:

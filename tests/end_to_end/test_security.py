@@ -17,10 +17,11 @@ from rigs.programs import TOUCHD, Program
 from rigs.robots import needs_qi
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 
-from daemon.config import JournalSettings, SensorSettings, Settings, _StrictLoader
+from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.events import RobotEvent, SensorEvent
 from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
+from daemon.setup.strict_yaml import StrictLoader
 from docs.studies.training.recipe import MAX_BYTES, SettingsError, read_recipe
 from drivers.fakes.fake_port import FakePort
 from drivers.robot.settings import RobotSettings
@@ -52,7 +53,7 @@ def dangers(source: str) -> Iterator[str]:
             if called in ("np.load", "numpy.load") and given.get("allow_pickle", "False") != "False":
                 yield "np.load with allow_pickle"
             loads_yaml = called in ("yaml.load", "yaml.unsafe_load", "yaml.full_load", "yaml.load_all")
-            if loads_yaml and "_StrictLoader" not in ast.unparse(node):
+            if loads_yaml and "StrictLoader" not in ast.unparse(node):
                 yield called
 
 
@@ -79,7 +80,7 @@ def test_no_source_runs_its_input() -> None:
 
 
 def test_the_configurations_loader_creates_no_objects() -> None:
-    assert issubclass(_StrictLoader, yaml.SafeLoader | yaml.CSafeLoader)
+    assert issubclass(StrictLoader, yaml.SafeLoader | yaml.CSafeLoader)
 
 
 def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
