@@ -61,7 +61,7 @@ class Health:
         self._heard_s: dict[str, float] = {}
         self._frames = 0
         self._frames_in_all = 0
-        self._dropped = 0
+        self._dropped: Mapping[str, int] = {}
         self._next_feed_s = 0.0 if notifier.watchdog_s else math.inf
         self._status_s = time.monotonic()
 
@@ -91,22 +91,25 @@ class Health:
         if self._away and all(self._away.values()):
             self._feed()
 
-    def report(self, touches: int, dropped: int) -> None:
-        """Report the status every few seconds: frames a second, touches so far, frames dropped so far."""
+    def report(self, touches: int, dropped: Mapping[str, int]) -> None:
+        """Report the status every few seconds: frames a second, touches so far, each pad's dropped frames."""
         now_s = time.monotonic()
         passed_s = now_s - self._status_s
         if passed_s < STATUS_EVERY_S:
             return
-        if dropped > self._dropped:
-            log.warning("%d frames dropped: the machine is too busy for the pad", dropped - self._dropped)
-            self._dropped = dropped
+        newly = {pad: count - self._dropped.get(pad, 0) for pad, count in dropped.items()}
+        for pad, count in newly.items():
+            if count > 0:
+                which = "the pad" if len(dropped) == 1 else f"{pad}, or that sends too many"
+                log.warning("%d frames dropped: the machine is too busy for %s", count, which)
+        self._dropped = dropped
         rate = f"{self._frames / passed_s:.1f} frames/s"
         away = [pad for pad, is_away in self._away.items() if is_away]
         if away and len(away) == len(self._away):
             rate = "pad away" if len(away) == 1 else "all pads away"
         elif away:
             rate += f", {', '.join(away)} away"
-        self._notifier.send(STATUS=f"{rate}, {touches} touches, {dropped} frames dropped")
+        self._notifier.send(STATUS=f"{rate}, {touches} touches, {sum(dropped.values())} frames dropped")
         self._status_s = now_s
         self._frames_in_all += self._frames
         self._frames = 0

@@ -184,11 +184,11 @@ class Service:
                 self._take([pad])
             pad.pipeline.flush()
         left = sum(len(pad.queue) for pad in self._pads.values())
-        self._health.end(self._events.touches, self._dropped() + left)
+        self._health.end(self._events.touches, sum(self._dropped().values()) + left)
         _stop(self._events.sinks, SINKS_STOP_S)
 
-    def _dropped(self) -> int:
-        return sum(pad.queue.dropped for pad in self._pads.values())
+    def _dropped(self) -> dict[str, int]:
+        return {name: pad.queue.dropped for name, pad in self._pads.items()}
 
     def _take(self, pads: Sequence[Pad]) -> bool:
         """Process the oldest thing in each pad's queue; return whether there was any."""
@@ -218,7 +218,7 @@ class Service:
         if self._view is not None and pad.name == next(iter(self._pads)):
             self._view.show_frame(frame.pressure, frame.sensor_ms)
         if parts.live is not None:
-            parts.live.put_frame(frame, self._dropped(), pad.name)
+            parts.live.put_frame(frame, sum(self._dropped().values()), pad.name)
         for bridge in parts.bridges.values():
             if bridge.pad == pad.name:
                 bridge.put_frame(frame)

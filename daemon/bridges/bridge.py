@@ -7,12 +7,16 @@ from abc import abstractmethod
 
 from daemon.events import Event
 from daemon.sinks import QueuedSink
+from drivers.backoff import Backoff
 from drivers.errors import TouchdError
 from drivers.frame import Frame
 
 # One second of frames; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
+# A connection that ends sooner is one more failed attempt: a broker may let touchd in, and then refuse it.
+LASTING_S = 5.0
+BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
 
 
 class BridgeError(TouchdError):
@@ -34,6 +38,10 @@ class Bridge(QueuedSink[Event | Frame]):
         self._peer_is_there = threading.Event()
         self._log = logging.getLogger(f"daemon.bridges.{name}")
         self._was_away = False
+        self._is_unsteady = False
+        self._there_since_s = 0.0
+        self._saying = threading.Timer(0.0, lambda: None)
+        self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
         super().__init__(name)
 
     def put(self, item: Event | Frame) -> None:
@@ -78,14 +86,29 @@ class Bridge(QueuedSink[Event | Frame]):
         return True
 
     def _tell_there(self, where: str) -> None:
-        self._log.info("%s: connected to %s", self.name, where)
-        self._was_away = False
+        """Note that the peer is there; log it, once it lasts where the last connection did not."""
+        self._there_since_s = time.monotonic()
         self._peer_is_there.set()
+        if self._is_unsteady:
+            self._saying = threading.Timer(LASTING_S, self._say_there, [where])
+            self._saying.daemon = True
+            self._saying.start()
+        else:
+            self._say_there(where)
 
-    def _tell_away(self, where: str, reason: str) -> None:
-        """Log once that the peer is away, however many attempts fail."""
+    def _say_there(self, where: str) -> None:
+        self._log.info("%s: connected to %s", self.name, where)
+        self._was_away = self._is_unsteady = False
+
+    def _tell_away(self, where: str, reason: str, *, is_news: bool = False) -> None:
+        """Log once that the peer is away, however many attempts fail; is_news: for another reason now."""
+        self._saying.cancel()
+        if self._peer_is_there.is_set():
+            self._is_unsteady = time.monotonic() - self._there_since_s < LASTING_S
+            if not self._is_unsteady:
+                self._backoff.reset()
         self._peer_is_there.clear()
-        if not self._was_away and not self._draining:
+        if (is_news or not self._was_away) and not self._draining:
             self._log.warning("%s: %s is away (%s); trying until it is there", self.name, where, reason)
         self._was_away = True
 

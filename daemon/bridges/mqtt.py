@@ -2,7 +2,9 @@
 
 import ssl
 import threading
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -40,20 +42,21 @@ class MqttBridge(Bridge):
         self._topic = f"{settings.topic}/{pad}"
         self._where = f"{settings.host}:{settings.port}"
         self._state = "down"
+        self._refusal = ""
+        self._greeting: mqtt.MQTTMessageInfo | None = None
         self._acknowledged: set[int] = set()
         self._acknowledging = threading.Condition()
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
         self._client.connect_timeout = CONNECT_S
         self._client.reconnect_delay_set(RECONNECT_FIRST_S, RECONNECT_CAP_S)  # type: ignore[arg-type]
         self._client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)
-        if settings.user is not None:
-            password = _read_password(settings.password_file) if settings.password_file else None
-            self._client.username_pw_set(settings.user, password)
+        self._log_in()
         if settings.tls:
             self._client.tls_set_context(_tls(settings.ca_file))
+        self._client.on_pre_connect = self._on_pre_connect
         self._client.on_connect = self._on_connect
         self._client.on_connect_fail = lambda *_: self._tell_away(self._where, "cannot be reached")
-        self._client.on_disconnect = lambda *ends: self._tell_away(self._where, str(ends[3]))
+        self._client.on_disconnect = self._on_disconnect
         self._client.on_publish = self._on_publish
         super().__init__("mqtt", pad, settings.pressure_hz)
 
@@ -81,15 +84,36 @@ class MqttBridge(Bridge):
         self._client.disconnect()
         self._client.loop_stop()
 
+    def _log_in(self) -> None:
+        """Take user and password from the settings; raises BridgeError."""
+        if self._settings.user is not None:
+            file = self._settings.password_file
+            self._client.username_pw_set(self._settings.user, _read_password(file) if file else None)
+
+    def _on_pre_connect(self, *_: Any) -> None:
+        # The password may have been corrected since.
+        with suppress(BridgeError):
+            self._log_in()
+
     def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
         if code.is_failure:
-            self._tell_away(self._where, str(code))
+            refusal, self._refusal = self._refusal, str(code)
+            self._tell_away(self._where, str(code), is_news=refusal != str(code))
             return
-        self._publish_state()
-        if self._settings.discovery is not None:
-            topic, payload = discovery(self._settings.discovery, self._topic, self._labels)
-            client.publish(topic, payload, qos=1, retain=True)
+        self._refusal = ""
+        # What the broker has not acknowledged, paho sends again.
+        if self._greeting is None or self._greeting.is_published():
+            if self._settings.discovery is not None:
+                topic, payload = discovery(self._settings.discovery, self._topic, self._labels)
+                client.publish(topic, payload, qos=1, retain=True)
+            self._greeting = self._publish_state()
         self._tell_there(self._where)
+
+    def _on_disconnect(self, *ends: Any) -> None:
+        self._tell_away(self._where, str(ends[3]))
+        until_s = time.monotonic() + self._backoff.pause_s()
+        while time.monotonic() < until_s and not self._draining:
+            time.sleep(POLL_S)
 
     def _publish_state(self) -> mqtt.MQTTMessageInfo:
         return self._client.publish(f"{self._topic}/state", self._state, qos=1, retain=True)

@@ -13,10 +13,8 @@ from websockets.sync.client import ClientConnection, connect
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import RosbridgeSettings
 from daemon.events import Event, Prediction, encode
-from drivers.backoff import Backoff
 from drivers.frame import COLUMNS, ROWS, Frame
 
-BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
 CONNECTION: Mapping[str, Any] = {
     "open_timeout": 1.0,
     "close_timeout": 0.2,
@@ -67,7 +65,6 @@ class RosbridgeBridge(Bridge):
         self._keeper.join()
 
     def _keep_connected(self) -> None:
-        backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
         url = self._settings.url
         while not self._ending.is_set():
             try:
@@ -77,13 +74,12 @@ class RosbridgeBridge(Bridge):
                         advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}
                         connection.send(msgspec.json.encode(advertised).decode())
                     self._tell_there(url)
-                    backoff.reset()
                     for _ in connection:
                         pass
                 self._tell_away(url, "the connection was closed")
             except (OSError, WebSocketException) as error:
                 self._tell_away(url, str(error))
-            self._ending.wait(backoff.pause_s())
+            self._ending.wait(self._backoff.pause_s())
 
     def _send(self, messages: Sequence[str]) -> bool:
         connection = self._connection

@@ -35,6 +35,7 @@ ADVICE_FOR_PORT = {
 }
 ADVICE_FOR_BYTES = {
     "format": "set sensor.format to what it looks like",
+    "text": "flash the program that sends frames, or set sensor.port: this may be another board",
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
     "damage": "try a shorter cable, another USB port, no hub; if firm presses do it, full_scale or checksum",
     "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy",

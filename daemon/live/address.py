@@ -55,11 +55,15 @@ def listen(settings: LiveSettings, beside: socket.socket | None = None) -> socke
     beside: our own socket that it replaces; both may share the port for a moment.
     """
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    takes_both = settings.host == "::" and socket.has_dualstack_ipv6()
     try:
         if beside is not None:
             beside.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         listening = socket.create_server(
-            (settings.host, settings.port), family=family, reuse_port=beside is not None
+            (settings.host, settings.port),
+            family=family,
+            reuse_port=beside is not None,
+            dualstack_ipv6=takes_both,
         )
     except OSError as error:
         where = f"the live page cannot listen on {settings.host} port {settings.port}"

@@ -20,6 +20,9 @@ class Viewers:
         self._state = state
         self._all: set[ServerConnection] = set()
         self._behind: set[ServerConnection] = set()
+        # Those to which the state is still on its way, and its length.
+        self._getting_state: set[ServerConnection] = set()
+        self._state_bytes = 0
 
     def __len__(self) -> int:
         return len(self._all)
@@ -36,10 +39,13 @@ class Viewers:
     def discard(self, viewer: ServerConnection) -> None:
         self._all.discard(viewer)
         self._behind.discard(viewer)
+        self._getting_state.discard(viewer)
 
     def tell(self, message: str) -> None:
         """Send what no viewer may miss; the state must contain it already."""
-        self._behind.update(viewer for viewer in self._all if not _has_room(viewer))
+        # Behind a long state an event waits, or a viewer on a slow line would get state after state.
+        waiting = {viewer for viewer in self._getting_state if _has_room(viewer, self._state_bytes)}
+        self._behind.update(viewer for viewer in self._all - waiting if not _has_room(viewer))
         broadcast(self._all - self._behind, message)
         self._catch_up()
 
@@ -50,12 +56,16 @@ class Viewers:
 
     def _catch_up(self) -> None:
         """Send the state to viewers that had fallen behind and have room again."""
+        self._getting_state = {viewer for viewer in self._getting_state if not _has_room(viewer)}
         ready = [viewer for viewer in self._behind if _has_room(viewer)]
         if ready:
             self._behind.difference_update(ready)
-            for state in self._state():
+            self._getting_state.update(ready)
+            states = self._state()
+            self._state_bytes = sum(map(len, states))
+            for state in states:
                 broadcast(ready, state)
 
 
-def _has_room(viewer: ServerConnection) -> bool:
-    return viewer.transport.get_write_buffer_size() <= MOST_WAITING_BYTES
+def _has_room(viewer: ServerConnection, beside_bytes: int = 0) -> bool:
+    return viewer.transport.get_write_buffer_size() <= MOST_WAITING_BYTES + beside_bytes

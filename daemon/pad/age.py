@@ -1,6 +1,7 @@
 """Uses the pad's clock to tell how old frames are, and whether touches can be felt."""
 
 from collections import deque
+from itertools import pairwise
 
 from daemon.touch import CALIBRATION_FRAMES
 from drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
@@ -91,6 +92,14 @@ class Feeling:
         step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_MODULUS) / steps
         # Frames that were read together all arrived at once.
         rate_hz = steps / max(last.host_s - first.host_s, 0.001)
+        clocks_ms = [frame.sensor_ms for frame in self._frames]
+        if any(
+            (later - earlier) % CLOCK_MODULUS > CLOCK_MODULUS // 2 for earlier, later in pairwise(clocks_ms)
+        ):
+            return (
+                "no touch can be felt: the pad's clock goes back and forth; do frames overtake one another "
+                "on the way, or do two boards send there?"
+            )
         if rate_hz > 1.0 / self._max_gap_s:
             return (
                 f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "

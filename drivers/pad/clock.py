@@ -81,6 +81,8 @@ def _steps_on(earlier_ms: int, later_ms: int) -> bool:
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 0.005
 LOST_S = 0.25
+# Frames that flood in are stamped a millisecond apart; so far ahead of their arrival, the clock starts anew.
+AHEAD_MS = 1000
 
 
 class ArrivalClock:
@@ -100,7 +102,7 @@ class ArrivalClock:
         self._expected_s = None
 
     def stamp_ms(self, host_s: float) -> int:
-        """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; stamps always rise."""
+        """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; they rise, but after a flood."""
         expected_s = self._expected_s
         off_s = 0.0 if expected_s is None else host_s - expected_s
         if expected_s is None or abs(off_s) > LOST_S:
@@ -110,5 +112,7 @@ class ArrivalClock:
             period_s = self._period_s + PERIOD_GAIN * off_s
             self._period_s = min(max(period_s, self._stated_s / 4), 4 * self._stated_s)
         self._expected_s = expected_s + self._period_s
-        self._last_ms = max(self._last_ms + 1, round(1000 * expected_s))
+        now_ms = round(1000 * expected_s)
+        is_ahead = self._last_ms - now_ms > AHEAD_MS
+        self._last_ms = now_ms if is_ahead else max(self._last_ms + 1, now_ms)
         return self._last_ms % CLOCK_MODULUS

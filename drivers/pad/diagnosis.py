@@ -3,6 +3,7 @@
 import json
 import math
 import re
+import string
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from itertools import pairwise, product
@@ -17,6 +18,8 @@ from drivers.pad.clock import MAX_STEP_MS
 from drivers.pad.format import CELL_BITS, PRESETS, PadFormat
 from drivers.pad.protocol import parser_of
 
+LETTERS = frozenset(string.ascii_letters.encode())
+LEAST_TEXT_LINES = 3
 TEXT = frozenset(b"0123456789,; \t\r\n")
 LEAST_FRAMES = 4
 LEAST_CELLS = 16
@@ -32,11 +35,14 @@ COMMONLY = 0.8
 def diagnose(data: bytes, expected: PadFormat) -> tuple[str, str]:
     """Say what the last bytes (a few frames' worth) look like when `expected` did not understand them.
 
-    Returns the kind of trouble ("format", "clock", "damage" or "noise") and a sentence for a person.
+    Returns the kind of trouble ("format", "text", "clock", "damage" or "noise") and a sentence for a person.
     """
     parser = parser_of(expected)
     parser.feed(data, 0.0)
     found = propose(data)
+    if found is None and _is_text(data):
+        line = max(data.decode("ascii", "replace").splitlines()[1:-1], key=len, default="").strip()
+        return "text", f"text arrives, such as {line[:40]!r}, and no frame of {expected}"
     is_as_expected = found is not None and str(found) == str(expected)
     if is_as_expected and parser.counts.bad_value >= LEAST_FRAMES:
         return (
@@ -61,6 +67,8 @@ def propose(data: bytes) -> PadFormat | None:
     What the bytes cannot show, above all the pad's orientation, keeps its default.
     """
     numbers = _numbers_a_line(data)
+    if numbers is None and _is_text(data):
+        return None
     guesses = _binaries(data) if numbers is None else _texts(data, numbers)
     for guess in sorted(guesses, key=_plausibility, reverse=True):
         parser = parser_of(guess)
@@ -136,6 +144,12 @@ def _sides(cells: int) -> tuple[int, int] | None:
 
 def _full_scale(largest: int) -> int:
     return next(scale for scale in FULL_SCALES if largest <= scale or scale == FULL_SCALES[-1])
+
+
+def _is_text(data: bytes) -> bool:
+    """Whether these are lines of words, as a board's log writes them."""
+    letters = sum(byte in LETTERS for byte in data)
+    return data.count(b"\n") >= LEAST_TEXT_LINES and letters >= 0.2 * len(data) and data.isascii()
 
 
 def _numbers_a_line(data: bytes) -> int | None:

@@ -1,9 +1,10 @@
-"""Warns when a part of a pad's frames is refused: a bad cable, or presses beyond the full scale."""
+"""Warns when a part of a pad's frames is refused, or when the pad's clock does not count milliseconds."""
 
 import logging
 import math
 from dataclasses import replace
 
+from drivers.frame import CLOCK_MODULUS
 from drivers.pad.parser import FrameParser
 from drivers.pad.watch import SAME_TROUBLE_S
 
@@ -14,6 +15,10 @@ LOOK_S = 10.0
 MANY_SHARE = 0.02
 # A damaged line often breaks the value first looked at, so nearly all must be above the full scale.
 MOSTLY = 0.9
+# A line that is held up moves the clock by less, over LOOK_S.
+CLOCK_OFF = 0.2
+# More is a clock that started anew.
+MOST_MS_A_SECOND = 10_000
 
 
 class LineWatch:
@@ -23,18 +28,22 @@ class LineWatch:
         self._parser = parser
         self._where = where
         self._before = replace(parser.counts)
+        self._clock_ms: int | None = None
         self._looked_s = -math.inf
-        self._warned_s = -math.inf
+        self._warned_s = self._clock_warned_s = -math.inf
 
-    def update(self, now_s: float) -> None:
+    def update(self, now_s: float, sensor_ms: int | None = None) -> None:
+        """Take what has just arrived. sensor_ms: the last frame's clock; None where no frame was intact."""
         passed_s = now_s - self._looked_s
         if passed_s < LOOK_S:
             return
-        counts, before = self._parser.counts, self._before
-        self._before, self._looked_s = replace(counts), now_s
+        counts, before, clock_ms = self._parser.counts, self._before, self._clock_ms
+        self._before, self._looked_s, self._clock_ms = replace(counts), now_s, sensor_ms
         if passed_s > 2 * LOOK_S:
             # The first frames, or those after a pause, which is told elsewhere.
             return
+        if sensor_ms is not None and clock_ms is not None:
+            self._check_clock((sensor_ms - clock_ms) % CLOCK_MODULUS / passed_s, now_s)
         intact, refused = counts.frames - before.frames, counts.bad - before.bad
         # Where no frame at all is intact, the sensor is down and says why.
         share = refused / (intact + refused) if intact else 0.0
@@ -54,3 +63,16 @@ class LineWatch:
                 else "does another board send there too?"
             )
         log.warning("%s: %.0f %% of the last frames were refused, %s", self._where, 100 * share, why)
+
+    def _check_clock(self, ms_a_second: float, now_s: float) -> None:
+        is_restarted = ms_a_second > MOST_MS_A_SECOND
+        if is_restarted or abs(ms_a_second - 1000) <= 1000 * CLOCK_OFF:
+            return
+        if now_s - self._clock_warned_s >= SAME_TROUBLE_S:
+            self._clock_warned_s = now_s
+            log.warning(
+                "%s: the pad's clock counts %.0f in a second; it must count milliseconds, or touches seem "
+                "shorter or longer than they are",
+                self._where,
+                ms_a_second,
+            )

@@ -30,6 +30,8 @@ MOVED_COUNTS = 12
 MOVED_S = 0.25
 # Half of what Linux keeps of a port's bytes until they are read: where as much has come, more is on its way.
 MANY_BYTES = 2048
+# A diagnosis may hold up the other pads' answers; while the bytes stay wrong, it is made ever less often.
+LONGEST_LOOK_S = 16.0
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -124,6 +126,7 @@ class Sensor:
         recent = b""
         can_wait = reads_all(opened) and not self._protocol.poll
         byte_s = frame_s = looked_s = time.monotonic()
+        look_s = self._silence_s
         while not self._stop.is_set():
             data = read_waiting(opened, self._protocol)
             now_s = time.monotonic()
@@ -132,6 +135,7 @@ class Sensor:
                 recent = (recent + data)[-RECENT_BYTES:]
                 if self._hand_over(data, now_s):
                     frame_s = looked_s = now_s
+                    look_s = self._silence_s
                     recent = b""
                     # A frame without a clock is stamped on arrival; a polled pad waits to be asked.
                     may_wait = can_wait and self.may_wait and self._protocol.has_clock
@@ -139,8 +143,10 @@ class Sensor:
                         time.sleep(WAIT_S)
             if now_s - byte_s > self._reopen_after_s:
                 return
-            if now_s - looked_s > self._silence_s:
+            if now_s - looked_s > look_s:
                 looked_s = now_s
+                if now_s - byte_s <= self._silence_s:
+                    look_s = min(2 * look_s, LONGEST_LOOK_S)
                 self._explain(recent, frame_s, is_silent=now_s - byte_s > self._silence_s)
 
     def _hand_over(self, data: bytes, host_s: float) -> bool:
@@ -151,7 +157,7 @@ class Sensor:
             wakes = not self.loop_may_sleep or self._has_moved(frames)
             for frame in frames:
                 self._queue.put(frame, wakes)
-        self._watch.update(host_s)
+        self._watch.update(host_s, frames[-1].sensor_ms if frames else None)
         return bool(frames)
 
     def _has_moved(self, frames: Sequence[Frame]) -> bool:

@@ -178,6 +178,24 @@ def test_a_wrong_password_is_logged_in_one_line(
     assert "Not authorized" in record.getMessage()
 
 
+def test_a_refusal_is_logged_after_an_outage_and_a_corrected_password_taken(
+    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    password = tmp_path / "password"
+    password.write_text("guess")
+    port = free_port()
+    opened(port, user="robot", password_file=str(password))
+    wait_for(lambda: "cannot be reached" in caplog.text)
+    users = tmp_path / "users"
+    subprocess.run(["mosquitto_passwd", "-b", "-c", str(users), "robot", "s3cret"], check=True, timeout=10)
+    with broker(tmp_path, port, f"allow_anonymous false\npassword_file {users}\nuser root\n"):
+        wait_for(lambda: "Not authorized" in caplog.text)
+        password.write_text("s3cret")
+        wait_for(lambda: "connected to" in caplog.text)
+    assert sum("Not authorized" in line for line in caplog.messages) == 1
+
+
 def test_only_a_changed_bridge_is_replaced(port: int) -> None:
     before = made(port)
     assert made(port, before) == before

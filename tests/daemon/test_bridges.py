@@ -1,16 +1,18 @@
 """Every bridge: it never blocks, reconnects to its peer, and stops when asked."""
 
+import re
 import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
 from rigs.made_events import touch
 from rigs.peers import LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto
 from rigs.wait import WITHIN_S, wait_for
+from websockets.utils import accept_key
 
 from daemon.bridges.bridge import Bridge
 
@@ -24,6 +26,11 @@ ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 CONNECTING = [ALL[0], ALL[3]]
 # Time that a busy machine may need for calls that do not wait.
 AT_ONCE_S = 2.0
+CONNACK = b"\x20\x02\x00\x00"
+WELCOME = (
+    b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Accept: %s\r\n\r\n"
+)
 
 
 @pytest.fixture
@@ -92,6 +99,46 @@ def test_without_a_peer_neither_put_nor_stop_waits(peer: Peer, monkeypatch: pyte
     bridge.stop(1.0)
     bridge.stop(0.1)
     assert time.monotonic() - began_s < 1.0 + AT_ONCE_S
+
+
+def let_in_and_hang_up(port: int, sizes: list[int], ended: threading.Event) -> None:
+    """Accept clients of MQTT and of websockets, read what they say, and hang up."""
+    with socket.create_server(("127.0.0.1", port)) as door:
+        door.settimeout(0.1)
+        while not ended.is_set():
+            with suppress(OSError), door.accept()[0] as client:
+                client.settimeout(0.2)
+                asked = client.recv(65536)
+                key = re.search(rb"Sec-WebSocket-Key: (.*)\r", asked)
+                client.sendall(WELCOME % accept_key(key[1].decode()).encode() if key else CONNACK)
+                sizes.append(len(client.recv(65536)))
+
+
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
+def test_a_peer_that_hangs_up_is_not_stormed_and_told_of_once(
+    peer: Peer, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    sizes: list[int] = []
+    ended = threading.Event()
+    door = threading.Thread(target=let_in_and_hang_up, args=(peer.port, sizes, ended))
+    door.start()
+    bridge = peer.bridge()
+    bridge.put(touch(1))
+    wait_for(lambda: len(sizes) >= 4)
+    time.sleep(2.0)
+    began_s = time.monotonic()
+    bridge.stop(1.0)
+    assert time.monotonic() - began_s < 1.0 + AT_ONCE_S
+    ended.set()
+    door.join()
+    assert len(sizes) <= 12
+    # What waits to be acknowledged does not pile up: the state and one event.
+    assert max(sizes) < 500
+    told = [record.getMessage() for record in caplog.records if record.name.startswith("daemon.bridges")]
+    assert sum("connected" in line for line in told) == 1
+    # A connection that ends before the first words counts as none.
+    assert 1 <= sum("is away" in line for line in told) <= 2
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)

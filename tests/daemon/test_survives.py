@@ -223,10 +223,10 @@ def test_a_clock_that_was_ahead_does_not_cost_new_touches(tmp_path: Path) -> Non
 class Line:
     """A pipeline fed by a made pad on a line that can delay frames; clocks in seconds."""
 
-    def __init__(self, step_ms: float = 1000 / 54, clock_factor: float = 1.0) -> None:
+    def __init__(self, step_ms: float = 1000 / 54, clock_factor: float = 1.0, back_ms: int = 0) -> None:
         self.events: list[Event] = []
         self.now_s, self.sensor_ms, self.sent = 1000.0, 5000.0, 0
-        self._step_ms, self._clock_factor = step_ms, clock_factor
+        self._step_ms, self._clock_factor, self._back_ms = step_ms, clock_factor, back_ms
         self._pad = MadePad()
         clock = Clock(monotonic_s=lambda: self.now_s, epoch_s=lambda: 1795168800.0 + self.now_s)
         self._pipeline = Pipeline(PipelineSettings(), Scripted(), self.events.append, clock)
@@ -237,7 +237,9 @@ class Line:
             self.sent += 1
             self.sensor_ms += self._step_ms * self._clock_factor
             self.now_s += 0.0 if held_up else self._step_ms / 1000
-            self._pipeline.on_frame(Frame(self.sent, round(self.sensor_ms) % 2**32, self.now_s, counts))
+            # As where another board's frames come in between.
+            sensor_ms = round(self.sensor_ms) - self._back_ms * (self.sent % 2)
+            self._pipeline.on_frame(Frame(self.sent, sensor_ms % 2**32, self.now_s, counts))
         return self.events[before:]
 
     def predictions(self) -> list[Prediction]:
@@ -271,8 +273,12 @@ def test_a_pad_played_at_half_its_pace_is_not_taken_for_late() -> None:
 
 @pytest.mark.parametrize(
     ("line", "why"),
-    [(Line(step_ms=200), "5.0 frames a second come"), (Line(clock_factor=10), "it must count milliseconds")],
-    ids=["5 Hz", "100 us for ms"],
+    [
+        (Line(step_ms=200), "5.0 frames a second come"),
+        (Line(clock_factor=10), "it must count milliseconds"),
+        (Line(back_ms=4000), "goes back and forth; do frames overtake one another"),
+    ],
+    ids=["5 Hz", "100 us for ms", "two boards"],
 )
 def test_a_pad_that_cannot_be_felt_is_degraded_and_says_why(line: Line, why: str) -> None:
     line.feel(nothing(6.0))
@@ -280,7 +286,7 @@ def test_a_pad_that_cannot_be_felt_is_degraded_and_says_why(line: Line, why: str
     assert isinstance(event, SensorEvent)
     assert event.state == "degraded"
     assert why in event.reason
-    line._step_ms, line._clock_factor = 1000 / 54, 1.0
+    line._step_ms, line._clock_factor, line._back_ms = 1000 / 54, 1.0, 0
     line.feel(nothing(1.5))
     assert isinstance(line.events[-1], SensorEvent)
     assert line.events[-1].state == "up"

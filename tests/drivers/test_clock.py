@@ -78,6 +78,14 @@ def test_a_pad_off_its_stated_rate_is_followed_within_seconds() -> None:
     assert max(map(abs, off_ms[108:])) <= 1.0
 
 
+def test_a_flood_of_frames_does_not_leave_the_clock_of_arrivals_ahead() -> None:
+    clock = ArrivalClock(54.0)
+    for number in range(50_000):
+        clock.stamp_ms(number / 10_000)
+    after = [clock.stamp_ms(5.0 + number / 54) - 5000.0 - 1000 * number / 54 for number in range(108)]
+    assert max(map(abs, after[81:])) <= 20.0
+
+
 def test_a_gap_restarts_the_clock_of_arrivals() -> None:
     clock = ArrivalClock(54.0)
     before = [clock.stamp_ms(number / 54) for number in range(54)]

@@ -32,6 +32,7 @@ def printed(numbers: int) -> bytes:
 
 
 LOW_SCALE = msgspec.structs.replace(pad("csv", 8, 8), full_scale=100)
+LOG = b"Booting...\r\nwifi connected, rssi -60\r\n" * 60
 DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
 
 
@@ -52,6 +53,12 @@ DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
         (b"\x00" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
         (b"\xff" * 3000, pad("fabric-grid", 10, 10), "noise", "noise"),
         (b"x", pad("csv", 10, 10), "noise", "noise"),
+        (
+            LOG,
+            pad("fabric-grid", 10, 10),
+            "text",
+            "such as 'wifi connected, rssi -60', and no frame of fabric",
+        ),
         (DAMAGED, pad("fabric-grid", 10, 10), "damage", "none of fabric-grid 10x10"),
     ],
 )

@@ -9,7 +9,7 @@ from rigs.line_faults import Faults
 from rigs.sensor_rig import next_frames, sensing, stream_of
 
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
+from drivers.frame import CLOCK_MODULUS, Counts
 from drivers.pad import line_watch
 from drivers.pad.format import PadFormat, encode_frame
 from drivers.pad.line_watch import LOOK_S, LineWatch
@@ -45,6 +45,22 @@ def faulty(**every: int) -> list[bytes]:
     faults, stream = Faults(**every), stream_of(540)
     sent = zip(stream.counts, stream.sensor_ms.tolist(), strict=True)
     return [faults.on_line(number, encode_fabric_grid(*frame)) for number, frame in enumerate(sent, 1)]
+
+
+@pytest.mark.parametrize(
+    ("ms_a_second", "is_told"), [(500, True), (900, False), (1100, False), (2000, True), (300_000, False)]
+)
+def test_a_clock_that_does_not_count_milliseconds_is_told_once(
+    caplog: pytest.LogCaptureFixture, ms_a_second: int, is_told: bool
+) -> None:
+    watched = LineWatch(FabricGrid(), "COM3")
+    for look in range(5):
+        watched.update(look * LOOK_S, round(look * LOOK_S * ms_a_second) % CLOCK_MODULUS)
+    told = [
+        f"COM3: the pad's clock counts {ms_a_second} in a second; it must count milliseconds, or touches "
+        "seem shorter or longer than they are"
+    ]
+    assert caplog.messages == (told if is_told else [])
 
 
 def test_presses_beyond_the_full_scale_are_told_with_what_to_set(caplog: pytest.LogCaptureFixture) -> None:

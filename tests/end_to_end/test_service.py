@@ -77,7 +77,7 @@ def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, health: Hea
 def test_the_watchdog_starves_when_a_present_pad_is_silent(manager: Manager, health: Health) -> None:
     health.pad_state("pad", up=True)
     manager.heard()
-    health.report(touches=0, dropped=0)
+    health.report(touches=0, dropped={"pad": 0})
     health.idle()
     assert manager.heard() == []
 
@@ -95,7 +95,7 @@ def test_the_status_shows_rate_touches_and_drops(
     for _ in range(540):
         health.frame_processed("pad")
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
-    health.report(touches=3, dropped=7)
+    health.report(touches=3, dropped={"pad": 7})
     status = manager.heard()[-1]
     assert status.startswith("STATUS=5")
     assert status.endswith(" frames/s, 3 touches, 7 frames dropped")
