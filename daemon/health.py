@@ -114,6 +114,9 @@ class Health:
         self._frames_in_all += self._frames
         self._frames = 0
 
+    def stopping(self) -> None:
+        self._notifier.send(STOPPING=1)
+
     def end(self, touches: int, dropped: int) -> None:
         frames = self._frames_in_all + self._frames
         log.info("%d frames, %d touches, %d frames dropped in all", frames, touches, dropped)

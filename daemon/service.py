@@ -172,6 +172,7 @@ class Service:
         self._taken_over.set()
 
     def _end(self) -> None:
+        self._health.stopping()
         self._has_ended = True
         self._taken_over.set()
         until_s = time.monotonic() + SENSORS_STOP_S

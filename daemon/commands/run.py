@@ -115,7 +115,6 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
         reloader = Reloader(read, service.reload)
         closing.enter_context(rereading(hung_up, reloader))
         service.run(stop)
-        notifier.send(STOPPING=1)
 
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:

@@ -2,7 +2,9 @@
 
 import itertools
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -13,6 +15,7 @@ log = logging.getLogger(__name__)
 
 STOP_S = 0.2
 PATIENCE_S = 30.0
+LOOK_S = 0.5
 
 
 class Reloader:
@@ -37,11 +40,15 @@ class Reloader:
     def _reload(self, number: int) -> None:
         try:
             settings = self._read()
-            if not self._one_at_a_time.acquire(timeout=PATIENCE_S):
-                log.warning(
-                    "an earlier reload still waits for a touch to end, or for a file; this one comes next"
-                )
-                self._one_at_a_time.acquire()
+            until_s = time.monotonic() + PATIENCE_S
+            while not self._one_at_a_time.acquire(timeout=LOOK_S):
+                if number != self._latest:
+                    return
+                if time.monotonic() > until_s:
+                    until_s = math.inf
+                    log.warning(
+                        "an earlier reload still waits for a touch to end, or for a file; this one comes next"
+                    )
             try:
                 if number == self._latest:
                     changed = ", ".join(self._use(settings))

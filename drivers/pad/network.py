@@ -1,10 +1,16 @@
 """A pad behind a network address: as much of a serial port's interface as is used here."""
 
+import logging
 import re
 import socket
+import time
 from typing import Any
 
+log = logging.getLogger(__name__)
+
 CONNECT_S = 3.0
+# A board that has sent nothing for so long may be replaced by another.
+GONE_S = 2.0
 MOST_BYTES = 65536
 ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
 
@@ -44,6 +50,8 @@ class NetworkPort:
                 raise
         self.is_stream = match[1] == "tcp"
         self._sender: Any = None
+        self._heard_s = 0.0
+        self._has_warned = False
         self._socket.settimeout(timeout_s)
 
     def read(self, size: int) -> bytes:
@@ -56,8 +64,23 @@ class NetworkPort:
             return b""
         if not data and self.is_stream:
             raise ConnectionResetError("the pad closed the connection")
-        self._sender = sender
-        return data
+        return data if self.is_stream or self._follows(sender) else b""
+
+    def _follows(self, sender: Any) -> bool:
+        """Whether a datagram is from the board that is read: the first, until it is gone."""
+        now_s = time.monotonic()
+        if self._sender is not None and sender[0] != self._sender[0] and now_s - self._heard_s < GONE_S:
+            if not self._has_warned:
+                self._has_warned = True
+                log.warning(
+                    "%s: %s sends there too; only %s is read: give each board a port of its own",
+                    self.port,
+                    sender[0],
+                    self._sender[0],
+                )
+            return False
+        self._sender, self._heard_s = sender, now_s
+        return True
 
     def write(self, data: bytes) -> None:
         """Send to the pad; over UDP, to whoever sent last."""

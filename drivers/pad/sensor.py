@@ -32,6 +32,8 @@ MOVED_S = 0.25
 MANY_BYTES = 2048
 # A diagnosis may hold up the other pads' answers; while the bytes stay wrong, it is made ever less often.
 LONGEST_LOOK_S = 16.0
+# Of a pad that sends far too much, the reader rests so many times as long as it took to parse a read.
+FLOOD_BYTES, FLOOD_REST = 16384, 9
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -141,6 +143,8 @@ class Sensor:
                     may_wait = can_wait and self.may_wait and self._protocol.has_clock
                     if may_wait and len(data) < MANY_BYTES:
                         time.sleep(WAIT_S)
+            if len(data) >= FLOOD_BYTES:
+                time.sleep(FLOOD_REST * (time.monotonic() - now_s))
             if now_s - byte_s > self._reopen_after_s:
                 return
             if now_s - looked_s > look_s:

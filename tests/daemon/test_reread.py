@@ -295,3 +295,24 @@ def test_of_two_reloads_during_a_long_touch_the_later_one_stays(
         touch_ends.set()
         wait_for(lambda: len(used) == 2)
     assert [settings.language for settings in used] == ["de", "en"]
+
+
+def test_reloads_that_a_later_one_replaces_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reread, "LOOK_S", 0.05)
+    begun, touch_ends = threading.Event(), threading.Event()
+    used: list[int] = []
+
+    def use(_: Settings) -> list[str]:
+        used.append(len(used))
+        begun.set()
+        touch_ends.wait(WITHIN_S)
+        return []
+
+    reloader = Reloader(Settings, use)
+    for _ in range(50):
+        reloader.start()
+        assert begun.wait(WITHIN_S)
+    wait_for(lambda: sum(thread.name == "touchd-reload" for thread in threading.enumerate()) == 2)
+    touch_ends.set()
+    wait_for(lambda: not any(thread.name == "touchd-reload" for thread in threading.enumerate()))
+    assert len(used) == 2

@@ -6,7 +6,7 @@ import socket
 import time
 import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import msgspec
 import pytest
@@ -15,6 +15,8 @@ from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, s
 from rigs.sockets import free_port
 from rigs.wait import wait_for
 
+from drivers.frame import Frame
+from drivers.pad import network
 from drivers.pad.format import PRESETS, PadFormat, layout_of
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
@@ -61,13 +63,17 @@ def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
 
 @contextmanager
 def udp_pad() -> Iterator[tuple[str, Callable[[bytes], object]]]:
-    """Yield an address to listen at, and a function that sends a datagram there from a new socket."""
+    """Yield an address to listen at, and a function that sends a datagram there from a new socket.
+
+    The function's second argument is the address of the board that sends.
+    """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         where = probe.getsockname()
 
-    def give(data: bytes) -> None:
+    def give(data: bytes, board: str = "127.0.0.1") -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.bind((board, 0))
             sender.sendto(data, where)
 
     yield f"udp://127.0.0.1:{where[1]}", give
@@ -98,6 +104,30 @@ def test_a_udp_pad_is_heard_and_found_again_after_silence() -> None:
             assert state.reason.startswith(f"{address}: no data for 0.5 s")
 
 
+def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parser = FabricGrid()
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+
+        def read() -> list[Frame]:
+            return parser.feed(read_waiting(opened, parser), time.monotonic())
+
+        frames = []
+        for number in range(30):
+            give(PACKETS[number])
+            frames += read()
+            give(PACKETS[number + 100], "127.0.0.2")
+            assert read() == []
+        assert_played(frames, STREAM, list(range(30)))
+        monkeypatch.setattr(network, "GONE_S", 0.0)
+        give(PACKETS[130], "127.0.0.2")
+        give(PACKETS[131], "127.0.0.2")
+        assert read() + read()
+    told = f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board a port of its own"
+    assert caplog.messages == [told]
+
+
 def test_datagrams_that_may_wait_are_all_taken_at_once() -> None:
     queue = FrameQueue()
     with udp_pad() as (address, give):
@@ -117,6 +147,23 @@ def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
     taken = pytest.raises(SensorError, match="Address already in use")
     with udp_pad() as (address, _), open_port(address, 9600), taken:
         open_port(address, 9600)
+
+
+def test_a_flooding_pad_is_read_more_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
+    def taken(rest: int) -> int:
+        monkeypatch.setattr("drivers.pad.sensor.FLOOD_REST", rest)
+        sent = 0
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+            with sensing(address), server.accept()[0] as connection:
+                connection.settimeout(0.1)
+                until_s = time.monotonic() + 1.0
+                while time.monotonic() < until_s:
+                    with suppress(TimeoutError):
+                        sent += connection.send(bytes(65536))
+        return sent
+
+    assert taken(rest=9) < 0.5 * taken(rest=0)
 
 
 def answered(described: PadFormat, number: int) -> bytes:
