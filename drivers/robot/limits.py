@@ -9,7 +9,7 @@ class RobotLimits:
 
     connect_s, service_s, call_s: for a connection, for the proxy of a service, for any call on the event path
     (measured: 12 ms, 1 ms and 0.3 ms on loopback; a robot on a bad network needs a hundred times that).
-    action_s: for one action; speech and behaviours answer only when they are over.
+    action_s: for one action; speech and behaviours answer only when they are over, a dance after a minute.
     stale_s: what has waited longer than this is dropped, since a late answer is worse than none.
     heartbeat_s: the robot is asked something after this much silence. With call_s it bounds how long a hang
     goes unnoticed, because a hung robot still looks connected.
@@ -22,7 +22,7 @@ class RobotLimits:
     connect_s: float = 3.0
     service_s: float = 3.0
     call_s: float = 1.0
-    action_s: float = 30.0
+    action_s: float = 120.0
     stale_s: float = 2.0
     heartbeat_s: float = 0.3
     shown_s: float = 1.0

@@ -54,7 +54,7 @@ class RobotLink:
         if open_session is None:
             load_qi()
             open_session = QiSession
-        limits = limits or RobotLimits(call_s=settings.call_s)
+        limits = limits or RobotLimits(call_s=settings.call_s, action_s=settings.action_s)
         opener = partial(open_session, settings.url, login, limits)
         self._url = settings.url
         self._on_state = on_state

@@ -1,5 +1,6 @@
 """From an answer to what the robot does about it, and the doing of it."""
 
+import logging
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
@@ -8,8 +9,10 @@ from dataclasses import dataclass, field
 from drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, spoken
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
-from drivers.robot.session import RobotRefused, RobotSession
+from drivers.robot.session import RobotLost, RobotRefused, RobotSession
 from drivers.robot.worker import Duty
+
+log = logging.getLogger(__name__)
 
 # Touches that may go on at once, with room to spare.
 MOST_TOUCHES = 64
@@ -90,11 +93,14 @@ class ReactionDuty(Duty[Reaction]):
     def handle(self, session: RobotSession, item: Reaction) -> None:
         """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""
         refused: list[RobotRefused] = []
-        for action in item.actions:
+        for left, action in zip(range(len(item.actions) - 1, -1, -1), item.actions, strict=True):
             try:
                 self._perform(session, action, item.message)
             except RobotRefused as error:
                 refused.append(error)
+            except RobotLost as lost:
+                log.warning("an action is given up, with %d after it: %s", left, lost)
+                raise
         if refused:
             raise RobotRefused("; ".join(map(str, refused)))
 

@@ -118,7 +118,12 @@ class QiSession:
             answer = getattr(self._proxies[service], method)(*arguments, _async=True)
         except AttributeError as error:
             raise RobotRefused(f"{service} has no {method}") from error
-        return self._value(answer, limit_s, f"{service}.{method}")
+        try:
+            return self._value(answer, limit_s, f"{service}.{method}")
+        except RobotRefused:
+            # The service may have ended; once it is back, only a new proxy reaches it.
+            del self._proxies[service]
+            raise
 
     def close(self) -> None:
         self._proxies.clear()
@@ -129,7 +134,11 @@ class QiSession:
         while future.wait(SLICE_MS) == self._qi.FutureState.Running:
             waited_s = time.monotonic() - started_s
             if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
-                setting = " (see robot.call_s)" if limit_s == self._limits.call_s else ""
+                named = {
+                    self._limits.call_s: " (see robot.call_s)",
+                    self._limits.action_s: " (see robot.action_s)",
+                }
+                setting = named.get(limit_s, "")
                 raise RobotLost(f"{what}: no answer within {waited_s:.1f} s{setting}")
         try:
             return future.value()

@@ -26,7 +26,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     2.9, which asks.
     trust_network: libqi takes any certificate for the robot's, so whoever can step in between gets the token;
     it is sent beyond this computer only where this says that nobody can.
-    call_s: how long the robot may take for a call before it counts as gone.
+    call_s: how long the robot may take for a call before it counts as gone. action_s: the same for an action,
+    which is over when the speech or behaviour is.
     """
 
     url: str
@@ -36,6 +37,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     token_env: str | None = None
     trust_network: bool = False
     call_s: Annotated[float, msgspec.Meta(ge=0.1, le=10)] = 1.0
+    action_s: Annotated[float, msgspec.Meta(ge=1, le=3600)] = 120.0
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):

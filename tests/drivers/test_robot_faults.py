@@ -1,10 +1,14 @@
 """Faults of the robot: the daemon continues and the link recovers; on real qi."""
 
 import logging
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import pytest
 from by_hand.robot_figures import STATES, in_state, publishes
@@ -20,9 +24,10 @@ from rigs.robots import (
     linked,
     message,
 )
-from rigs.wait import AT_ONCE_S
+from rigs.wait import AT_ONCE_S, wait_for
 
 from drivers.fakes.stub_robot import StubRobot
+from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
 from drivers.robot.settings import RobotSettings
@@ -125,6 +130,68 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
 def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
     with Robot(without=["ALMemory"]) as robot, linked(robot) as (_, states):
         assert "looking for ALMemory" in states.wait_for("down")
+
+
+SPEAKER = """
+import sys, time
+from drivers.fakes.services import fake_services
+from drivers.robot.session import load_qi
+session = load_qi().Session()
+session.connect(sys.argv[1])
+session.listen("tcp://127.0.0.1:0")
+told = lambda call: print(call.arguments[0], flush=True)
+session.registerService("ALTextToSpeech", fake_services(told)["ALTextToSpeech"])
+print("ready", flush=True)
+time.sleep(60)
+"""
+
+
+@contextmanager
+def speaker(robot: Robot) -> Iterator[IO[str]]:
+    """A process of the robot's that holds its speech; yields the lines that it writes."""
+    with subprocess.Popen(
+        [sys.executable, "-c", SPEAKER, robot.url], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "ready\n"
+            yield process.stdout
+        finally:
+            process.kill()
+
+
+def test_a_service_that_ends_and_comes_back_is_spoken_to_again(caplog: pytest.LogCaptureFixture) -> None:
+    with (
+        Robot(without=["ALTextToSpeech"]) as robot,
+        linked(robot, actions=(SAY,)) as (link, states),
+    ):
+        states.wait_for("up")
+        actions = link._actions
+        assert actions is not None
+        with speaker(robot) as said:
+            link.publish(message("pat", touch=1))
+            assert said.readline() == "pat\n"
+        link.publish(message("rub", touch=2))
+        wait_for(lambda: actions.counts["sent"] + actions.counts["failed"] == 2)
+        assert "the robot refused" in caplog.text
+        with speaker(robot) as said:
+            link.publish(message("stroke", touch=3))
+            assert said.readline() == "stroke\n"
+        states.wait_for("up")
+
+
+def test_an_action_that_takes_too_long_is_told_with_what_is_left_out(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    limits = RobotLimits(action_s=0.3)
+    rule = ActionRule(do=(Action(say="{gesture}"), Action(behavior="dances/one")))
+    with Robot(say_s=1.5) as robot, linked(robot, limits=limits, actions=(rule,)) as (link, states):
+        states.wait_for("up")
+        link.publish(message("pat"))
+        wait_for(lambda: "given up" in caplog.text)
+        states.wait_for("up")
+    assert "an action is given up, with 1 after it: ALTextToSpeech.say: no answer within 0.3" in caplog.text
+    assert "(see robot.action_s)" in caplog.text
 
 
 def test_the_heartbeat_does_without_the_service_it_asks() -> None:
