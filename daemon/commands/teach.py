@@ -12,16 +12,18 @@ from rich.console import Console
 
 from daemon.commands.record import LONGEST_S, SHORTEST_S
 from daemon.commands.settings import add_settings, settings_of
-from daemon.config import ConfigError, Settings, load
+from daemon.config import ConfigError, Settings, load, only_pad
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
 from daemon.recorder.session import Session, Setting, name
+from daemon.setup.parts import check_fit
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
 from drivers.errors import os_errors_as
 from drivers.numbers import within
 from drivers.whole_file import whole_file
+from model.classifier import Classifier
 
 ROUNDS = 2
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -74,29 +76,45 @@ def main(arguments: Sequence[str]) -> int:
         console.print(f"\nThe new model is {output}")
         lengths = adapted.comparison.lengths
         is_worse = bool(lengths) and (lengths[-1].difference or 0.0) < 0.0
-        put_into_use(console, options.config, output, is_worse=is_worse)
+        put_into_use(console, options.config, output, options.pad, is_worse=is_worse)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command goes on from here.")
     return 0
 
 
-def with_model(text: str, model: Path) -> str:
-    """Return a configuration file's text with `model:` set, everything else as it was."""
+def with_model(text: str, model: Path, pad: str | None = None) -> str:
+    """Return a configuration file's text with `model:` set, everything else as it was.
+
+    pad: one of several, whose own model is set.
+    """
     value = json.dumps(str(model))
     root = yaml.compose(text, yaml.SafeLoader)
-    for key, old in root.value if isinstance(root, yaml.MappingNode) else ():
+    own = _section(_section(root, "sensors"), pad)
+    at = own or root
+    for key, old in at.value if isinstance(at, yaml.MappingNode) else ():
         if key.value == "model":
             return f"{text[: key.end_mark.index]}: {value}{text[old.end_mark.index :]}"
     line = f"model: {value}"
+    if own is not None:
+        first = own.value[0][0].start_mark
+        end = ", " if own.flow_style else "\n" + " " * first.column
+        return f"{text[: first.index]}{line}{end}{text[first.index :]}"
     changed, count = re.subn(r"^# ?model:.*$", lambda _: line, text, count=1, flags=re.MULTILINE)
     return changed if count else f"{text.rstrip()}\n{line}\n"
+
+
+def _section(node: yaml.Node | None, name: str | None) -> yaml.MappingNode | None:
+    """Return a section of a mapping; None where there is no such section, or nothing in it."""
+    sections = {key.value: value for key, value in node.value} if isinstance(node, yaml.MappingNode) else {}
+    section = sections.get(name)
+    return section if isinstance(section, yaml.MappingNode) and section.value else None
 
 
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the recordings that are not there yet; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
     session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, 0)
-    if all(take.path.exists() for take in session.takes()):
+    if not session.missing():
         return
     with PadReader(settings) as pad:
         console.print(
@@ -111,12 +129,25 @@ def _free_name(folder: Path, name: str) -> Path:
     return next(path for n in range(1, 1000) if not (path := folder / f"{name}-{n}.onnx").exists())
 
 
-def put_into_use(console: Console, config: Path | None, model: Path, *, is_worse: bool) -> None:
-    """Set the model in the configuration, if the person wants it; raises Stopped."""
+def put_into_use(
+    console: Console, config: Path | None, model: Path, pad: str | None = None, *, is_worse: bool
+) -> None:
+    """Set the model in the configuration, for one of several pads if named, if the person wants it.
+
+    Raises Stopped, and ConfigError where the model does not fit the configuration, which then stays.
+    """
     model = model.resolve()
     if config is None:
         console.print(f"To use it, set `model: {model}` in touchd.yaml.")
         return
+    settings = load(config)
+    pad = pad or next(iter(settings.sensors), None)
+    try:
+        check_fit(only_pad(settings, pad).scene, Classifier.load(model))
+    except ConfigError as error:
+        raise ConfigError(
+            f"{config} stays as it was, since the new model does not fit it: {error}"
+        ) from error
     question, no = f"Enter to use it from now on (in {config}), n to leave things as they are: ", "n"
     if is_worse:
         question, no = "It was right less often. Enter to leave things as they are, u to use it: ", ""
@@ -128,11 +159,14 @@ def put_into_use(console: Console, config: Path | None, model: Path, *, is_worse
             model = _beside(model)
         # A link stays one.
         with whole_file(config.resolve()) as new:
-            new.write_text(with_model(config.read_text(encoding="utf-8"), model), encoding="utf-8")
+            new.write_text(with_model(config.read_text(encoding="utf-8"), model, pad), encoding="utf-8")
+            by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
             try:
-                load(new)
+                is_set = only_pad(load(new), pad).model == str(model)
             except ConfigError as error:
-                raise ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself") from error
+                raise by_hand from error
+            if not is_set:
+                raise by_hand
     then = "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {config}"
     console.print(f"Set. To begin with it: {then}")
 

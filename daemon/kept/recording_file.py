@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drivers.errors import os_errors_as
 from drivers.recording import Recording, RecordingError, write_recordings
-from drivers.whole_file import whole_file
+from drivers.whole_file import PARTIAL, whole_file
 
 SUFFIX = ".csv.gz"
 
@@ -30,6 +30,8 @@ def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, s
     try:
         with whole_file(path, replace=False) as partial:
             write_recordings(partial, recordings, provenance)
+    except RecordingError as error:
+        raise RecordingError(str(error).replace(PARTIAL, "")) from error
     except FileExistsError as error:
         raise RecordingError(f"{path}: is there already, and is never written over") from error
     except OSError as error:

@@ -17,6 +17,7 @@ from daemon.recorder.session import Session, Take
 from daemon.setup.destinations import description_of
 from daemon.terminal.ask import ask
 from drivers.pad.pace import pace_of
+from drivers.recording import RecordingError
 
 # As in HAART: of ten seconds of a repeated gesture, keep the middle eight.
 EDGE_S = 1.0
@@ -66,9 +67,9 @@ class Dialogue:
 
     def run(self) -> None:
         """Record what is missing; raises `Stopped` when the person stops."""
-        takes = self._session.takes()
+        takes, missing = self._session.takes(), self._session.missing()
         for place, take in enumerate(takes, 1):
-            if not take.path.exists():
+            if take in missing:
                 how = HOW.get(take.gesture, f"{take.gesture}, again and again")
                 self._say(f"\n{place} of {len(takes)}: {take.gesture}", style="bold")
                 self._say(f"  {how}, until the bar is full")
@@ -96,9 +97,21 @@ class Dialogue:
                 continue
             choice = self._choose(capture, take)
             if choice == "keep":
-                recording = capture.recording(self._session.setting, take.gesture)
+                self._keep(take, capture)
+
+    def _keep(self, take: Take, capture: Capture) -> None:
+        """Keep a recording, as soon as it can be: the disk may be full. Raises `Stopped`."""
+        recording = capture.recording(self._session.setting, take.gesture)
+        while True:
+            try:
                 keep(take.path, [recording], self._provenance(take, capture))
+            except RecordingError as error:
+                self._say(f"  not kept yet: {error}", style="yellow")
+                if ask(self._console, "  Enter to try again, s to skip it, q to stop: ", ("", "s")) == "s":
+                    return
+            else:
                 self._say(f"  kept {take.path.name}", style="green")
+                return
 
     def _capture(self, take: Take) -> Capture:
         """Count down while the pad rests, then record; raises PadLost."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from daemon.kept.recording_file import SUFFIX
+from drivers.recording import RecordingError, read_recordings
 
 # Names are parts of file names, separated by "_", and cells of a CSV file.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
@@ -55,6 +56,14 @@ class Session:
             for number in range(1, self.rounds + 1)
             for gesture in self._shuffled(number)
         ]
+
+    def missing(self) -> list[Take]:
+        """Return the recordings still to make; raises RecordingError where a file of one's name is none."""
+        there = [take for take in self.takes() if take.path.exists()]
+        for take in there:
+            if not read_recordings(take.path):
+                raise RecordingError(f"{take.path}: holds no recording; delete it, and record it again")
+        return [take for take in self.takes() if take not in there]
 
     def _shuffled(self, number: int) -> list[str]:
         gestures = sorted(self.gestures)

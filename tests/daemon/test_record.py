@@ -1,15 +1,22 @@
 """`touchd record`: the order of recordings, their files, and complaints about them."""
 
 import gzip
+import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
+from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from daemon import cli
+from daemon.config import Settings
 from daemon.kept.recording_file import keep, prepare
-from daemon.recorder.capture import Capture, complaints
+from daemon.recorder import dialogue
+from daemon.recorder.capture import Capture, PadReader, complaints
+from daemon.recorder.dialogue import Dialogue, Terms
 from daemon.recorder.session import Session, Setting
 from docs.studies.hand import simulate
 from drivers.frame import Frame
@@ -73,6 +80,64 @@ def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> No
         prepare(tmp_path / "file")
     prepare(tmp_path / "new" / "folder")
     assert list((tmp_path / "new" / "folder").iterdir()) == []
+
+
+def test_a_file_that_holds_no_recording_is_not_counted_as_made(tmp_path: Path) -> None:
+    one = session(tmp_path, gestures=("pat",), rounds=2)
+    first, second = one.takes()
+    keep(first.path, [recording()], {})
+    assert one.missing() == [second]
+    for make in (second.path.touch, second.path.mkdir, lambda: second.path.write_bytes(b"\x1f\x8b half")):
+        make()
+        with pytest.raises(RecordingError, match=re.escape(str(second.path))):
+            one.missing()
+        second.path.rmdir() if second.path.is_dir() else second.path.unlink()
+
+
+@needs_small_disk
+def test_a_recording_that_finds_no_room_is_told_by_its_own_name_and_leaves_nothing(tmp_path: Path) -> None:
+    told = log_on_small_disk(tmp_path, 40, FILL)
+    assert told == ["x.csv.gz: cannot be written (No space left on device)", "['filler']", "kept x.csv.gz"]
+
+
+def test_a_recording_that_finds_no_room_waits_until_there_is_some(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = session(tmp_path, gestures=("pat",), rounds=1)
+    (take,) = one.takes()
+    take.path.mkdir()
+    said = io.StringIO()
+
+    def answer(*_: object) -> str:
+        take.path.rmdir()
+        return ""
+
+    monkeypatch.setattr(dialogue, "ask", answer)
+    settings = Settings()
+    guide = Dialogue(Console(file=said), PadReader(settings), settings, one, Terms(1.0, 1.0, "mine"))
+    guide._keep(take, captured(1.0, [20 * number for number in range(54)]))
+    assert "not kept yet" in said.getvalue()
+    assert len(read_recordings(take.path)) == 1
+
+
+FILL = """
+import sys
+from pathlib import Path
+from daemon.kept.recording_file import keep
+from docs.studies.hand import simulate
+from drivers.recording import RecordingError
+folder = Path(sys.argv[1])
+(recording,) = simulate((("pat", 0.5),), seed=1)
+(folder / "filler").write_bytes(bytes(40 * 1024))
+try:
+    keep(folder / "x.csv.gz", [recording], {})
+except RecordingError as error:
+    print(str(error).replace(f"{folder}/", ""), file=sys.stderr)
+print([path.name for path in folder.iterdir()], file=sys.stderr)
+(folder / "filler").unlink()
+keep(folder / "x.csv.gz", [recording], {})
+print(*(f"kept {path.name}" for path in folder.iterdir()), file=sys.stderr)
+"""
 
 
 def captured(touched_share: float, clock_ms: list[int]) -> Capture:

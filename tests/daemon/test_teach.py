@@ -20,7 +20,7 @@ from daemon.config import ConfigError, SensorSettings, Settings, load
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
 from drivers.recording import Stream, ideal_clock_ms
-from model.classifier import Classifier
+from model.classifier import SHIPPED_MODEL, Classifier
 
 
 @pytest.mark.parametrize(
@@ -42,8 +42,28 @@ def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str
     assert [line for line in path.read_text().splitlines() if line and "model" not in line] == kept
 
 
+@pytest.mark.parametrize(
+    "before",
+    [
+        "sensors: {left: {port: /dev/a, model: old.onnx}, right: {port: /dev/b}}\nrobot: null\n",
+        "sensors: {left: {port: /dev/a}, right: {port: /dev/b}}\n",
+        "model: old.onnx\nsensors:\n  left:\n    # mine\n    port: /dev/a\n  right: {port: /dev/b}\n",
+    ],
+)
+def test_of_several_pads_the_one_that_was_taught_gets_the_model(tmp_path: Path, before: str) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_text(before)
+    old = load(path).pads
+    path.write_text(with_model(before, Path("/srv/a: b.onnx"), "left"))
+    new = load(path).pads
+    assert new["left"].model == "/srv/a: b.onnx"
+    assert new["left"].sensor == old["left"].sensor
+    assert new["right"] == old["right"]
+
+
 def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str | None:
     """Return the configured model after a person answered."""
+    model.write_bytes(SHIPPED_MODEL.read_bytes())
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sys, "stdin", io.StringIO(f"{answer}\n"))
         teach.put_into_use(Console(file=io.StringIO()), config, model, is_worse=is_worse)
@@ -67,6 +87,16 @@ def test_a_configuration_that_cannot_be_changed_stays_and_its_person_is_told(tmp
     assert config.read_text() == "{robot: null}\n"
 
 
+def test_a_model_without_a_gesture_of_the_scene_is_not_put_into_use(tmp_path: Path) -> None:
+    config = tmp_path / "touchd.yaml"
+    config.write_text("scene: {gestures: [hug, pat]}\n")
+    with pytest.raises(
+        ConfigError, match=r"stays as it was, .* scene.gestures: hug is no gesture of the model"
+    ):
+        used_after("", config, tmp_path / "lab-1.onnx", is_worse=False)
+    assert config.read_text() == "scene: {gestures: [hug, pat]}\n"
+
+
 def test_a_worse_model_is_used_only_if_asked_for(tmp_path: Path) -> None:
     config, model = tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
     config.write_text("robot: null\n")
@@ -82,10 +112,9 @@ def test_the_service_gets_a_model_outside_home_folders(
     config, model = tmp_path / "touchd.yaml", tmp_path / "home" / "lab" / "lab-2.onnx"
     model.parent.mkdir(parents=True)
     config.write_text("robot: null\n")
-    model.write_bytes(b"adapted")
     for copy in ("lab-1.onnx", "lab-2.onnx"):
         assert used_after("", config, model, is_worse=False) == str(tmp_path / copy)
-        assert (tmp_path / copy).read_bytes() == b"adapted"
+        assert (tmp_path / copy).read_bytes() == SHIPPED_MODEL.read_bytes()
 
 
 @pytest.mark.slow
