@@ -17,13 +17,12 @@ from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
 from daemon.recorder.session import Session, Setting, name
-from daemon.setup.parts import check_fit
+from daemon.setup.parts import load_models
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
-from drivers.errors import os_errors_as
+from drivers.errors import TouchdError, os_errors_as
 from drivers.numbers import within
 from drivers.whole_file import whole_file
-from model.classifier import Classifier
 
 ROUNDS = 2
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -140,14 +139,7 @@ def put_into_use(
     if config is None:
         console.print(f"To use it, set `model: {model}` in touchd.yaml.")
         return
-    settings = load(config)
-    pad = pad or next(iter(settings.sensors), None)
-    try:
-        check_fit(only_pad(settings, pad).scene, Classifier.load(model))
-    except ConfigError as error:
-        raise ConfigError(
-            f"{config} stays as it was, since the new model does not fit it: {error}"
-        ) from error
+    pad = pad or next(iter(load(config).sensors), None)
     question, no = f"Enter to use it from now on (in {config}), n to leave things as they are: ", "n"
     if is_worse:
         question, no = "It was right less often. Enter to leave things as they are, u to use it: ", ""
@@ -162,11 +154,17 @@ def put_into_use(
             new.write_text(with_model(config.read_text(encoding="utf-8"), model, pad), encoding="utf-8")
             by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
             try:
-                is_set = only_pad(load(new), pad).model == str(model)
+                settings = load(new)
             except ConfigError as error:
                 raise by_hand from error
-            if not is_set:
+            if only_pad(settings, pad).model != str(model):
                 raise by_hand
+            try:
+                load_models(settings, {})
+            except TouchdError as error:
+                raise ConfigError(
+                    f"{config} stays as it was; the new model does not fit it: {error}"
+                ) from error
     then = "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {config}"
     console.print(f"Set. To begin with it: {then}")
 

@@ -91,7 +91,7 @@ def test_a_model_without_a_gesture_of_the_scene_is_not_put_into_use(tmp_path: Pa
     config = tmp_path / "touchd.yaml"
     config.write_text("scene: {gestures: [hug, pat]}\n")
     with pytest.raises(
-        ConfigError, match=r"stays as it was, .* scene.gestures: hug is no gesture of the model"
+        ConfigError, match=r"stays as it was; .* scene.gestures: hug is no gesture of the model"
     ):
         used_after("", config, tmp_path / "lab-1.onnx", is_worse=False)
     assert config.read_text() == "scene: {gestures: [hug, pat]}\n"
