@@ -104,8 +104,9 @@ class Bridge(QueuedSink[Event | Frame]):
         """Log once that the peer is away, however many attempts fail; is_news: for another reason now."""
         self._saying.cancel()
         if self._peer_is_there.is_set():
+            was_unsteady = self._is_unsteady
             self._is_unsteady = time.monotonic() - self._there_since_s < LASTING_S
-            if not self._is_unsteady:
+            if not (was_unsteady and self._is_unsteady):
                 self._backoff.reset()
         self._peer_is_there.clear()
         if (is_news or not self._was_away) and not self._draining:

@@ -80,7 +80,7 @@ def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
 
 def test_a_bridge_retries_a_lost_peer_quickly(tmp_path: Path, paused: Paused) -> None:
     pytest.importorskip("websockets")
-    pauses = paused("daemon.bridges.rosbridge")
+    pauses = paused("daemon.bridges.bridge")
     peer = RosbridgePeer(tmp_path)
     bridge = peer.bridge()
     try:
