@@ -5,11 +5,13 @@ import fcntl
 import os
 import pty
 import select
+import tempfile
 import termios
 import threading
 import time
 import tty
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,7 +54,11 @@ class FakePort:
         self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
         self._master, slave = pty.openpty()
         tty.setraw(slave)
-        self.path = os.ttyname(slave)
+        # Linux gives a number that is free again to the next pty: a reader that looks for its lost pad by
+        # number would open, and disturb, another's terminal.
+        self._folder = tempfile.TemporaryDirectory(prefix="touchd-pad-")
+        self.path = str(Path(self._folder.name) / "pad")
+        os.symlink(os.ttyname(slave), self.path)
         # With the slave closed here, the master hangs up whenever no reader has it open.
         os.close(slave)
         os.set_blocking(self._master, False)
@@ -75,6 +81,7 @@ class FakePort:
         if self._thread.is_alive():
             self._thread.join()
         if self._master >= 0:
+            self._folder.cleanup()
             os.close(self._master)
             self._master = -1
 
