@@ -110,9 +110,13 @@ def _open_missing_streams() -> None:
 
 
 def _replace_what_cannot_be_written() -> None:
-    """Have a terminal that lacks a character show another one; standard error does so by itself."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
+    """Have a terminal that lacks a character show another one; standard error does so by itself.
+
+    What is typed in another encoding is no name then, rather than an internal error.
+    """
+    for stream in (sys.stdin, sys.stdout):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def _was_interrupted(error: BaseException | None) -> bool:

@@ -74,6 +74,9 @@ def _convert_journal(file: Path, out: Path) -> None:
         journal = io.BytesIO(file.read_bytes())
     if not any(True for _ in _read(file, journal)):
         raise ConvertError(f"{file}: no events in it")
+    journal.seek(0)
+    if wrong := sum(isinstance(line, EventError) for line in lines_in(journal)):
+        sys.stderr.write(f"{file}: left out {wrong} lines that are no events\n")
     if out.suffix == ".csv":
         columns = dict.fromkeys(name for event in _read(file, journal) for name in _flat(event))
         with out.open("x", encoding="utf-8", newline="") as target:
@@ -89,12 +92,13 @@ def _convert_journal(file: Path, out: Path) -> None:
 
 
 def _read(path: Path, journal: io.BytesIO) -> Iterator[Event]:
-    """Yield a journal's events from its beginning. Raises JournalError."""
+    """Yield a journal's events from its beginning; raises JournalError when it does not begin with one."""
     journal.seek(0)
     for number, event in enumerate(lines_in(journal), 1):
-        if isinstance(event, EventError):
+        if not isinstance(event, EventError):
+            yield event
+        elif number == 1:
             raise JournalError(f"{path}, line {number}: {event}")
-        yield event
 
 
 def _flat(event: Event) -> dict[str, Any]:

@@ -114,6 +114,9 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
     participant = options.participant or ask_name(console, "Who touches the pad?")
     session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, 0)
     if not session.missing():
+        console.print(
+            f"{participant} is recorded in {options.folder} already; give another person another name"
+        )
         return
     with PadReader(settings) as pad:
         console.print(

@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import IO, Any
 
 import msgspec
+import numpy as np
 from mcap.writer import Writer
 
 from daemon.events import Event, RobotEvent, encode, epoch_s
@@ -57,7 +58,9 @@ def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
     with _messages(file) as add:
         start_ms = 0
         for recording in map(realign, recordings):
-            clock_ms = (recording.sensor_ms - recording.sensor_ms[0] + start_ms).tolist()
+            steps = np.diff(recording.sensor_ms, prepend=recording.sensor_ms[0])
+            # A clock that starts anew goes back, time does not.
+            clock_ms = (np.cumsum(np.maximum(steps, 0)) + start_ms).tolist()
             label = dict(zip(LABEL["properties"], (*set_up(recording), recording.gesture), strict=True))
             data = msgspec.json.encode(label)
             add("/touchd/recording", "touchd.Recording", LABEL, start_ms * NS_PER_MS, data)

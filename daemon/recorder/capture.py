@@ -11,7 +11,7 @@ from daemon.config import Settings
 from daemon.recorder.session import Setting
 from daemon.touch import Onset, Release, TouchTracker
 from drivers.frame import CLOCK_MODULUS, Frame
-from drivers.pad.grid import Ring
+from drivers.pad.grid import Ring, RingSettings
 from drivers.pad.health import PadHealth
 from drivers.pad.pace import clock_ms, pace_of
 from drivers.pad.protocol import parser_of
@@ -22,6 +22,7 @@ SILENCE_S = 2.5
 RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
+LEAST_RATE_HZ = 1.0 / RingSettings().max_gap_s
 NO_FRAME = "no frame comes: is the pad plugged in, and does it run?"
 
 
@@ -131,7 +132,13 @@ class Contact:
 def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:
     """Return reasons to repeat a recording, a line each; none when it is sound."""
     found = list(troubles)
-    lost = pace_of(capture.frames).lost
+    pace = pace_of(capture.frames)
+    lost = pace.lost
+    if pace.rate_hz < LEAST_RATE_HZ:
+        return [
+            *found,
+            f"{pace.rate_hz:.1f} frames a second come, and more than {LEAST_RATE_HZ:.0f} are needed",
+        ]
     if lost > MOST_LOST_SHARE * len(capture.frames):
         found.append(f"{lost} frames were lost on the way: look at cable and plug")
     if gesture == NO_TOUCH and capture.touched_share > 0:

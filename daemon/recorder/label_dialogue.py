@@ -55,8 +55,12 @@ class LabelDialogue:
             elif answer == "w":
                 self._setting = ask_setting(self._console, None, self._setting, past=True)
             else:
-                self._decide(offered.kept, answer)
-                asked.append(place)
+                try:
+                    self._decide(offered.kept, answer)
+                    asked.append(place)
+                except RecordingError as error:
+                    # A running daemon gives up its oldest touches.
+                    self._say(f"  not kept: {error}", style="yellow")
                 place += 1
 
     def _is_slip(self, asked: Sequence[int]) -> bool:

@@ -3,6 +3,7 @@
 import base64
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from rigs.made_events import PREDICTION
 
 from daemon.cli import main
 from daemon.events import TouchBegan, decode, encode, epoch_s
-from drivers.recording import read_recordings
+from drivers.recording import read_recordings, write_recordings
 
 EVENTS = [
     TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),
@@ -46,6 +47,29 @@ def test_a_journal_as_csv_has_a_row_an_event(journal: Path, tmp_path: Path) -> N
     assert [row["type"] for row in rows] == ["touch_began", "prediction"]
     assert (rows[0]["sensor_ms"], rows[0]["probabilities_pat"]) == ("81234", "")
     assert (rows[1]["probabilities_pat"], rows[1]["told"], rows[1]["pad"]) == ("0.19", "True", "head")
+
+
+def test_lines_of_a_journal_that_are_no_events_are_left_out_and_counted(
+    journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = journal.read_bytes().split(b"\n")
+    journal.write_bytes(b"\n".join([lines[0], b"\0" * 40, b"garbage", *lines[1:]]))
+    assert main(["convert", str(journal), "-o", str(tmp_path / "events.csv")]) == 0
+    with (tmp_path / "events.csv").open() as file:
+        assert [row["type"] for row in csv.DictReader(file)] == ["touch_began", "prediction"]
+    assert "left out 2 lines that are no events" in capsys.readouterr().err
+
+
+def test_a_recording_whose_clock_began_anew_can_be_made_mcap(tmp_path: Path) -> None:
+    pytest.importorskip("mcap")
+    (first, *_) = read_recordings(DEMO)
+    clock_ms = first.sensor_ms.copy()
+    clock_ms[40:] -= clock_ms[40]
+    write_recordings(tmp_path / "reset.csv", [replace(first, sensor_ms=clock_ms)], {})
+    assert main(["convert", str(tmp_path / "reset.csv"), "-o", str(tmp_path / "reset.mcap")]) == 0
+    times = [time for _, name, time, _ in messages(tmp_path / "reset.mcap") if name == "foxglove.RawImage"]
+    assert times == sorted(times)
+    assert len(times) == len(first.counts)
 
 
 def test_a_journal_as_mcap_keeps_every_event_and_its_time(journal: Path, tmp_path: Path) -> None:

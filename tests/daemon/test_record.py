@@ -163,6 +163,11 @@ def test_a_recording_that_does_not_show_its_gesture_is_reported(
     assert bool(told) == bool(found)
 
 
+def test_a_pad_too_slow_to_be_felt_is_told_as_that() -> None:
+    told = complaints(captured(0.0, list(range(0, 4000, 204))), "pat", [])
+    assert told == ["4.9 frames a second come, and more than 7 are needed"]
+
+
 def test_lost_frames_and_a_broken_pad_are_reported() -> None:
     gaps = [19 * number for number in range(100) if number not in (20, 21, 50)]
     told = complaints(captured(1.0, gaps), "pat", ["row 4 of the pad stands still: a broken wire?"])

@@ -70,6 +70,28 @@ class Lab:
         return sorted(path.name for path in self.folder.glob("*.csv.gz"))
 
 
+def test_a_touch_that_is_given_up_meanwhile_does_not_end_the_labelling(lab: Lab) -> None:
+    for number, gesture in ((1, "pat"), (2, "rub")):
+        lab.touched(number, gesture)
+    with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
+        terminal.until("1 of 2: touch 2")
+        terminal.until("quit: ")
+        for path in lab.journal.with_name(f"{lab.journal.name}.touches").glob("*-2.csv.gz"):
+            path.unlink()
+        terminal.answer("7", "not kept: ", "2 of 2: touch 1", "quit: ")
+        terminal.answer("7", "kept anna_foam_fur_tickle_")
+        terminal.answer("q")
+
+
+def test_a_journal_that_began_before_the_clock_was_set_hides_no_older_one(lab: Lab) -> None:
+    older, newer = ([touch.began, touch.ended] for touch in (felt(1), felt(2)))
+    early = TouchBegan(touch=9, time="1970-01-01T00:00:07.000Z", sensor_ms=0)
+    lab.journal.with_name(f"{lab.journal.name}.1").write_bytes(b"\n".join(map(encode, older)) + b"\n")
+    lab.journal.write_bytes(b"\n".join(map(encode, [early, *newer])) + b"\n")
+    read = read_since(lab.journal, older[0].time)
+    assert [touch.began.touch for touch in read] == [1, 2]
+
+
 @pytest.fixture
 def lab(tmp_path: Path) -> Lab:
     return Lab(tmp_path)
