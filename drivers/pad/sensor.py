@@ -33,7 +33,7 @@ MANY_BYTES = 2048
 # A diagnosis may hold up the other pads' answers; while the bytes stay wrong, it is made ever less often.
 LONGEST_LOOK_S = 16.0
 # Of a pad that sends far too much, the reader rests so many times as long as it took to parse a read.
-FLOOD_BYTES, FLOOD_REST = 16384, 9
+FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -144,7 +144,7 @@ class Sensor:
                     if may_wait and len(data) < MANY_BYTES:
                         time.sleep(WAIT_S)
             if len(data) >= FLOOD_BYTES:
-                time.sleep(FLOOD_REST * (time.monotonic() - now_s))
+                self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
             if now_s - byte_s > self._reopen_after_s:
                 return
             if now_s - looked_s > look_s:
