@@ -212,7 +212,12 @@ def only_pad(settings: Settings, name: str | None, port: str | None = None) -> S
         raise ConfigError(f"{wrong}; give --pad one of {', '.join(pads)}")
     if port is None:
         return chosen
-    return msgspec.structs.replace(chosen, sensor=msgspec.structs.replace(chosen.sensor, port=port))
+    try:
+        # Made anew rather than replaced, which would check nothing.
+        sensor = SensorSettings(**(msgspec.structs.asdict(chosen.sensor) | {"port": port}))
+    except ValueError as error:
+        raise ConfigError(f"--port: {error}") from error
+    return msgspec.structs.replace(chosen, sensor=sensor)
 
 
 def load(path: Path) -> Settings:

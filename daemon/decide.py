@@ -40,7 +40,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     """One scene: which gestures can occur, when to answer, and how sure to be.
 
     The defaults of the last two come from a measurement: docs/decision.md.
-    gestures: those that can occur; empty means all the model knows. "notouch" always can, named or not.
+    gestures: those that can occur; empty means all the model knows. "notouch" always can, and is not named.
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.

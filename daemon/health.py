@@ -60,7 +60,7 @@ class Health:
         self._away: dict[str, bool] = {}
         self._heard_s: dict[str, float] = {}
         self._frames = 0
-        self._frames_in_all = 0
+        self._reported = 0
         self._dropped: Mapping[str, int] = {}
         self._next_feed_s = 0.0 if notifier.watchdog_s else math.inf
         self._status_s = time.monotonic()
@@ -81,10 +81,9 @@ class Health:
 
     def frame_processed(self, pad: str) -> None:
         """A frame went through a pad's pipeline."""
-        self._heard_s[pad] = now_s = time.monotonic()
+        self._heard_s[pad] = time.monotonic()
         self._frames += 1
-        if now_s >= self._next_feed_s:
-            self._feed()
+        self._feed()
 
     def idle(self) -> None:
         """No frame came for a while."""
@@ -97,13 +96,12 @@ class Health:
         passed_s = now_s - self._status_s
         if passed_s < STATUS_EVERY_S:
             return
-        newly = {pad: count - self._dropped.get(pad, 0) for pad, count in dropped.items()}
-        for pad, count in newly.items():
-            if count > 0:
+        for pad, count in dropped.items():
+            if (newly := count - self._dropped.get(pad, 0)) > 0:
                 which = "the pad" if len(dropped) == 1 else f"{pad}, or that sends too many"
-                log.warning("%d frames dropped: the machine is too busy for %s", count, which)
+                log.warning("%d frames dropped: the machine is too busy for %s", newly, which)
         self._dropped = dropped
-        rate = f"{self._frames / passed_s:.1f} frames/s"
+        rate = f"{(self._frames - self._reported) / passed_s:.1f} frames/s"
         away = [pad for pad, is_away in self._away.items() if is_away]
         if away and len(away) == len(self._away):
             rate = "pad away" if len(away) == 1 else "all pads away"
@@ -111,15 +109,13 @@ class Health:
             rate += f", {', '.join(away)} away"
         self._notifier.send(STATUS=f"{rate}, {touches} touches, {sum(dropped.values())} frames dropped")
         self._status_s = now_s
-        self._frames_in_all += self._frames
-        self._frames = 0
+        self._reported = self._frames
 
     def stopping(self) -> None:
         self._notifier.send(STOPPING=1)
 
     def end(self, touches: int, dropped: int) -> None:
-        frames = self._frames_in_all + self._frames
-        log.info("%d frames, %d touches, %d frames dropped in all", frames, touches, dropped)
+        log.info("%d frames, %d touches, %d frames dropped in all", self._frames, touches, dropped)
 
     def _feed(self) -> None:
         now_s = time.monotonic()

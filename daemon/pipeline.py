@@ -164,7 +164,7 @@ class Pipeline:
         self._loose_lines: tuple[str, ...] = before._loose_lines if before else ()
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
-        self._feeling = Feeling(settings.ring.max_gap_s)
+        self._feeling: Feeling = Feeling(settings.ring.max_gap_s, before._feeling if before else None)
 
     @property
     def has_touch(self) -> bool:
@@ -265,10 +265,8 @@ class Pipeline:
 
     def _watch_for_loose_wire(self) -> None:
         """Say once which lines jump while nobody touches the pad."""
-        if self._tracker.loose_lines == self._loose_lines:
-            return
-        self._loose_lines = self._tracker.loose_lines
-        if self._loose_lines:
+        before, self._loose_lines = self._loose_lines, self._tracker.loose_lines
+        if self._loose_lines and self._loose_lines != before:
             log.warning("%s%s", self._prefix, LOOSE % ", ".join(self._loose_lines))
 
     def _no_touch(self, window: NDArray[np.float32]) -> float:

@@ -98,7 +98,7 @@ class Service:
         number is lost. Raises TouchdError, with nothing changed.
         """
         before = self._parts
-        if settings == before.settings:
+        if settings == before.settings and not before.has_other_models:
             return []
         parts = self._make(settings, before)
         readers = [pad.sensor for pad in parts.pads.values()]
@@ -162,7 +162,7 @@ class Service:
             self._events.forget_robot()
         for sink in (parts.robot, parts.live, *parts.bridges.values()):
             if sink is not None and sink not in before.sinks:
-                for (_, pad_name), event in self._events.standing.items():
+                for (_, pad_name), event in list(self._events.standing.items()):
                     if pad_name in ("", *parts.pads):
                         sink.put(event)
         self._events.sinks = (*parts.sinks, *self._more_sinks)

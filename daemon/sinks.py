@@ -55,7 +55,9 @@ class EventFanout:
         self.standing: dict[tuple[type[Event], str], Event] = {}
 
     def emit(self, event: Event) -> None:
-        self.touches += isinstance(event, TouchBegan)
+        # Robots tell theirs from threads of their own; only one thread may count.
+        if isinstance(event, TouchBegan):
+            self.touches += 1
         if isinstance(event, SensorEvent | RobotEvent):
             self.standing[type(event), getattr(event, "pad", "")] = event
         for sink in self.sinks:

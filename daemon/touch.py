@@ -203,15 +203,11 @@ class TouchTracker:
 
     def is_settled(self, frames: int) -> bool:
         """Whether nothing ambiguous has begun, and the next `frames` frames cannot end a touch."""
-        if self._held is None:
-            return self._light is None and self._baseline.is_known
-        return self._index - self._held.last < self._quiet_frames - frames and not self.may_be_over
-
-    @property
-    def may_be_over(self) -> bool:
-        """Whether the touch that goes on has lately looked like an untouched pad."""
         held = self._held
-        return held is not None and bool(held.still_frames or held.calm_frames or self._sight.last_is_none)
+        if held is None:
+            return self._light is None and self._baseline.is_known
+        seems_over = held.still_frames or held.calm_frames or self._sight.last_is_none
+        return self._index - held.last < self._quiet_frames - frames and not seems_over
 
     @property
     def is_disturbed(self) -> bool:

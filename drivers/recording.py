@@ -21,7 +21,7 @@ from typing import IO, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import TouchdError
+from drivers.errors import TouchdError, os_errors_as
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 CELLS = ROWS * COLUMNS
@@ -152,17 +152,14 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
     """
     if any(_keys(earlier) == _keys(later) for earlier, later in pairwise(recordings)):
         raise RecordingError(f"{path}: two in a row share participant, condition and gesture")
-    try:
-        with _open_text(path, "x") as file:
-            for key, value in provenance.items():
-                file.write(f"# {key}: {' '.join(value.split())}\n")
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow([*KEYS, "sensor_ms", *(f"cell{i}" for i in range(1, CELLS + 1))])
-            for recording in recordings:
-                for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
-                    writer.writerow([*_keys(recording), int(ms), *frame.ravel().tolist()])
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
+    with os_errors_as(RecordingError, f"{path}: cannot be written"), _open_text(path, "x") as file:
+        for key, value in provenance.items():
+            file.write(f"# {key}: {' '.join(value.split())}\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([*KEYS, "sensor_ms", *(f"cell{i}" for i in range(1, CELLS + 1))])
+        for recording in recordings:
+            for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
+                writer.writerow([*_keys(recording), int(ms), *frame.ravel().tolist()])
 
 
 def realign(recording: Recording) -> Recording:
@@ -292,7 +289,7 @@ def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
         if line.startswith("#"):
             continue
         header = [name.strip().strip('"').strip().lower() for name in line.split(",")]
-        if header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS] == "cell1":
+        if header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS:][0] == "cell1":
             match header[4:-CELLS]:
                 case []:
                     return _Layout(len(header), "", number)

@@ -51,14 +51,11 @@ class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
     scores: dict[str, Any]
 
 
-@dataclass(frozen=True)
-class State:
-    """What the network keeps of a touch's frames so far: tensors by the name of the input that takes them.
+State: TypeAlias = Mapping[str, Any]
+"""What the network keeps of a touch's frames so far: tensors by the name of the input that takes them.
 
-    A model file from before there was such a state has the frames themselves kept, as "counts".
-    """
-
-    tensors: Mapping[str, Any]
+A model file from before there was such a state has the frames themselves kept, as "counts".
+"""
 
 
 @dataclass(frozen=True)
@@ -123,12 +120,12 @@ class Classifier:
         """
         counts = self._checked(frames[np.newaxis])
         if not self.states:
-            counts = counts if state is None else np.concatenate([state.tensors["counts"], counts], axis=1)
-            return self.batch_probabilities(counts)[0], State({"counts": counts})
+            counts = counts if state is None else np.concatenate([state["counts"], counts], axis=1)
+            return self.batch_probabilities(counts)[0], {"counts": counts}
         # Bound rather than handed over, which takes a seventh of the time away.
         binding = self.session.io_binding()
         binding.bind_cpu_input("counts", counts)
-        for name, tensor in state.tensors.items() if state is not None else ():
+        for name, tensor in state.items() if state is not None else ():
             binding.bind_ortvalue_input(name, tensor)
         binding.bind_output("probabilities")
         for name in self.states:
@@ -136,7 +133,7 @@ class Classifier:
         self.session.run_with_iobinding(binding)
         answer, *after = binding.get_outputs()
         tensors = dict(zip(self.states, after, strict=True))
-        return np.asarray(answer.numpy()[0], dtype=np.float64), State(tensors)
+        return np.asarray(answer.numpy()[0], dtype=np.float64), tensors
 
     def steps(
         self, frames: Sequence[NDArray[np.generic]], states: Sequence[State | None]
@@ -148,7 +145,7 @@ class Classifier:
         if len(frames) == 1 or not self.side_by_side:
             return [self.step(*each) for each in zip(frames, states, strict=True)]
         feeds = {"counts": self._checked(np.stack(frames))}
-        before = [state.tensors for state in states if state is not None]
+        before = [state for state in states if state is not None]
         for name in self.states if before else ():
             several = [tensors[name].numpy() for tensors in before]
             feeds[name] = np.concatenate(several) if name in self.side_by_side else several[0]
@@ -158,14 +155,12 @@ class Classifier:
         return [
             (
                 np.asarray(answer, dtype=np.float64),
-                State(
-                    {
-                        name: onnxruntime.OrtValue.ortvalue_from_numpy(
-                            tensor[number : number + 1] if name in self.side_by_side else tensor
-                        )
-                        for name, tensor in zip(self.states, after, strict=True)
-                    }
-                ),
+                {
+                    name: onnxruntime.OrtValue.ortvalue_from_numpy(
+                        tensor[number : number + 1] if name in self.side_by_side else tensor
+                    )
+                    for name, tensor in zip(self.states, after, strict=True)
+                },
             )
             for number, answer in enumerate(answers)
         ]

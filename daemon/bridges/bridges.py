@@ -35,6 +35,10 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
         module = importlib.import_module(f"daemon.bridges.{name}")
     except ImportError as error:
         raise BridgeError(f"{name}: {error.name} is not installed: {how_to_install(name)}") from error
+    except RuntimeError as error:
+        # pylsl without its library, as on a processor that it is not built for.
+        why = str(error).splitlines()[0]
+        raise BridgeError(f"{name}: cannot be used on this machine ({why})") from error
     bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, pad, gestures)
     return bridge
 

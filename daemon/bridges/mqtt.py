@@ -68,6 +68,9 @@ class MqttBridge(Bridge):
         """Publish an event and wait until the broker has it, or publish a frame."""
         if isinstance(item, Frame):
             self._client.publish(f"{self._topic}/pressure", _pressure(item))
+            with self._acknowledging:
+                # paho reports frames too, and uses its numbers again.
+                self._acknowledged.clear()
             return
         if isinstance(item, SensorEvent):
             self._state = item.state

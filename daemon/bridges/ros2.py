@@ -146,6 +146,8 @@ class Ros2Bridge(Bridge):
                 self._writers.clear()
                 self._abandoned.wait(2 * LOOK_S)
                 self.open()
+        if not self._writers:
+            return
         if isinstance(item, Frame):
             self._writers["pressure"].write(image(item, self.pad))
             return

@@ -77,7 +77,8 @@ class RosbridgeBridge(Bridge):
                     for _ in connection:
                         pass
                 self._tell_away(url, "the connection was closed")
-            except (OSError, WebSocketException) as error:
+            # A URL that cannot be one is a ValueError.
+            except (OSError, WebSocketException, ValueError) as error:
                 self._tell_away(url, str(error))
             self._ending.wait(self._backoff.pause_s())
 
@@ -89,7 +90,8 @@ class RosbridgeBridge(Bridge):
             for message in messages:
                 connection.send(message)
         except (OSError, WebSocketException):
-            self._peer_is_there.clear()
+            # The other thread then notices, and connects again.
+            connection.close()
             return False
         return True
 

@@ -1,6 +1,7 @@
 """The sections of the configuration for bridges to other systems."""
 
 from typing import Annotated
+from urllib.parse import urlsplit
 
 import msgspec
 
@@ -61,6 +62,15 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     url: Annotated[str, msgspec.Meta(pattern=r"^wss?://[^\s@]+$")] = "ws://localhost:9090"
     namespace: Namespace = "/touchd"
     pressure_hz: PressureHz | None = None
+
+    def __post_init__(self) -> None:
+        try:
+            # Looking at the port checks it.
+            _ = urlsplit(self.url).port
+        except ValueError as error:
+            raise ValueError(
+                f"url: {self.url} is no address ({error}); write it like ws://robot:9090"
+            ) from error
 
 
 Section = MqttSettings | LslSettings | Ros2Settings | RosbridgeSettings

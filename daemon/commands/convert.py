@@ -2,9 +2,9 @@
 
 import argparse
 import csv
-import io
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,9 @@ import msgspec
 
 from daemon.events import Event, EventError
 from daemon.kept.journal import JournalError
-from daemon.kept.touches import lines_in
-from drivers.errors import TouchdError, os_errors_as
-from drivers.recording import SUFFIXES, read_provenance, read_recordings, write_recordings
+from daemon.kept.touches import read_lines
+from drivers.errors import TouchdError
+from drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
 from drivers.whole_file import whole_file
 
 
@@ -60,7 +60,8 @@ def main(arguments: Sequence[str]) -> int:
 def _convert_recording(file: Path, out: Path) -> None:
     recordings = read_recordings(file)
     if out.suffix == ".csv":
-        write_recordings(out, recordings, read_provenance(file))
+        # Our own layout holds whole scans.
+        write_recordings(out, list(map(realign, recordings)), read_provenance(file))
         return
     from daemon.convert import mcap
 
@@ -70,35 +71,27 @@ def _convert_recording(file: Path, out: Path) -> None:
 
 def _convert_journal(file: Path, out: Path) -> None:
     # Read once: a running daemon may write on, and begin another file.
-    with os_errors_as(JournalError, f"journal {file}: cannot be read", "check the path"):
-        journal = io.BytesIO(file.read_bytes())
-    if not any(True for _ in _read(file, journal)):
+    lines = list(read_lines(file))
+    if lines and isinstance(lines[0], EventError):
+        raise JournalError(f"{file}, line 1: {lines[0]}")
+    events = [line for line in lines if not isinstance(line, EventError)]
+    if not events:
         raise ConvertError(f"{file}: no events in it")
-    journal.seek(0)
-    if wrong := sum(isinstance(line, EventError) for line in lines_in(journal)):
+    if wrong := len(lines) - len(events):
         sys.stderr.write(f"{file}: left out {wrong} lines that are no events\n")
     if out.suffix == ".csv":
-        columns = dict.fromkeys(name for event in _read(file, journal) for name in _flat(event))
+        rows = list(map(_flat, events))
+        columns = list(dict.fromkeys(chain.from_iterable(rows)))
         with out.open("x", encoding="utf-8", newline="") as target:
             # For pandas and spreadsheets.
-            table = csv.DictWriter(target, list(columns), lineterminator="\n")
+            table = csv.DictWriter(target, columns, lineterminator="\n")
             table.writeheader()
-            table.writerows(map(_flat, _read(file, journal)))
+            table.writerows(rows)
         return
     from daemon.convert import mcap
 
     with out.open("xb") as messages:
-        mcap.write_events(_read(file, journal), messages)
-
-
-def _read(path: Path, journal: io.BytesIO) -> Iterator[Event]:
-    """Yield a journal's events from its beginning; raises JournalError when it does not begin with one."""
-    journal.seek(0)
-    for number, event in enumerate(lines_in(journal), 1):
-        if not isinstance(event, EventError):
-            yield event
-        elif number == 1:
-            raise JournalError(f"{path}, line {number}: {event}")
+        mcap.write_events(events, messages)
 
 
 def _flat(event: Event) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from daemon.doctor.listening import listen
 from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
 from drivers.errors import os_errors_as
+from drivers.numbers import within
 from drivers.pad.diagnosis import as_yaml, caution, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, open_port, read_waiting
@@ -36,7 +37,11 @@ def parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("file", nargs="?", type=Path, default=Path("touchd.yaml"), help="(%(default)s)")
     parser.add_argument("--port", help="the pad's port or address, instead of looking for it")
-    parser.add_argument("--baud", type=int, help="the pad's baud rate, instead of trying the usual ones")
+    parser.add_argument(
+        "--baud",
+        type=within(int, 1200, 4_000_000),
+        help="the pad's baud rate, instead of trying the usual ones",
+    )
     parser.add_argument("--robot", metavar="URL", help="such as tcp://nao.local:9559, or none")
     return parser
 

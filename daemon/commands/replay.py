@@ -1,6 +1,7 @@
 """`touchd replay`: recordings as a pad on a serial port, for `touchd run` to read."""
 
 import argparse
+import shlex
 import sys
 import threading
 from collections.abc import Sequence
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.write(f"{port.path}\n")
         sys.stdout.flush()
         if sys.stdout.isatty():
-            file = f" -c {options.config}" if options.config else ""
+            file = f" -c {shlex.quote(str(options.config))}" if options.config else ""
             sys.stderr.write(f"In another terminal: {own_name()} run{file} --view --port {port.path}\n")
             if options.format:
                 sys.stderr.write(f"with `sensor: {{format: {options.format}}}` in its configuration (-c)\n")

@@ -83,21 +83,21 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
     stop, hung_up = threading.Event(), threading.Event()
     settings = read()
     with ExitStack() as closing:
-        closing.enter_context(
-            _on_signals(
-                {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGHUP: hung_up if can_reread else stop}
-            )
-        )
+        wanted = {signal.SIGINT: stop, signal.SIGTERM: stop}
+        # Where nohup has it ignored, a terminal that closes ends nothing.
+        if can_reread or signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            wanted[signal.SIGHUP] = hung_up if can_reread else stop
+        closing.enter_context(_on_signals(wanted))
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         service = Service(settings, Health(notifier))
         favour_latency()
+        page = urls_of(settings.live, settings.live.port)[0] if settings.live and settings.live.port else ""
         if with_view:
             from daemon.terminal.view import View, ViewHandler
 
             (name, first), *_ = settings.pads.items()
-            where = f" · {urls_of(settings.live, settings.live.port)[0]}" if settings.live else ""
-            title = f"{first.sensor.port}{where}"
+            title = f"{first.sensor.port} · {page}" if page else first.sensor.port
             marks, language = first.scene.answer_at_frames, settings.language
             view = View(title, settings.vocabulary, marks, pad=name, language=language)
             closing.enter_context(view)
@@ -110,8 +110,8 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
             closing.enter_context(_logging(LogHandler(log_sink), settings.log_level))
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
-            if in_words and settings.live and settings.live.host in EVERY_ADDRESS and settings.live.port:
-                sys.stderr.write(qr_code(urls_of(settings.live, settings.live.port)[0]))
+            if in_words and page and settings.live and settings.live.host in EVERY_ADDRESS:
+                sys.stderr.write(qr_code(page))
         reloader = Reloader(read, service.reload)
         closing.enter_context(rereading(hung_up, reloader))
         service.run(stop)

@@ -3,6 +3,7 @@
 import argparse
 import json
 import re
+import shlex
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -168,7 +169,9 @@ def put_into_use(
                 raise ConfigError(
                     f"{config} stays as it was; the new model does not fit it: {error}"
                 ) from error
-    then = "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {config}"
+    then = (
+        "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {shlex.quote(str(config))}"
+    )
     console.print(f"Set. To begin with it: {then}")
 
 

@@ -48,6 +48,6 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.write(f"{line}\n")
     sys.stdout.write(
         f"\nWritten: {output}. To use it, set `model: {output.resolve()}` in touchd.yaml, "
-        "and in scene.gestures those that it knows.\n"
+        "and in scene.gestures those that it knows, but not notouch.\n"
     )
     return 0

@@ -66,7 +66,7 @@ def port_is_not_open(error: SensorError) -> Check:
 
 def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
     """Report whether frames were decoded; if not, try other baud rates and diagnose the bytes."""
-    expected = parser_of(sensor.described).description
+    expected = str(sensor.described)
     if heard.frames:
         return Check("protocol", "ok", f"{expected} at {sensor.baud} baud, as configured")
     if heard.broke_off:

@@ -103,6 +103,11 @@ class Journal:
                     os.replace(older, self._numbered(number))
             if self._keep == 0:
                 self._path.unlink()
+            # Where fewer are kept than before.
+            beyond = self._keep + 1
+            while (older := self._numbered(beyond)).exists():
+                older.unlink()
+                beyond += 1
         self._begin_anew()
 
     def _begin_anew(self) -> None:
@@ -121,7 +126,10 @@ def _open(path: Path) -> int:
         raise JournalError(f"journal {path}: is no file; give another journal.path")
     fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o640)
     try:
-        _lock(fd, path)
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise JournalError(f"journal {path}: another touchd writes it; give each its own") from error
         size = os.fstat(fd).st_size
         begin = os.pread(fd, len(FIRST_BYTES), 0)
         if begin.strip(b"\0") and not FIRST_BYTES.startswith(begin):
@@ -136,10 +144,3 @@ def _open(path: Path) -> int:
         os.close(fd)
         raise
     return fd
-
-
-def _lock(fd: int, path: Path) -> None:
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise JournalError(f"journal {path}: another touchd writes it; give each its own") from error

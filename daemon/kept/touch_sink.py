@@ -45,7 +45,7 @@ class TouchSink(QueuedSink[FeltTouch]):
                 touch = self._pads[item.pad].end(item, end_ms)
                 if touch is not None:
                     super().put(touch)
-            case SensorEvent():
+            case SensorEvent(state="down"):
                 # The next frames are another pad's, or its clock restarted.
                 self._pads.pop(item.pad, None)
 

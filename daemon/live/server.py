@@ -7,7 +7,6 @@ little-endian: its sensor_ms (uint32), 64 counts (uint16), and the pad's place i
 import asyncio
 import logging
 import socket
-import struct
 import threading
 import time
 from collections import deque
@@ -27,7 +26,7 @@ from daemon.live.door import Door
 from daemon.live.memory import Memory, Scene
 from daemon.live.page import Page
 from daemon.live.viewers import Viewers
-from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, Frame
+from drivers.frame import DEFAULT_PAD, Frame
 from drivers.queue import DroppingQueue
 
 log = logging.getLogger(__name__)
@@ -46,9 +45,6 @@ GOODBYE_S = 0.2
 
 Scenes: TypeAlias = Mapping[str, Scene]
 Item: TypeAlias = Event | LivePrediction | tuple[Frame, str] | Scenes
-
-
-CLOCK = struct.Struct("<I")
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):
@@ -224,7 +220,7 @@ class LiveServer:
 
 def encode_frame(frame: Frame, pad: int = 0) -> bytes:
     """Return a frame in the page's format. pad: the index of its pad."""
-    return CLOCK.pack(frame.sensor_ms % CLOCK_MODULUS) + frame.pressure.astype("<u2").tobytes() + bytes([pad])
+    return frame.sensor_ms.to_bytes(4, "little") + frame.pressure.astype("<u2").tobytes() + bytes([pad])
 
 
 def encode_message(message: msgspec.Struct) -> str:

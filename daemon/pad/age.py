@@ -56,12 +56,14 @@ class Age:
 class Feeling:
     """Whether frames come close enough together, by the pad's clock, for touches to be felt."""
 
-    def __init__(self, max_gap_s: float) -> None:
-        self._max_gap_s = max_gap_s
+    def __init__(self, max_gap_s: float, before: "Feeling | None" = None) -> None:
         self._frames: deque[Frame] = deque(maxlen=CALIBRATION_FRAMES)
         self._without_gap = 0
         self._since_s: float | None = None
         self._is_degraded = False
+        if before:
+            vars(self).update(vars(before))
+        self._max_gap_s = max_gap_s
 
     def update(self, frame: Frame, restarted: bool) -> str | None:
         """Take a frame, and whether the grid restarted with it; return what changed, None for nothing.
@@ -92,18 +94,21 @@ class Feeling:
         step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_MODULUS) / steps
         # Frames that were read together all arrived at once.
         rate_hz = steps / max(last.host_s - first.host_s, 0.001)
-        clocks_ms = [frame.sensor_ms for frame in self._frames]
-        if any(
-            (later - earlier) % CLOCK_MODULUS > CLOCK_MODULUS // 2 for earlier, later in pairwise(clocks_ms)
-        ):
+        steps_ms = [(b.sensor_ms - a.sensor_ms) % CLOCK_MODULUS for a, b in pairwise(self._frames)]
+        if max(steps_ms) > CLOCK_MODULUS // 2:
             return (
                 "no touch can be felt: the pad's clock goes back and forth; do frames overtake one another "
                 "on the way, or do two boards send there?"
             )
         if rate_hz > 1.0 / self._max_gap_s:
+            if not 500 < step_ms * rate_hz < 2000:
+                return (
+                    f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "
+                    f"{step_ms:.0f} ms apart; it must count milliseconds"
+                )
             return (
-                f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "
-                f"{step_ms:.0f} ms apart; it must count milliseconds"
+                f"no touch can be felt: {rate_hz:.0f} frames a second come, with gaps of up to "
+                f"{max(steps_ms)} ms; are frames lost on the way?"
             )
         return (
             f"no touch can be felt: {rate_hz:.1f} frames a second come, and more than "

@@ -33,7 +33,7 @@ class Baseline:
         self.counts = np.zeros(TAXELS, np.float32)
         self.noise_floor = np.full(TAXELS, MIN_NOISE_FLOOR, np.float32)
         self.sway = np.zeros(TAXELS, np.float32)
-        self._sway_floor = self._deviation = np.zeros(TAXELS, np.float32)
+        self._deviation = np.zeros(TAXELS, np.float32)
         self._noise = self.noise_floor
 
     def calibrate(self, frames: NDArray[np.float32]) -> None:
@@ -59,12 +59,11 @@ class Baseline:
     def track_sway(self, change: Taxels) -> None:
         """Note by how much (64,) counts an untouched pad moved from one half second to the next."""
         self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_SWAY_COUNTS))
-        self._sway_floor = self.sway * SWAY_FLOOR
 
     def _set_noise_floor(self) -> None:
         np.minimum(self._deviation, MAX_DEVIATION_COUNTS, out=self._deviation)
         self._noise = np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR)
-        self.noise_floor = np.maximum(self._noise, self._sway_floor)
+        self.noise_floor = np.maximum(self._noise, self.sway * SWAY_FLOOR)
 
 
 class LastSecond:

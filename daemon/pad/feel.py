@@ -60,8 +60,7 @@ class FeelMeter:
         self._frames = self._last = self._touched_frames = 0
         self._peak = self._touched = self._pressed = self._path = self._path_mm = 0.0
         self._place_sum = np.zeros(2)
-        self._start: NDArray[np.float64] | None = None
-        self._end: NDArray[np.float64] | None = None
+        self._start = self._end = np.zeros(2)
         self._place: NDArray[np.float64] | None = None
         self._loads: list[float] = []
 
@@ -75,14 +74,13 @@ class FeelMeter:
         self._frames += 1
         if load == 0:
             return
-        touched = np.count_nonzero(rise)
         if self._last != self._frames - 1:
             # The hand was lifted: movement in the air does not count.
             self._place = None
         self._last = self._frames
         self._touched_frames += 1
         self._peak = max(self._peak, float(rise.max()))
-        self._touched += int(touched)
+        self._touched += int(np.count_nonzero(rise))
         self._pressed += load
         self._move(PLACES @ rise / load)
 
@@ -90,7 +88,7 @@ class FeelMeter:
         """Return what the touch was like so far."""
         count = max(self._touched_frames, 1)
         row, column = self._place_sum / count
-        way = np.zeros(2) if self._start is None or self._end is None else self._end - self._start
+        way = self._end - self._start
         down, right = way
         far = math.hypot(down, right) >= 1
         return Feel(
@@ -118,8 +116,9 @@ class FeelMeter:
         self._path += math.hypot(*step)
         if self._pitch_mm is not None:
             self._path_mm += math.hypot(*(step * self._pitch_mm))
-        self._start = self._place if self._start is None else self._start
         self._end = self._place
+        if self._touched_frames == 1:
+            self._start = self._place
 
     def _rhythm_hz(self) -> float:
         """Return the pace of the beats from the first to the last."""

@@ -108,6 +108,8 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
 
     if quiet:
         best = max(quiet, key=likeness)
-        return replace(best, counts=best.counts[:QUIET_FRAMES], sensor_ms=best.sensor_ms[:QUIET_FRAMES])
+        # Under the touch's own names: with others the clock would start anew, and the tracker under the hand.
+        counts, sensor_ms = best.counts[:QUIET_FRAMES], best.sensor_ms[:QUIET_FRAMES]
+        return replace(recording, gesture=NO_TOUCH, counts=counts, sensor_ms=sensor_ms)
     rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
     return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))

@@ -65,9 +65,10 @@ class LabelFolder:
 
     def undo(self, kept: KeptTouch) -> None:
         """Undo the label of a kept touch: delete its recording or its mark."""
-        (self.path / RIGHT / kept.path.name).unlink(missing_ok=True)
-        if path := self.labelled().get(kept.path.name):
-            path.unlink(missing_ok=True)
+        with os_errors_as(RecordingError, f"{self.path}: cannot be changed"):
+            (self.path / RIGHT / kept.path.name).unlink(missing_ok=True)
+            if path := self.labelled().get(kept.path.name):
+                path.unlink(missing_ok=True)
 
     def _provenance(self, kept: KeptTouch) -> dict[str, str]:
         return {

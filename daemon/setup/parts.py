@@ -6,7 +6,7 @@ import itertools
 import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 
 import msgspec
@@ -62,6 +62,7 @@ class Pad:
         self.name = name
         self.settings = settings
         self.model = model
+        self.model_file = model_file(settings)
         self._make_pipeline = partial(
             Pipeline,
             settings.pipeline,
@@ -137,6 +138,8 @@ class Parts:
             )
             for number, (name, pad) in enumerate(settings.pads.items())
         }
+        if before is not None and "model" not in changed and before.has_other_models:
+            self.changed.append("model")
         self.robot: RobotSink | None = before.robot if before else None
         acts_before = before.settings.scene.actions if before else None
         if changed & {"robot", "sensors", "language", "words"} or settings.scene.actions != acts_before:
@@ -160,6 +163,11 @@ class Parts:
             undo.pop_all()
 
     @property
+    def has_other_models(self) -> bool:
+        """Whether a model's file has been replaced since it was read."""
+        return any(pad.model_file != model_file(pad.settings) for pad in self.pads.values())
+
+    @property
     def models(self) -> dict[str, Classifier]:
         return {name: pad.model for name, pad in self.pads.items()}
 
@@ -172,6 +180,15 @@ class Parts:
 def _is_read_alike(one: SensorSettings, other: SensorSettings) -> bool:
     """Whether one reader does for both: nothing but the pad's size differs."""
     return one == msgspec.structs.replace(other, size_mm=one.size_mm)
+
+
+def model_file(settings: Settings) -> tuple[object, ...]:
+    """Return which file a pad's model is read from; one that takes its place is another."""
+    path = settings.model_path or SHIPPED_MODEL
+    with suppress(OSError):
+        found = path.stat()
+        return path, found.st_ino, found.st_mtime_ns, found.st_size
+    return (path,)
 
 
 def load_model(settings: Settings) -> Classifier:
@@ -187,14 +204,15 @@ def load_model(settings: Settings) -> Classifier:
 
 def load_models(settings: Settings, before: Mapping[str, Pad]) -> dict[str, Classifier]:
     """Load each pad's model, shared by pads with the same file, and with those before; see `load_model`."""
-    loaded = {pad.settings.model: pad.model for pad in before.values()}
+    loaded = {pad.model_file: pad.model for pad in before.values()}
     models: dict[str, Classifier] = {}
     for name, pad in settings.pads.items():
-        if pad.model in loaded:
-            check_fit(pad.scene, loaded[pad.model])
+        file = model_file(pad)
+        if file in loaded:
+            check_fit(pad.scene, loaded[file])
         else:
-            loaded[pad.model] = load_model(pad)
-        models[name] = loaded[pad.model]
+            loaded[file] = load_model(pad)
+        models[name] = loaded[file]
     named = {UNCERTAIN}.union(*(model.labels for model in models.values()))
     if unknown := sorted(set(settings.words) - named):
         raise ConfigError(

@@ -45,13 +45,10 @@ class LoopbackRobot:
         """Switch it off at once, in the middle of whatever it does; may be called again."""
         if self._process is None:
             return
-        self._process.kill()
-        self._process.wait()
-        if self._follower is not None:
-            self._follower.join()
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                pipe.close()
+        with self._process:
+            self._process.kill()
+            if self._follower is not None:
+                self._follower.join()
         self._process = self._follower = None
 
     def __enter__(self) -> "LoopbackRobot":
@@ -66,8 +63,10 @@ class LoopbackRobot:
         # Do not wait for ever when the other process fails.
         timer = threading.Timer(START_S, process.kill)
         timer.start()
-        url = self._follow(process.stdout)
-        timer.cancel()
+        try:
+            url = self._follow(process.stdout)
+        finally:
+            timer.cancel()
         if not url:
             self.stop()
             raise RobotError("the stand-in robot did not start; what it said on stderr tells why")

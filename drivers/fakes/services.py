@@ -50,15 +50,14 @@ class _Service:
         self._note_call = note
         self._call_s = call_s
 
-    def _note(self, method: str, *arguments: object) -> None:
-        self._note_call(Call(service=self.name, method=method, arguments=arguments, time_s=time.time()))
-        time.sleep(self._call_s)
+    def _note(self, method: str, *arguments: object, why: str = "") -> None:
+        self._note_call(
+            Call(service=self.name, method=method, arguments=arguments, time_s=time.time(), refused=why)
+        )
+        time.sleep(0.0 if why else self._call_s)
 
     def _refuse(self, method: str, arguments: tuple[object, ...], why: str) -> RuntimeError:
-        kept = tuple(map(str, arguments))
-        self._note_call(
-            Call(service=self.name, method=method, arguments=kept, time_s=time.time(), refused=why)
-        )
+        self._note(method, *map(str, arguments), why=why)
         return RuntimeError(f"{self.name}.{method}: {why}")
 
 

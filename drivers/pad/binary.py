@@ -85,15 +85,13 @@ class BinaryFrames(FrameParser):
 
     def _seek_header(self) -> bool:
         """Move to the next header, dropping what comes before; False when none is in the buffer."""
-        if self._position == len(self._buffer):
-            return False
         start = self._buffer.find(self._header, self._position)
         if start >= 0:
             self._drop(start - self._position)
             return True
         # The last bytes may be the beginning of a header whose rest is still to come.
-        tail = self._buffer[self._position :][1 - len(self._header) :] if len(self._header) > 1 else b""
-        begun = next((n for n in range(len(tail), 0, -1) if tail.endswith(self._header[:n])), 0)
+        lengths = range(len(self._header) - 1, 0, -1)
+        begun = next((n for n in lengths if self._buffer.endswith(self._header[:n], self._position)), 0)
         self._drop(len(self._buffer) - self._position - begun)
         return False
 

@@ -56,17 +56,13 @@ class LineWatch:
                 "if firm presses do that, set a larger one in sensor.format"
             )
         else:
-            is_cable = "://" not in self._where
-            why = "damaged on the way; " + (
-                "try a shorter cable and another USB port, no hub"
-                if is_cable
-                else "does another board send there too?"
-            )
+            why = "damaged on the way; try a shorter cable and another USB port, no hub"
+            if "://" in self._where:
+                why = "damaged on the way; does another board send there too?"
         log.warning("%s: %.0f %% of the last frames were refused, %s", self._where, 100 * share, why)
 
     def _check_clock(self, ms_a_second: float, now_s: float) -> None:
-        is_restarted = ms_a_second > MOST_MS_A_SECOND
-        if is_restarted or abs(ms_a_second - 1000) <= 1000 * CLOCK_OFF:
+        if ms_a_second > MOST_MS_A_SECOND or abs(ms_a_second - 1000) <= 1000 * CLOCK_OFF:
             return
         if now_s - self._clock_warned_s >= SAME_TROUBLE_S:
             self._clock_warned_s = now_s

@@ -30,11 +30,6 @@ class FrameParser(ABC):
         self._asked_s = -math.inf
 
     @property
-    def description(self) -> str:
-        """What this parser expects, in words for a person, as in "fabric-grid 10x10"."""
-        return str(self.format)
-
-    @property
     def poll(self) -> bytes:
         """What to ask the pad for a frame with; empty for a pad that sends by itself."""
         return bytes.fromhex(self.format.poll)

@@ -23,7 +23,7 @@ READ_BYTES = 65536
 NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ECONNREFUSED, errno.EHOSTUNREACH}
 NOT_ALLOWED = {errno.EACCES, errno.EPERM}
 # EAGAIN is what pyserial's lock reports when another program that locks, as touchd does, has the port open.
-IN_USE = {errno.EBUSY, errno.EAGAIN}
+IN_USE = {errno.EBUSY, errno.EAGAIN, errno.EADDRINUSE}
 
 
 class SensorError(TouchdError):
@@ -129,7 +129,8 @@ def _explained(port: str, error: Exception) -> SensorError:
             "$USER, then log in again) or install the udev rule systemd/99-touchd.rules",
         )
     if number in IN_USE:
-        return SensorError("busy", f"{port} is busy: another program reads it (fuser {port} shows which)")
+        hint = str(error) if "://" in port else f"fuser {port} shows which"
+        return SensorError("busy", f"{port} is busy: another program reads it ({hint})")
     if "://" not in port and os.path.exists(port) and not stat.S_ISCHR(os.stat(port).st_mode):
         return _no_serial_port(port)
     return SensorError("unusable", f"{port} cannot be opened: {error}")

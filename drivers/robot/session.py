@@ -119,7 +119,8 @@ class QiSession:
         except AttributeError as error:
             raise RobotRefused(f"{service} has no {method}") from error
         try:
-            return self._value(answer, limit_s, f"{service}.{method}")
+            setting = "robot.action_s" if limit_s == self._limits.action_s else "robot.call_s"
+            return self._value(answer, limit_s, f"{service}.{method}", f" (see {setting})")
         except RobotRefused:
             # The service may have ended; once it is back, only a new proxy reaches it.
             del self._proxies[service]
@@ -129,17 +130,12 @@ class QiSession:
         self._proxies.clear()
         self._session.close(_async=True).wait(round(1000 * HURRY_S))
 
-    def _value(self, future: Any, limit_s: float, what: str) -> object:
+    def _value(self, future: Any, limit_s: float, what: str, hint: str = "") -> object:
         started_s = time.monotonic()
         while future.wait(SLICE_MS) == self._qi.FutureState.Running:
             waited_s = time.monotonic() - started_s
             if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
-                named = {
-                    self._limits.call_s: " (see robot.call_s)",
-                    self._limits.action_s: " (see robot.action_s)",
-                }
-                setting = named.get(limit_s, "")
-                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s{setting}")
+                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s{hint}")
         try:
             return future.value()
         except RuntimeError as error:

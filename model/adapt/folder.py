@@ -22,8 +22,9 @@ from drivers.recording import (
 SHORTEST_FRAMES = 54
 # Ten hours at 54 Hz, a quarter of a gigabyte: far beyond what a lab records, and what fits any machine.
 MOST_FRAMES = 2_000_000
-MOST_GESTURES = 50
-GESTURE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+# What a model file may hold: `model.classifier.Labels`.
+MOST_GESTURES = 12
+GESTURE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,23}")
 # What events say instead of a gesture.
 RESERVED = "uncertain"
 
@@ -32,11 +33,11 @@ class ExtraError(TouchdError):
     """A folder of recordings cannot be learned from; the message says which, why and what to do."""
 
 
-def read_folder(folder: Path, known: Sequence[str]) -> list[Recording]:
+def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
     """Return every recording of the folder's files, in the order of their names: whole scans at 54 Hz.
 
-    known: gestures of the model that is to be adapted. Raises ExtraError, or RecordingError for a file that
-    is none.
+    known: gestures of the model that is to be adapted. keep_all: it is to keep those.
+    Raises ExtraError, or RecordingError for a file that is none.
     """
     recordings: list[Recording] = []
     first_of: dict[bytes, Path] = {}
@@ -53,7 +54,7 @@ def read_folder(folder: Path, known: Sequence[str]) -> list[Recording]:
                 raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
             first_of[digest] = path
             recordings.append(recording)
-    _check_gestures(folder, {recording.gesture for recording in recordings}, known)
+    _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
     return recordings
 
 
@@ -75,7 +76,7 @@ def _check(path: Path, recording: Recording) -> None:
         raise ExtraError(f"{path}: nobody has said what it shows; do, with `touchd record --from-journal`")
     if gesture == RESERVED or not GESTURE.fullmatch(gesture):
         raise ExtraError(
-            f"{path}: {gesture!r} cannot name a gesture; letters, digits, - and _ can, 32 at most, "
+            f"{path}: {gesture!r} cannot name a gesture; letters, digits, - and _ can, 24 at most, "
             f"but not {RESERVED!r}"
         )
     if not recording.participant.strip():
@@ -87,7 +88,7 @@ def _check(path: Path, recording: Recording) -> None:
         )
 
 
-def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str]) -> None:
+def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep_all: bool) -> None:
     for one, other in combinations(sorted(gestures | set(known)), 2):
         if _folded(one) == _folded(other):
             raise ExtraError(f"{folder}: {one} and {other} differ in writing only; name them alike")
@@ -97,8 +98,9 @@ def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str]) -> N
         raise ExtraError(
             f"{folder}: nothing but {', '.join(gestures)}; telling apart takes two, so record {NO_TOUCH} too"
         )
-    if len(gestures) > MOST_GESTURES:
-        raise ExtraError(f"{folder}: {len(gestures)} gestures; at most {MOST_GESTURES} can be told apart")
+    labels = gestures.union(known if keep_all else (), {NO_TOUCH})
+    if len(labels) > MOST_GESTURES:
+        raise ExtraError(f"{folder}: {len(labels)} gestures; at most {MOST_GESTURES} can be told apart")
 
 
 def _folded(gesture: str) -> str:

@@ -4,7 +4,9 @@ With two participants or more, whole participants; with one, recordings. Never a
 both sides. A recording counts only where the gesture was learnt from another one on the other side.
 """
 
-from collections.abc import Sequence
+import itertools
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -48,13 +50,8 @@ def plan(recordings: Sequence[Recording]) -> Plan:
 
 def _deal_recordings(recordings: Sequence[Recording]) -> list[int]:
     """Return each recording's fold; those of a gesture are dealt out one after the other."""
-    dealt: dict[str, int] = {}
-    fold_of = []
-    for recording in recordings:
-        place = dealt.get(recording.gesture, 0)
-        dealt[recording.gesture] = place + 1
-        fold_of.append(place % MOST_RECORDING_FOLDS)
-    return fold_of
+    dealt: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
+    return [next(dealt[recording.gesture]) % MOST_RECORDING_FOLDS for recording in recordings]
 
 
 def _fold(recordings: Sequence[Recording], fold_of: Sequence[int], fold: int) -> Fold:

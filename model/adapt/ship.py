@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -36,7 +37,7 @@ def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: b
     """
     check_output(output)
     pretrained = Pretrained.shipped()
-    recordings = read_folder(extra, pretrained.labels)
+    recordings = read_folder(extra, pretrained.labels, keep_all)
     # On one thread sums are the same on every run, and a head is too small to gain by more.
     with one_torch_thread():
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
@@ -54,10 +55,15 @@ def check_output(output: Path) -> None:
         raise OutputError(f"{output.parent}: nothing can be written there; give another --output")
 
 
+def model_name(output: Path) -> str:
+    """Return what a model is called, after its file: in the characters that `Name` allows."""
+    return re.sub(r"[^A-Za-z0-9_.+-]+", "-", output.stem)[:64]
+
+
 def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
     """Write the network, with what it is and how good it is, whole or not at all. Raises OutputError."""
     metadata = ModelMetadata(
-        name=output.stem,
+        name=model_name(output),
         labels=adapted.labels,
         frame_rate_hz=FRAME_RATE_HZ,
         framing="live",

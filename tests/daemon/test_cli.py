@@ -12,7 +12,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import GESTURES, expected, outline
+from rigs.expectations import DEMO, GESTURES, expected, outline
 from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, Program, ran
 from rigs.wait import WITHIN_S
@@ -21,6 +21,7 @@ from daemon import cli
 from daemon.commands import demo
 from daemon.config import ConfigError, SceneSettings
 from daemon.events import RobotAction, TouchBegan, TouchEnded, decode
+from daemon.playback.stream import with_quiet
 from daemon.setup.parts import check_fit
 from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
@@ -205,6 +206,22 @@ def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
     assert began[1] == pytest.approx(2 * 2500 + 3200, abs=400)
     assert len(began) == 2
     assert (rub.gesture, pat.gesture) == ("rub", "pat")
+
+
+def test_quiet_borrowed_from_another_person_costs_no_touch(tmp_path: Path) -> None:
+    parts = [
+        replace(part, participant="somebody else") if part.gesture != "notouch" else part
+        for part in read_recordings(DEMO)
+    ]
+    alike, borrowed = (
+        with_quiet(
+            [part for part in given if part.gesture != "notouch"],
+            [part for part in given if part.gesture == "notouch"],
+        )
+        for given in (read_recordings(DEMO), parts)
+    )
+    assert (np.diff(borrowed.sensor_ms) > 0).all()
+    np.testing.assert_array_equal(borrowed.counts, alike.counts)
 
 
 def test_classify_accepts_a_closed_output() -> None:

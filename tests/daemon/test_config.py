@@ -144,6 +144,7 @@ def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
         ("mqtt: {topic: a/#}", "mqtt.topic must be text such as touchd, not 'a/#'"),
         ("mqtt: {discovery: +}", "mqtt.discovery must be text in another form, not '+'"),
         ("rosbridge: {url: 'http://x'}", "rosbridge.url must be text such as ws://localhost:9090, not"),
+        ("rosbridge: {url: 'ws://robot:90900'}", "is no address (Port out of range 0-65535)"),
         ("scene: {actions: [{stages: [fin], do: [{say: a}]}]}", "ongoing or uncertain, not 'fin'"),
         (
             "scene: {actions: [{above: {peak: x}, do: [{say: a}]}]}",

@@ -114,6 +114,19 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
         np.testing.assert_array_equal(ours.counts, theirs.counts)
 
 
+def test_haarts_frames_are_whole_scans_in_the_converted_file(tmp_path: Path) -> None:
+    # Every frame holds a number of its own; HAART has the last two rows of the one before on top.
+    scans = np.repeat(np.arange(20), 64).reshape(20, 8, 8)
+    rolled = np.roll(scans.reshape(-1, 8), 2, axis=0).reshape(20, 64)
+    header = ",".join(["participant", "substrate", "cover", "gesture", *(f"cell{i}" for i in range(1, 65))])
+    rows = [",".join(["1", "none", "none", "pat", *map(str, row)]) for row in rolled.tolist()]
+    (tmp_path / "haart.csv").write_text("\n".join([header, *rows]) + "\n")
+    assert main(["convert", str(tmp_path / "haart.csv"), "-o", str(tmp_path / "ours.csv")]) == 0
+    (ours,) = read_recordings(tmp_path / "ours.csv")
+    assert ours.framing == "live"
+    assert all(frame.min() == frame.max() for frame in ours.counts)
+
+
 @pytest.mark.parametrize(
     ("file", "out", "said"),
     [

@@ -198,6 +198,9 @@ def test_a_command_for_one_pad_asks_which() -> None:
     settings = Settings(sensors={"head": PadSettings(port="a"), "arm": PadSettings(port="b")})
     assert only_pad(settings, "arm").sensor.port == "b"
     assert only_pad(Settings(), None, "c").sensor.port == "c"
+    asked = Settings(sensor=SensorSettings(format="itas"))
+    with pytest.raises(ConfigError, match=r"--port: .*udp"):
+        only_pad(asked, None, "udp://0.0.0.0:4000")
     for name in (None, "leg"):
         with pytest.raises(ConfigError, match="give --pad one of head, arm"):
             only_pad(settings, name)

@@ -1,6 +1,7 @@
 """SIGHUP: a reload loses no frame, and a wrong configuration changes nothing."""
 
 import logging
+import shutil
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -31,6 +32,7 @@ from drivers.fakes.fake_port import FakePort
 from drivers.frame import Frame
 from drivers.recording import Stream, ideal_clock_ms
 from drivers.robot.settings import RobotSettings
+from model.classifier import SHIPPED_MODEL
 
 
 @pytest.fixture
@@ -72,6 +74,21 @@ def test_a_reload_that_changes_nothing_waits_for_no_touch() -> None:
     settings = Settings(sensor=SensorSettings(port="/dev/nowhere"))
     # Its loop does not run, as if a touch never ended.
     assert Service(settings, Health(Notifier({}))).reload(settings) == []
+
+
+def test_a_model_that_is_replaced_under_its_name_is_read_at_a_reload(daemon: Daemon, tmp_path: Path) -> None:
+    model = tmp_path / "lab.onnx"
+    shutil.copyfile(SHIPPED_MODEL, model)
+    daemon.configure(model=str(model))
+    daemon.await_reloads(1)
+    daemon.configure(model=str(model))
+    daemon.await_reloads(2)
+    shutil.copyfile(SHIPPED_MODEL, tmp_path / "new")
+    (tmp_path / "new").replace(model)
+    daemon.configure(model=str(model))
+    daemon.await_reloads(3)
+    assert [line.rpartition("changed: ")[2] for line in daemon.reloads()] == ["model", "nothing", "model"]
+    assert outline(daemon.finish()) == expected(LENGTHS)
 
 
 def test_a_reload_loses_no_frame_and_no_number(daemon: Daemon, tmp_path: Path) -> None:

@@ -112,6 +112,17 @@ def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path) -> None:
     assert numbers == list(range(numbers[0], 200))
 
 
+def test_fewer_older_journals_are_left_when_fewer_are_to_be_kept(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    for number in (1, 2, 3, 4):
+        path.with_name(f"events.jsonl.{number}").write_bytes(encode(PREDICTION) + b"\n")
+    journal = Journal(path, max_bytes=100, keep=1)
+    for _ in range(4):
+        journal.append(encode(PREDICTION))
+    journal.close()
+    assert {file.name for file in tmp_path.iterdir()} == {"events.jsonl", "events.jsonl.1"}
+
+
 def test_a_journal_behind_a_link_rotates_where_it_lies(tmp_path: Path) -> None:
     (disk := tmp_path / "disk").mkdir()
     (link := tmp_path / "events.jsonl").symlink_to(disk / "touches.jsonl")

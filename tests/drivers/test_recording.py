@@ -128,6 +128,7 @@ def test_each_of_haarts_layouts_gives_all_64_cells(tmp_path: Path, header: str, 
     [
         ("", "no known layout"),
         ("a,b,c\n1,2,3\n", "no known layout"),
+        ("participant,substrate,cover,gesture,cell1,cell2\n1,a,b,pat,3,4\n", "no known layout"),
         (f"{TEST_HEADER},more\n", "no known layout"),
         (f"{TEST_HEADER}\n{ROW}{cells(0)}\nP3,foam\n", "line 3: 2 columns where the header has 69"),
         (f"{TEST_HEADER}\n{ROW}{cells(960)[:-4]}1024\n", "line 2: a count outside 0 to 1023"),

@@ -28,6 +28,7 @@ from rigs.wait import wait_for
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
 from drivers.pad import sensor_state
+from drivers.pad.port import SensorError, open_port
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState
 from drivers.pad.sensor_state import Announcer
 from drivers.recording import Stream
@@ -173,6 +174,14 @@ def test_a_busy_port_is_taken_once_it_is_free(caplog: pytest.LogCaptureFixture) 
             assert "busy: another program reads it" in next_state(queue).reason
             other.close()
             assert_is_over(queue, caplog, "WARNING", "INFO")
+
+
+def test_an_udp_port_that_another_program_listens_at_is_busy() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        with pytest.raises(SensorError, match="is busy: another program") as refused:
+            open_port(f"udp://127.0.0.1:{other.getsockname()[1]}", 512_000)
+    assert refused.value.kind == "busy"
 
 
 def test_an_internal_error_is_reported_until_it_is_gone() -> None:

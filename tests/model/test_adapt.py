@@ -34,8 +34,8 @@ from model.adapt.measure import Answers, compare, mean_interval, wilson_interval
 from model.adapt.plan import plan  # noqa: E402
 from model.adapt.remembered import Remembered  # noqa: E402
 from model.adapt.report import report_lines  # noqa: E402
-from model.adapt.ship import write  # noqa: E402
-from model.classifier import SHIPPED_MODEL, Classifier  # noqa: E402
+from model.adapt.ship import model_name, write  # noqa: E402
+from model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from model.tgc import TGC  # noqa: E402
 
 # The simulated gesture behind each label; "hug" is new to the shipped model.
@@ -106,6 +106,11 @@ def test_the_file_knows_the_labs_gestures_and_origin(adapted_file: tuple[Path, s
     assert (origin["participants"], origin["recordings"]) == (2, 20)
     assert metadata.scores["adapted"]["left_out"] == "participants"
     assert [row["frames"] for row in metadata.scores["adapted"]["lengths"]] == [54, 81, 144]
+
+
+@pytest.mark.parametrize("file", ["Labor Müller (2).onnx", "ö.onnx", f"{'long' * 40}.onnx"])
+def test_a_file_may_be_named_as_people_like(file: str) -> None:
+    assert msgspec.convert(model_name(Path(file)), Name)
 
 
 def test_the_file_contains_no_persons_name(adapted_file: tuple[Path, str]) -> None:
@@ -483,6 +488,14 @@ def test_too_many_gestures_are_refused(tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setattr("model.adapt.folder.MOST_GESTURES", 4)
     with pytest.raises(ExtraError, match="5 gestures; at most 4"):
         read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
+
+
+def test_no_model_is_made_with_more_gestures_than_the_daemon_loads(tmp_path: Path) -> None:
+    known = [f"known{i}" for i in range(8)]
+    lab = keep(tmp_path / "lab", simulated(("A",), 1))
+    assert len(read_folder(lab, known)) == 5
+    with pytest.raises(ExtraError, match="13 gestures; at most 12"):
+        read_folder(lab, known, keep_all=True)
 
 
 def test_half_written_files_of_a_session_are_ignored(tmp_path: Path) -> None:

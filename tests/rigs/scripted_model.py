@@ -34,9 +34,9 @@ class Scripted:
         return self.answer()
 
     def step(self, frames: NDArray[np.float32], state: State | None) -> tuple[NDArray[np.float64], State]:
-        so_far = frames if state is None else np.concatenate([state.tensors["counts"], frames])
+        so_far = frames if state is None else np.concatenate([state["counts"], frames])
         self.stepped.append(so_far)
-        return self.answer(), State({"counts": so_far})
+        return self.answer(), {"counts": so_far}
 
     def steps(
         self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]

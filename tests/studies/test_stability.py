@@ -13,7 +13,7 @@ from docs.studies.checks import stability
 from docs.studies.checks.hard_cases import hand, hard_cases
 from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, CaseResult
 from drivers.frame import MAX_COUNT
-from model.classifier import SHIPPED_MODEL, Classifier, ModelError, State
+from model.classifier import SHIPPED_MODEL, Classifier, ModelError
 
 # Every case runs in both runtimes.
 pytestmark = pytest.mark.timeout(300)
@@ -102,9 +102,9 @@ def test_an_answer_does_not_drift_over_hundreds_of_hours() -> None:
     for times in (1, 1_000, 3_000, 30_000, 100_000):
         # The state after these frames repeated `times` times.
         longer = np.array([[[1], [times], [1]]], np.float64)
-        tensors = {"pooled": state.tensors["pooled"].numpy() * longer, "frames": np.array([400.0 * times])}
+        tensors = {"pooled": state["pooled"].numpy() * longer, "frames": np.array([400.0 * times])}
         older = {name: OrtValue.ortvalue_from_numpy(tensor) for name, tensor in tensors.items()}
-        answer, _ = classifier.step(hand(9), State({**state.tensors, **older}))
+        answer, _ = classifier.step(hand(9), {**state, **older})
         pooled, frames = (torch.from_numpy(tensors[name]) for name in ("pooled", "frames"))
         expected, _ = exact.step(hand(9), exact_state._replace(pooled=pooled, frames=frames))
         assert np.abs(answer - expected).max() <= TOLERANCES[stability.BATCH]
@@ -128,6 +128,6 @@ def test_a_state_keeps_no_more_than_attention_remembers() -> None:
     classifier, state, sizes = Classifier.load(), None, []
     for _ in range(14):
         _, state = classifier.step(hand(400), state)
-        sizes.append(state.tensors["memory0"].shape()[2])
+        sizes.append(state["memory0"].shape()[2])
     assert sizes[:2] == [400, 800]
     assert sizes[-2:] == [MEMORY_FRAMES, MEMORY_FRAMES]

@@ -1,0 +1,45 @@
+"""Whether frames come closely enough: what is told when they do not, and when they do again."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from daemon.pad.age import Feeling
+from drivers.frame import Frame
+
+
+def told(feeling: Feeling, times_ms: Iterable[int], clock_factor: int = 1) -> list[str]:
+    said: list[str | None] = []
+    before_ms = None
+    for ms in times_ms:
+        restarted = before_ms is None or (ms - before_ms) * clock_factor > 50
+        frame = Frame(
+            number=len(said),
+            sensor_ms=ms * clock_factor,
+            host_s=ms / 1000.0,
+            pressure=np.zeros((8, 8), np.uint16),
+        )
+        said.append(feeling.update(frame, restarted))
+        before_ms = ms
+    return [what for what in said if what is not None]
+
+
+def test_a_pad_that_loses_frames_in_runs_is_not_told_to_mend_its_clock() -> None:
+    # 20 of 30 frames arrive, at 54 Hz.
+    times_ms = [round(1000 / 54 * i) for i in range(600) if i % 30 < 20]
+    (why,) = told(Feeling(0.05), times_ms)
+    assert "gaps of up to 20" in why
+    assert "frames lost on the way" in why
+    assert "clock" not in why
+
+
+def test_a_clock_that_does_not_count_milliseconds_is_blamed() -> None:
+    (why,) = told(Feeling(0.05), range(0, 10_000, 18), clock_factor=10)
+    assert "54 frames a second" not in why
+    assert "it must count milliseconds" in why
+
+
+def test_after_a_reload_a_degraded_pad_is_told_up_again() -> None:
+    before = Feeling(0.05)
+    assert len(told(before, range(0, 10_000, 200))) == 1
+    assert told(Feeling(0.05, before), range(10_200, 12_000, 18)) == [""]
