@@ -26,10 +26,19 @@ def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
             _take_over(path, partial)
             os.replace(partial, path)
         else:
-            # Unlike a renaming, a link fails where a file is there already.
-            os.link(partial, path)
+            _put_beside_none(path, partial)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _put_beside_none(path: Path, partial: Path) -> None:
+    """Give the new file its name; raises FileExistsError where that is taken, unlike a renaming."""
+    try:
+        os.link(partial, path)
+    except PermissionError:
+        # USB sticks (FAT) have no links: take the name, then put the file there.
+        path.open("x").close()
+        os.replace(partial, path)
 
 
 def _take_over(path: Path, partial: Path) -> None:

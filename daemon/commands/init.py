@@ -83,7 +83,10 @@ def main(arguments: Sequence[str]) -> int:
 
 def _ports() -> list[str]:
     found = sorted(port.device for port in comports())
-    return [DEFAULT_PORT, *found] if Path(DEFAULT_PORT).exists() else found
+    if not Path(DEFAULT_PORT).exists():
+        return found
+    linked = str(Path(DEFAULT_PORT).resolve())
+    return [DEFAULT_PORT, *(port for port in found if port != linked)]
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int, PadFormat] | None:

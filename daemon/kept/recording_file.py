@@ -14,15 +14,12 @@ SUFFIX = ".csv.gz"
 def prepare(folder: Path) -> None:
     """Make the folder, and see that recordings can be kept in it; raises RecordingError where they cannot."""
     probe = folder / f".touchd-probe-{os.getpid()}"
-    linked = probe.with_suffix(".linked")
     with os_errors_as(RecordingError, f"{folder}: recordings cannot be kept there", "name another folder"):
         folder.mkdir(parents=True, exist_ok=True)
         try:
             probe.touch()
-            os.link(probe, linked)
         finally:
             probe.unlink(missing_ok=True)
-            linked.unlink(missing_ok=True)
 
 
 def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:

@@ -1,5 +1,6 @@
 """Recordings: every layout is read and written back whole, realigned, and joined into streams."""
 
+import errno
 import gzip
 import hashlib
 import os
@@ -214,6 +215,22 @@ def test_a_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
     with whole_file(path) as partial:
         partial.write_text("after")
     assert (path.read_text(), path.stat().st_mode & 0o777) == ("after", 0o640)
+
+
+def test_a_new_file_can_be_written_to_a_stick_without_links(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "link", refuse)
+    path = tmp_path / "new"
+    with whole_file(path, replace=False) as partial:
+        partial.write_text("ours")
+    with pytest.raises(FileExistsError), whole_file(path, replace=False) as partial:
+        partial.write_text("other")
+    assert path.read_text() == "ours"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_an_error_while_writing_leaves_the_old_file_alone(tmp_path: Path) -> None:
