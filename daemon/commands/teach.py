@@ -166,6 +166,8 @@ def put_into_use(
             try:
                 load_models(settings, {})
             except TouchdError as error:
+                if is_service:
+                    model.unlink()
                 raise ConfigError(
                     f"{config} stays as it was; the new model does not fit it: {error}"
                 ) from error

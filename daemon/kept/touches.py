@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
-from typing import IO
 
 import msgspec
 
@@ -58,19 +57,14 @@ def read_lines(path: Path, last_bytes: int | None = None) -> Iterator[Event | Ev
         if last_bytes is not None and os.fstat(file.fileno()).st_size > last_bytes:
             file.seek(-last_bytes, os.SEEK_END)
             file.readline()
-        yield from lines_in(file)
-
-
-def lines_in(journal: IO[bytes]) -> Iterator[Event | EventError]:
-    """Yield what each line of an open journal says; see `read_lines`."""
-    while line := journal.readline(MAX_LINE_BYTES):
-        if line.endswith(b"\n"):
-            try:
-                yield decode(line)
-            except EventError as error:
-                yield error
-        elif len(line) == MAX_LINE_BYTES:
-            yield EventError("longer than any event; not a journal")
+        while line := file.readline(MAX_LINE_BYTES):
+            if line.endswith(b"\n"):
+                try:
+                    yield decode(line)
+                except EventError as error:
+                    yield error
+            elif len(line) == MAX_LINE_BYTES:
+                yield EventError("longer than any event; not a journal")
 
 
 def read_journal(path: Path) -> list[ReportedTouch]:

@@ -117,6 +117,18 @@ def test_the_service_gets_a_model_outside_home_folders(
         assert (tmp_path / copy).read_bytes() == SHIPPED_MODEL.read_bytes()
 
 
+def test_a_model_that_the_scene_refuses_leaves_no_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(teach, "SERVICE_FOLDER", tmp_path)
+    config, model = tmp_path / "touchd.yaml", tmp_path / "home" / "lab" / "lab-2.onnx"
+    model.parent.mkdir(parents=True)
+    config.write_text("scene: {gestures: [hug, pat]}\n")
+    with pytest.raises(ConfigError, match="stays as it was; the new model does not fit"):
+        used_after("", config, model, is_worse=False)
+    assert {path.name for path in tmp_path.iterdir()} == {"touchd.yaml", "home"}
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
