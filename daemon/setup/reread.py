@@ -1,5 +1,6 @@
 """SIGHUP: the configuration is read again while the daemon runs on, and a wrong one changes nothing."""
 
+import gc
 import itertools
 import logging
 import math
@@ -52,6 +53,8 @@ class Reloader:
             try:
                 if number == self._latest:
                     changed = ", ".join(self._use(settings))
+                    # What was replaced holds megabytes in few objects; Python would come to it late.
+                    gc.collect()
                     log.info("configuration read again; changed: %s", changed or "nothing")
             finally:
                 self._one_at_a_time.release()

@@ -1,11 +1,14 @@
 """SIGHUP: a reload loses no frame, and a wrong configuration changes nothing."""
 
+import gc
 import logging
 import shutil
 import threading
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -195,6 +198,34 @@ def test_a_pad_that_comes_back_goes_on_counting_its_touches() -> None:
             service.reload(two)
             wait_for(lambda: len(heard.of(TouchEnded, "arm")) == 2)
             assert [event.touch for event in heard.of(TouchBegan, "arm")] == [1, 2]  # type: ignore[union-attr]
+
+
+def test_what_a_reload_replaces_is_freed() -> None:
+    with pressed() as pad, serving(Settings(sensor=SensorSettings(port=pad.path))) as (service, _):
+
+        def reload(**changes: Any) -> None:
+            used = threading.Event()
+
+            def use(settings: Settings) -> list[str]:
+                changed = service.reload(settings)
+                used.set()
+                return changed
+
+            sensor = SensorSettings(port=pad.path, **changes)
+            Reloader(lambda: Settings(sensor=sensor), use).start()
+            assert used.wait(WITHIN_S)
+
+        reload(size_mm=(80.0, 80.0))
+        (only,) = service._parts.pads.values()
+        replaced = weakref.ref(only.pipeline)
+        del only
+        # Python would collect it some time; its megabytes may not wait for that.
+        gc.disable()
+        try:
+            reload(size_mm=(90.0, 90.0))
+            wait_for(lambda: replaced() is None)
+        finally:
+            gc.enable()
 
 
 def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
