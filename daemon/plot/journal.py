@@ -48,9 +48,11 @@ def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequen
             draw_answer(axes, column, row, answer, colour, wrong=False)
     axes.set_xlim(-0.15, len(LANES) - 0.2)
     axes.set_xticks(range(len(LANES)), (*LANES[:-1], f"{LANES[-1]}, the last"), ha="left")
+    all_began = [touch.began for touch in touches]
+    several = len({began.pad for began in all_began}) > 1
     names = [
-        f"{began.time[:10]} {began.time[11:19]}   touch {began.touch}"
-        for began in (touch.began for touch in touches)
+        f"{began.time[:10]} {began.time[11:19]}   {f'{began.pad}, ' if several else ''}touch {began.touch}"
+        for began in all_began
     ]
     axes.set_yticks(range(len(touches)), names)
     axes.set_xlabel("answers; filled: the robot was told", fontsize=8, color=QUIET_INK)

@@ -152,6 +152,15 @@ def test_a_journal_becomes_a_picture_with_each_touch_and_answer(
     assert b"<svg" in (tmp_path / "a.svg").read_bytes()
 
 
+def test_touches_of_several_pads_are_named_by_pad() -> None:
+    began = [
+        TouchBegan(touch=3, time="2026-11-20T10:00:01.000Z", sensor_ms=1, pad=pad) for pad in ("arm", "head")
+    ]
+    written = words(plot_journal.draw(gather(began), "events"))
+    assert "2026-11-20 10:00:01   arm, touch 3" in written
+    assert "2026-11-20 10:00:01   head, touch 3" in written
+
+
 def test_a_labs_own_gestures_have_their_own_colours() -> None:
     assert colour_of("hug", ["hug", "poke", "rub"]) == OTHER_COLOURS[0]
     assert colour_of("poke", ["hug", "poke", "rub"]) == OTHER_COLOURS[1]
