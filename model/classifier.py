@@ -22,8 +22,9 @@ TRIAL_S = 10.0
 TRIAL_FRAMES = 54
 
 # Every answer's event carries all of them; these limits bound its size.
-Label: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-]{1,24}$")]
-Labels: TypeAlias = Annotated[tuple[Label, ...], msgspec.Meta(min_length=1, max_length=12)]
+MOST_LABELS, LONGEST_LABEL = 12, 24
+Label: TypeAlias = Annotated[str, msgspec.Meta(pattern=rf"^[A-Za-z0-9_-]{{1,{LONGEST_LABEL}}}$")]
+Labels: TypeAlias = Annotated[tuple[Label, ...], msgspec.Meta(min_length=1, max_length=MOST_LABELS)]
 Name: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.+-]{1,64}$")]
 
 

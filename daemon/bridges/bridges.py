@@ -7,6 +7,7 @@ from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.settings import Section
 from daemon.config import Settings
 from daemon.decide import NO_TOUCH
+from daemon.events import one_line
 from drivers.extras import how_to_install
 from model.classifier import Classifier
 
@@ -37,8 +38,7 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
         raise BridgeError(f"{name}: {error.name} is not installed: {how_to_install(name)}") from error
     except RuntimeError as error:
         # pylsl without its library, as on a processor that it is not built for.
-        why = str(error).splitlines()[0]
-        raise BridgeError(f"{name}: cannot be used on this machine ({why})") from error
+        raise BridgeError(f"{name}: cannot be used on this machine ({one_line(str(error))})") from error
     bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, pad, gestures)
     return bridge
 

@@ -12,7 +12,7 @@ import msgspec
 
 from daemon.events import Event, EventError
 from daemon.kept.journal import JournalError
-from daemon.kept.touches import read_lines
+from daemon.kept.touches import events_among, read_lines
 from drivers.errors import TouchdError
 from drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
 from drivers.whole_file import whole_file
@@ -74,7 +74,7 @@ def _convert_journal(file: Path, out: Path) -> None:
     lines = list(read_lines(file))
     if lines and isinstance(lines[0], EventError):
         raise JournalError(f"{file}, line 1: {lines[0]}")
-    events = [line for line in lines if not isinstance(line, EventError)]
+    events = events_among(lines)
     if not events:
         raise ConvertError(f"{file}: no events in it")
     if wrong := len(lines) - len(events):

@@ -70,7 +70,7 @@ def read_lines(path: Path, last_bytes: int | None = None) -> Iterator[Event | Ev
 def read_journal(path: Path) -> list[ReportedTouch]:
     """Return the touches in the last part of a journal; raises JournalError when it is not a journal."""
     lines = list(read_lines(path, TAIL_BYTES))
-    events = _events(lines)
+    events = events_among(lines)
     if lines and not events:
         raise JournalError(
             f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({lines[-1]})"
@@ -87,7 +87,7 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     parts: list[list[Event]] = []
     for file in _newest_first(path):
         try:
-            events = _events(read_lines(file))
+            events = events_among(read_lines(file))
         except JournalError as error:
             # Rotated away meanwhile, or not there yet.
             if isinstance(error.__cause__, FileNotFoundError):
@@ -100,7 +100,8 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
 
 
-def _events(lines: Iterable[Event | EventError]) -> list[Event]:
+def events_among(lines: Iterable[Event | EventError]) -> list[Event]:
+    """Return what a journal says, without lines that are no events."""
     return [line for line in lines if not isinstance(line, EventError)]
 
 

@@ -101,6 +101,7 @@ class Feeling:
                 "on the way, or do two boards send there?"
             )
         if rate_hz > 1.0 / self._max_gap_s:
+            # By how many milliseconds the clock advances in a second.
             if not 500 < step_ms * rate_hz < 2000:
                 return (
                     f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "

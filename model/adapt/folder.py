@@ -17,14 +17,14 @@ from drivers.recording import (
     read_recordings,
     realign,
 )
+from model.classifier import LONGEST_LABEL, MOST_LABELS
 
 # Shorter, there is not even an early answer to learn from.
 SHORTEST_FRAMES = 54
 # Ten hours at 54 Hz, a quarter of a gigabyte: far beyond what a lab records, and what fits any machine.
 MOST_FRAMES = 2_000_000
-# What a model file may hold: `model.classifier.Labels`.
-MOST_GESTURES = 12
-GESTURE = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,23}")
+MOST_GESTURES = MOST_LABELS
+GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
 # What events say instead of a gesture.
 RESERVED = "uncertain"
 
@@ -76,8 +76,8 @@ def _check(path: Path, recording: Recording) -> None:
         raise ExtraError(f"{path}: nobody has said what it shows; do, with `touchd record --from-journal`")
     if gesture == RESERVED or not GESTURE.fullmatch(gesture):
         raise ExtraError(
-            f"{path}: {gesture!r} cannot name a gesture; letters, digits, - and _ can, 24 at most, "
-            f"but not {RESERVED!r}"
+            f"{path}: {gesture!r} cannot name a gesture; letters, digits, - and _ can, "
+            f"{LONGEST_LABEL} at most, but not {RESERVED!r}"
         )
     if not recording.participant.strip():
         raise ExtraError(f"{path}: does not say who touches; put a name into its first column")

@@ -208,7 +208,7 @@ def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
     assert (rub.gesture, pat.gesture) == ("rub", "pat")
 
 
-def test_quiet_borrowed_from_another_person_costs_no_touch(tmp_path: Path) -> None:
+def test_quiet_borrowed_from_another_person_costs_no_touch() -> None:
     parts = [
         replace(part, participant="somebody else") if part.gesture != "notouch" else part
         for part in read_recordings(DEMO)

@@ -105,24 +105,25 @@ def test_a_worse_model_is_used_only_if_asked_for(tmp_path: Path) -> None:
     assert used_after("u", config, model, is_worse=True) == str(model)
 
 
-def test_the_service_gets_a_model_outside_home_folders(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def of_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
+    """The service's configuration, not yet written, and where a model in a home folder goes."""
     monkeypatch.setattr(teach, "SERVICE_FOLDER", tmp_path)
-    config, model = tmp_path / "touchd.yaml", tmp_path / "home" / "lab" / "lab-2.onnx"
+    model = tmp_path / "home" / "lab" / "lab-2.onnx"
     model.parent.mkdir(parents=True)
+    return tmp_path / "touchd.yaml", model
+
+
+def test_the_service_gets_a_model_outside_home_folders(tmp_path: Path, of_service: tuple[Path, Path]) -> None:
+    config, model = of_service
     config.write_text("robot: null\n")
     for copy in ("lab-1.onnx", "lab-2.onnx"):
         assert used_after("", config, model, is_worse=False) == str(tmp_path / copy)
         assert (tmp_path / copy).read_bytes() == SHIPPED_MODEL.read_bytes()
 
 
-def test_a_model_that_the_scene_refuses_leaves_no_copy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(teach, "SERVICE_FOLDER", tmp_path)
-    config, model = tmp_path / "touchd.yaml", tmp_path / "home" / "lab" / "lab-2.onnx"
-    model.parent.mkdir(parents=True)
+def test_a_model_that_the_scene_refuses_leaves_no_copy(tmp_path: Path, of_service: tuple[Path, Path]) -> None:
+    config, model = of_service
     config.write_text("scene: {gestures: [hug, pat]}\n")
     with pytest.raises(ConfigError, match="stays as it was; the new model does not fit"):
         used_after("", config, model, is_worse=False)
