@@ -1,6 +1,7 @@
 """LSL, ROS 2 and rosbridge: the times, bytes and names that subscribers receive."""
 
 import base64
+import sys
 import threading
 import time
 from contextlib import closing
@@ -10,10 +11,27 @@ import numpy as np
 import pytest
 from rigs.made_events import PREDICTION
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of
+from rigs.scripted_model import Scripted
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.bridges.settings import Ros2Settings
+from daemon.bridges.bridge import BridgeError
+from daemon.bridges.bridges import make_bridges
+from daemon.bridges.settings import LslSettings, Ros2Settings
+from daemon.config import Settings
 from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
+
+
+def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Broken:
+        def find_spec(self, name: str, *_: object) -> None:
+            if name == "pylsl":
+                raise RuntimeError("LSL binary library file was not found.\nSee the manual.")
+
+    for name in ("pylsl", "daemon.bridges.lsl"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Broken(), *sys.meta_path])
+    with pytest.raises(BridgeError, match=r"lsl: cannot be used on this machine \(LSL .* found\. See .*\)$"):
+        make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()}, {})
 
 
 def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None:
@@ -145,6 +163,31 @@ def test_ros2_waits_for_a_network_and_follows_another(
         "ros2: connected to DDS",
         "ros2: the network has changed; joining anew",
     ]
+
+
+def test_ros2_without_a_network_ends_without_a_trace(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.core import DDSException
+
+    from daemon.bridges import ros2
+
+    monkeypatch.setattr(ros2, "LOOK_S", 0.05)
+    bridge = Ros2Peer(tmp_path).make()
+    bridge.start()
+    wait_for(bridge._peer_is_there.is_set)
+
+    def fail() -> None:
+        raise DDSException(DDSException.DDS_RETCODE_ERROR)
+
+    monkeypatch.setattr(bridge, "_join", fail)
+    monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
+    time.sleep(0.1)
+    bridge.put(PREDICTION)
+    wait_for(lambda: "is away" in caplog.text)
+    bridge.stop(2.0)
+    assert [record.exc_info for record in caplog.records] == [None]
 
 
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:

@@ -134,6 +134,20 @@ def test_pressure_comes_at_the_stated_rate_and_only_when_asked(port: int, opened
         assert len(payloads(messages, "touchd/pad/pressure")) == 18
 
 
+def test_frames_leave_nothing_behind(port: int, opened: Open) -> None:
+    with subscribed(port, "touchd/#") as messages:
+        bridge = opened(pressure_hz=500.0)
+        bridge.put(touch(1))
+        wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
+        start_s = time.monotonic()
+        for number in range(200):
+            bridge.put_frame(frame(number, start_s + number / 500))
+            time.sleep(0.001)
+        wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) > 100)
+    # The numbers of published frames, which events may get again.
+    assert len(bridge._acknowledged) < 10
+
+
 def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, opened: Open) -> None:
     trustme = pytest.importorskip("trustme")
     authority = trustme.CA()

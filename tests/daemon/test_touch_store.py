@@ -20,7 +20,7 @@ from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
 from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
+from daemon.events import Event, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
 from daemon.kept.touch_frames import FeltTouch, cut
 from daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
 from daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
@@ -199,6 +199,17 @@ def test_a_touch_during_which_the_settings_change_is_kept_whole(store: TouchStor
     bench.feel(palm(0.5))
     bench.sink.stop(WITHIN_S)
     bench.keep(store, bench.sink)
+    bench.feel(palm(0.5), nothing(1.5))
+    (kept,) = bench.end()
+    (end,) = ended(bench.events)
+    assert len(read_frames(kept).touch.counts) == end.frames
+
+
+@pytest.mark.parametrize("state", ["disturbed", "degraded", "up"])
+def test_a_pad_that_stays_keeps_its_frames_whatever_is_said_of_it(store: TouchStore, state: PadState) -> None:
+    bench = StoreBench(store)
+    bench.feel(palm(0.5))
+    bench.sink.put(SensorEvent(state=state, time=timestamp(bench.now_s)))
     bench.feel(palm(0.5), nothing(1.5))
     (kept,) = bench.end()
     (end,) = ended(bench.events)

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 from rigs.expectations import LENGTHS, expected, outline
 from rigs.patient_port import PATIENT, playing
-from rigs.programs import ran
+from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import needs_qi
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from daemon.config import JournalSettings, SensorSettings, Settings
-from daemon.events import SensorEvent, decode
+from daemon.events import SensorEvent, TouchEnded, decode
 from daemon.health import Health, Notifier
 from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for
@@ -172,6 +172,15 @@ def test_a_signal_ends_the_daemon_before_systemd_would(
     assert time.monotonic() - asked_s < AT_ONCE_S
     assert daemon.stop() == 0
     assert "STOPPING=1" in manager.heard()
+
+
+def test_under_nohup_a_terminal_that_closes_ends_nothing(pad: FakePort) -> None:
+    with Program("nohup", *TOUCHD, "run", "--port", pad.path, "--json") as daemon:
+        next(daemon.stdout)
+        daemon.send_signal(signal.SIGHUP)
+        assert any(isinstance(decode(line), TouchEnded) for line in daemon.stdout)
+        daemon.terminate()
+        assert daemon.wait(WITHIN_S) == 0
 
 
 def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, manager: Manager) -> None:
