@@ -6,11 +6,14 @@
 .PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak lock install \
 	install-program install-files deb uninstall clean
 
-# The first interpreter that fits and can make a virtual environment; overridden by make PYTHON=/path/to/python3.11.
-FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))
-CANDIDATES := python3 python3.13 python3.12 python3.11 python3.10
-PYTHON ?= $(shell for python in $(CANDIDATES); do \
-	$$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && command -v $$python && break; done)
+# The first interpreter that fits and can make a virtual environment, one for which there is qi if possible;
+# overridden by make PYTHON=/path/to/python3.11.
+FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))
+HAS_QI := import sys; sys.exit(sys.version_info >= (3, 13))
+CANDIDATES := python3 python3.14 python3.13 python3.12 python3.11 python3.10
+PYTHON ?= $(shell for wanted in '$(HAS_QI)' ''; do for python in $(CANDIDATES); do \
+	$$python -c "$$wanted" 2>/dev/null && $$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && \
+	command -v $$python && exit; done; done)
 
 # Fails with what to do where no Python fits.
 define check-python
@@ -19,7 +22,7 @@ for python in $(or $(PYTHON),$(CANDIDATES)); do \
   $$python -c 'import ensurepip, venv' 2>/dev/null && exit 0; \
   echo "$$python cannot make a virtual environment; on Debian or Ubuntu: sudo apt install python3-venv"; exit 1; \
 done; \
-echo "touchd needs Python 3.10 to 3.13 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
+echo "touchd needs Python 3.10 to 3.14 and found none; install one, or: make PYTHON=/path/to/python3.11"; exit 1
 endef
 
 VENV := .venv
@@ -146,7 +149,7 @@ deb:
 	dpkg-deb --root-owner-group -Zgzip -z1 --build $(PACKAGE) dist/touchd_$${version}_$$arch.deb
 	@rm -rf $(PACKAGE)
 
-# The lock holds hashes for every platform and for Python 3.10 to 3.13, of pip and setuptools too: venv brings old
+# The lock holds hashes for every platform and for Python 3.10 to 3.14, of pip and setuptools too: venv brings old
 # ones. The constraints hold versions alone, so that a new tool in pyproject.toml needs no renewal first.
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --custom-compile-command "make lock" pyproject.toml
 lock: $(DEVELOPMENT)
@@ -177,6 +180,7 @@ $(BIN)/python:
 	@$(check-python)
 	@echo "Making $(VENV) with $(PYTHON)"
 	@$(PYTHON) -m venv --clear $(VENV)
+	@$(PYTHON) -c '$(HAS_QI)' || echo "A real robot needs qi, which is there for Python 3.10 to 3.12: see docs/install.md"
 
 # A stamp file each, newer than pyproject.toml, so that a second run starts at once.
 $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python

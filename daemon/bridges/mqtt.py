@@ -1,5 +1,6 @@
 """MQTT: events, the pad's state and, where wanted, its pressure on a broker."""
 
+import secrets
 import ssl
 import threading
 import time
@@ -46,7 +47,8 @@ class MqttBridge(Bridge):
         self._greeting: mqtt.MQTTMessageInfo | None = None
         self._acknowledged: set[int] = set()
         self._acknowledging = threading.Condition()
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2)
+        # By its name a broker knows whose lost connection, and will, it still holds.
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, f"touchd-{secrets.token_hex(8)}")
         self._client.connect_timeout = CONNECT_S
         self._client.reconnect_delay_set(RECONNECT_FIRST_S, RECONNECT_CAP_S)  # type: ignore[arg-type]
         self._client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)

@@ -3,6 +3,8 @@
 import importlib
 import importlib.util
 import os
+import platform
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -72,9 +74,11 @@ def load_qi() -> Any:
         qi = importlib.import_module("qi")
     except ImportError as error:
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
+        is_to_be_had = sys.version_info < (3, 13) and platform.machine() == "x86_64"
+        instead = how_to_install("nao") if is_to_be_had else "see docs/install.md"
         raise RobotError(
             f"qi, the library that speaks to NAOqi, {why}; "
-            f"{how_to_install('nao')} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
+            f"{instead} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
         ) from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)

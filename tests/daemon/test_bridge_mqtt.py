@@ -1,11 +1,14 @@
 """MQTT on a real mosquitto: topics, state and last will, pressure, login, TLS, Home Assistant."""
 
 import json
+import select
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +110,40 @@ os.kill(os.getpid(), 9)
 def test_a_daemon_that_is_killed_leaves_its_last_will(port: int) -> None:
     subprocess.run([sys.executable, "-c", DIE, str(port)], check=False, timeout=20)
     wait_for(lambda: retained(port) == "lost")
+
+
+def test_after_a_broken_path_the_old_connections_will_does_not_stay(port: int, opened: Open) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as door, ExitStack() as closing:
+        carried: list[tuple[socket.socket, socket.socket]] = []
+
+        def carry(source: socket.socket, sink: socket.socket) -> None:
+            with suppress(OSError):
+                while data := source.recv(4096):
+                    sink.sendall(data)
+
+        def let_in() -> None:
+            with suppress(OSError):
+                while True:
+                    ends = door.accept()[0], socket.create_connection(("127.0.0.1", port))
+                    carried.append(ends)
+                    for pair in (ends, ends[::-1]):
+                        threading.Thread(target=carry, args=pair, daemon=True).start()
+
+        threading.Thread(target=let_in, daemon=True).start()
+        bridge = opened(door.getsockname()[1])
+        bridge.put(UP)
+        wait_for(lambda: retained(port) == "up")
+        # The router between them forgets the connection: touchd notices, the broker does not.
+        touchds_end, brokers_end = carried[0]
+        touchds_end.shutdown(socket.SHUT_RDWR)
+        wait_for(lambda: len(carried) == 2)
+        # Readable: the broker has ended it.
+        wait_for(lambda: bool(select.select([brokers_end], [], [], 0)[0]))
+        wait_for(lambda: retained(port) == "up")
+        bridge.stop(WITHIN_S)
+        for ends in carried:
+            for end in ends:
+                closing.enter_context(end)
 
 
 def test_pressure_comes_at_the_stated_rate_and_only_when_asked(port: int, opened: Open) -> None:

@@ -1,5 +1,6 @@
 """Events and actions on the robot; on real qi."""
 
+import platform
 import sys
 import threading
 from collections.abc import Iterator
@@ -166,10 +167,15 @@ def test_unsupported_actions_are_skipped(caplog: pytest.LogCaptureFixture) -> No
     assert robot.calls.said() == ["stroke", "pat"]
 
 
-def test_without_qi_a_configured_robot_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("python", "advice"), [((3, 12), ".*pip install"), ((3, 14), "see docs/install.md")])
+def test_without_qi_a_configured_robot_is_one_clear_line(
+    monkeypatch: pytest.MonkeyPatch, python: tuple[int, int], advice: str
+) -> None:
     monkeypatch.setitem(sys.modules, "qi", None)
+    monkeypatch.setattr(sys, "version_info", python)
+    monkeypatch.setattr(platform, "machine", lambda: "x86_64")
     with pytest.raises(
-        RobotError, match=r"qi, the library that speaks to NAOqi, is not installed; .*pip install"
+        RobotError, match=rf"qi, the library that speaks to NAOqi, is not installed; {advice}"
     ) as error:
         RobotLink(RobotSettings(url="tcp://nao.local:9559"))
     assert "\n" not in str(error.value)
