@@ -2,6 +2,7 @@
 
 import base64
 import logging
+import socket
 import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -25,6 +26,8 @@ CONNECTION: Mapping[str, Any] = {
     "compression": None,
     "proxy": None,
 }
+# websockets cannot ping, nor see that no answer comes, while it waits for what it sends to be taken.
+UNTAKEN_MS = 10_000
 # In the form that servers of ROS 1 and ROS 2 accept.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
@@ -69,6 +72,7 @@ class RosbridgeBridge(Bridge):
         while not self._ending.is_set():
             try:
                 with connect(url, **CONNECTION) as connection:
+                    connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNTAKEN_MS)
                     self._connection = connection
                     for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
                         advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}

@@ -1,5 +1,6 @@
 """Every bridge: it never blocks, reconnects to its peer, and stops when asked."""
 
+import itertools
 import re
 import socket
 import threading
@@ -152,6 +153,31 @@ def test_a_mute_peer_does_not_block_the_bridge(peer: Peer) -> None:
             began_s = time.monotonic()
             bridge.stop(1.0)
             assert time.monotonic() - began_s < 1.0 + AT_ONCE_S
+
+
+@pytest.mark.parametrize("peer", [ALL[3]], indirect=True)
+def test_a_peer_that_takes_nothing_is_left(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("daemon.bridges.rosbridge.UNTAKEN_MS", 300)
+    with socket.socket() as door:
+        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        door.bind(("127.0.0.1", peer.port))
+        door.listen()
+        bridge = peer.bridge()
+        with door.accept()[0] as client:
+            key = re.search(rb"Sec-WebSocket-Key: (.*)\r", client.recv(4096))
+            assert key is not None
+            client.sendall(WELCOME % accept_key(key[1].decode()).encode())
+            numbers = itertools.count()
+
+            def is_left() -> bool:
+                # Enough to fill what the kernel holds for the peer before the first ping.
+                for number in itertools.islice(numbers, 50):
+                    bridge.put_frame(frame(number, float(number)))
+                return "is away" in caplog.text
+
+            wait_for(is_left)
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
