@@ -80,13 +80,13 @@ def _convert_journal(file: Path, out: Path) -> None:
     if wrong := len(lines) - len(events):
         sys.stderr.write(f"{file}: left out {wrong} lines that are no events\n")
     if out.suffix == ".csv":
-        rows = list(map(_flat, events))
-        columns = list(dict.fromkeys(chain.from_iterable(rows)))
+        columns = list(dict.fromkeys(chain.from_iterable(map(_flat, events))))
         with out.open("x", encoding="utf-8", newline="") as target:
             # For pandas and spreadsheets.
             table = csv.DictWriter(target, columns, lineterminator="\n")
             table.writeheader()
-            table.writerows(rows)
+            # Made twice, for all rows at once take gigabytes for a journal of years.
+            table.writerows(map(_flat, events))
         return
     from daemon.convert import mcap
 
@@ -98,9 +98,8 @@ def _flat(event: Event) -> dict[str, Any]:
     """Return an event's fields by name; those of a mapping are called by both names: probabilities_pat."""
     row: dict[str, Any] = {}
     for name, value in msgspec.to_builtins(event).items():
-        row |= (
-            {f"{name}_{key}": part for key, part in value.items()}
-            if isinstance(value, dict)
-            else {name: value}
-        )
+        if isinstance(value, dict):
+            row |= {f"{name}_{key}": part for key, part in value.items()}
+        else:
+            row[name] = value
     return row
