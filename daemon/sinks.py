@@ -24,6 +24,8 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 WRITABLE_WAIT_S = 0.1
+# A sink that is always too slow says so once in so long.
+TELL_AGAIN_S = 60.0
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -73,14 +75,17 @@ class EventFanout:
 
 
 class QueuedSink(ABC, Generic[Item]):
-    """A thread that passes items, events mostly, on one by one; a full queue drops and counts its oldest."""
+    """A thread that passes items, events mostly, on one by one.
+
+    A full queue drops its oldest, states last, and the log says how many.
+    """
 
     capacity = 1000
 
     def __init__(self, name: str) -> None:
         self.name = name
-        # None marks the end and is never dropped.
-        self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, lambda item: item is not None)
+        self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, _may_drop)
+        self._told_dropped = 0
         self._draining = False
         self._abandoned = threading.Event()
         self._starting = threading.Lock()
@@ -109,19 +114,41 @@ class QueuedSink(ABC, Generic[Item]):
         self._draining = True
         self._items.put(None)
         self._thread.join(timeout_s / 2)
+        is_cut_short = not self._abandoned.is_set()
         self._abandoned.set()
         self._thread.join(timeout_s / 2)
+        if is_cut_short and (left := sum(item is not None for item in self._items.take_all())):
+            self.tell_lost(f"{left} events or more are lost: they could not be passed on before the end")
 
     @abstractmethod
     def write(self, item: Item) -> None:
         """Pass one item on; may block, but not for long once `_abandoned` is set."""
 
     def _run(self) -> None:
-        while (item := self._items.get()) is not None and not self._abandoned.is_set():
+        tell_again_s = 0.0
+        while not self._abandoned.is_set() and (item := self._items.get()) is not None:
             try:
                 self.write(item)
             except Exception:
                 log.exception("%s: an event could not be passed on", self.name)
+            if time.monotonic() >= tell_again_s and self._tell_dropped():
+                tell_again_s = time.monotonic() + TELL_AGAIN_S
+        self._tell_dropped()
+
+    def _tell_dropped(self) -> bool:
+        """Log how many were dropped since this was last told; return whether any were."""
+        newly, self._told_dropped = self.dropped - self._told_dropped, self.dropped
+        if newly:
+            self.tell_lost(f"{newly} events or frames are lost: it was away, or too slow")
+        return newly > 0
+
+    def tell_lost(self, what: str) -> None:
+        log.warning("%s: %s", self.name, what)
+
+
+def _may_drop(item: object) -> bool:
+    """Whether an item may be dropped before others: neither the mark of the end nor a state, which stands."""
+    return item is not None and not isinstance(item, SensorEvent | RobotEvent)
 
 
 class LinesSink(QueuedSink[Item]):
@@ -174,6 +201,9 @@ class LogSink(LinesSink[str]):
     def __init__(self, fd: int) -> None:
         super().__init__("log", fd, self._line)
         self._told = 0
+
+    def tell_lost(self, what: str) -> None:
+        """Say nothing in the log: the line after a gap does."""
 
     def _line(self, item: str) -> bytes:
         """Return a line, after one about those that were dropped before it."""

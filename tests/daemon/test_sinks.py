@@ -3,12 +3,14 @@
 import json
 import os
 import random
+import re
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 from rigs.made_events import PREDICTION, touch
 from rigs.programs import Program, ran
@@ -63,6 +65,31 @@ def test_a_stalled_reader_blocks_nobody(pipe: tuple[int, int]) -> None:
     assert 30 <= sink.dropped <= 40
     sink.stop(0.6)
     assert "touchd-stdout" not in names()
+
+
+def test_what_a_slow_reader_loses_is_told(pipe: tuple[int, int], caplog: pytest.LogCaptureFixture) -> None:
+    _, writer = pipe
+    sink = ShortSink("stdout", writer, encode)
+    sink.start()
+    long = msgspec.structs.replace(PREDICTION, model="x" * 60_000)
+    for _ in range(50):
+        sink.put(long)
+    sink.stop(0.6)
+    told = [int(count) for count in re.findall(r"stdout: (\d+) events", caplog.text)]
+    # Some were written, one is in the pipe by half.
+    assert told[0] == sink.dropped
+    assert 45 <= sum(told) <= 50
+
+
+def test_states_outlast_events_in_a_full_queue(pipe: tuple[int, int]) -> None:
+    reader, writer = pipe
+    sink = ShortSink("stdout", writer, encode)
+    up = SensorEvent(state="up", time="")
+    for event in (up, *map(touch, range(50))):
+        sink.put(event)
+    sink.stop(WITHIN_S)
+    with open(reader, "rb", closefd=False) as file:
+        assert decode(file.readline()) == up
 
 
 def test_a_broken_pipe_is_reported_once_and_ends_the_sink(pipe: tuple[int, int]) -> None:
