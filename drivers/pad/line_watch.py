@@ -17,6 +17,8 @@ MANY_SHARE = 0.02
 MOSTLY = 0.9
 # A line that is held up moves the clock by less, over LOOK_S.
 CLOCK_OFF = 0.2
+# After as long without a byte the clock may have gone on, or its bytes may be lost.
+PAUSE_S = 1.0
 # More is a clock that started anew.
 MOST_MS_A_SECOND = 10_000
 
@@ -29,11 +31,14 @@ class LineWatch:
         self._where = where
         self._before = replace(parser.counts)
         self._clock_ms: int | None = None
-        self._looked_s = -math.inf
+        self._looked_s = self._heard_s = -math.inf
         self._warned_s = self._clock_warned_s = -math.inf
 
     def update(self, now_s: float, sensor_ms: int | None = None) -> None:
         """Take what has just arrived. sensor_ms: the last frame's clock; None where no frame was intact."""
+        if now_s - self._heard_s > PAUSE_S:
+            self.forget_clock()
+        self._heard_s = now_s
         passed_s = now_s - self._looked_s
         if passed_s < LOOK_S:
             return
@@ -60,6 +65,10 @@ class LineWatch:
             if "://" in self._where:
                 why = "damaged on the way; does another board send there too?"
         log.warning("%s: %.0f %% of the last frames were refused, %s", self._where, 100 * share, why)
+
+    def forget_clock(self) -> None:
+        """Compare no clock with one before: of another pad perhaps, or before a pause."""
+        self._clock_ms = None
 
     def _check_clock(self, ms_a_second: float, now_s: float) -> None:
         if ms_a_second > MOST_MS_A_SECOND or abs(ms_a_second - 1000) <= 1000 * CLOCK_OFF:

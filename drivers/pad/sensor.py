@@ -125,6 +125,7 @@ class Sensor:
     def _read(self, opened: Line) -> None:
         """Read until stopped, or until a long silence calls for reopening the port."""
         self._protocol.reset()
+        self._watch.forget_clock()
         recent = b""
         can_wait = reads_all(opened) and not self._protocol.poll
         byte_s = frame_s = looked_s = time.monotonic()

@@ -54,13 +54,28 @@ def test_a_clock_that_does_not_count_milliseconds_is_told_once(
     caplog: pytest.LogCaptureFixture, ms_a_second: int, is_told: bool
 ) -> None:
     watched = LineWatch(FabricGrid(), "COM3")
-    for look in range(5):
-        watched.update(look * LOOK_S, round(look * LOOK_S * ms_a_second) % CLOCK_MODULUS)
+    for half_seconds in range(100):
+        watched.update(half_seconds / 2, round(half_seconds / 2 * ms_a_second) % CLOCK_MODULUS)
     told = [
         f"COM3: the pad's clock counts {ms_a_second} in a second; it must count milliseconds, or touches "
         "seem shorter or longer than they are"
     ]
     assert caplog.messages == (told if is_told else [])
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 3.0])
+def test_a_clock_is_not_compared_over_a_pause_or_another_opening(
+    caplog: pytest.LogCaptureFixture, pause_s: float
+) -> None:
+    watched = LineWatch(FabricGrid(), "COM3")
+    for half_seconds in range(29):
+        watched.update(half_seconds / 2, 500 * half_seconds)
+    if not pause_s:
+        watched.forget_clock()
+    # Another pad's clock, or one of which some seconds were lost, from the fifth second of a look on.
+    for half_seconds in range(29, 100):
+        watched.update(half_seconds / 2 + pause_s, 500 * half_seconds + 8000)
+    assert caplog.messages == []
 
 
 def test_presses_beyond_the_full_scale_are_told_with_what_to_set(caplog: pytest.LogCaptureFixture) -> None:
