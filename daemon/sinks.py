@@ -62,7 +62,8 @@ class EventFanout:
             self.touches += 1
         if isinstance(event, SensorEvent | RobotEvent):
             self.standing[type(event), getattr(event, "pad", "")] = event
-        for sink in self.sinks:
+        # The robot last: its threads may tell at once what it does about an event.
+        for sink in sorted(self.sinks, key=lambda sink: isinstance(sink, RobotSink)):
             sink.put(event)
 
     def forget_robot(self) -> None:

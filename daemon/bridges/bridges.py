@@ -4,14 +4,14 @@ import importlib
 from collections.abc import Mapping
 
 from daemon.bridges.bridge import Bridge, BridgeError
-from daemon.bridges.settings import Section
+from daemon.bridges.settings import MqttSettings, Section
 from daemon.config import Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import one_line
 from drivers.extras import how_to_install
 from model.classifier import Classifier
 
-# A bridge's section name and content, its pad, and the gestures that it can report.
+# A bridge's section name and content, its pad, and the gestures that it announces.
 Key = tuple[str, Section, str, tuple[str, ...]]
 
 
@@ -23,7 +23,7 @@ def make_bridges(
     models: for each pad. Raises BridgeError when a bridge cannot be used as configured.
     """
     wanted = [
-        (name, section, pad, own.scene.gestures or _touches(models[pad]))
+        (name, section, pad, _announced(section, own.scene.gestures or _touches(models[pad])))
         for name, section in settings.bridges.items()
         if section is not None
         for pad, own in settings.pads.items()
@@ -41,6 +41,11 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
         raise BridgeError(f"{name}: cannot be used on this machine ({one_line(str(error))})") from error
     bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, pad, gestures)
     return bridge
+
+
+def _announced(section: Section, gestures: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the gestures if they are announced; other bridges outlast a change of them."""
+    return gestures if isinstance(section, MqttSettings) and section.discovery is not None else ()
 
 
 def _touches(model: Classifier) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from rigs.wait import WITHIN_S, wait_for
 from daemon.bridges.bridge import Bridge, BridgeError
 from daemon.bridges.bridges import Key, make_bridges
 from daemon.bridges.settings import MqttSettings
-from daemon.config import Settings
+from daemon.config import SceneSettings, Settings
 from daemon.events import SensorEvent, TouchEnded, decode, encode
 
 pytest.importorskip("paho.mqtt")
@@ -46,8 +46,9 @@ Open = Callable[..., Bridge]
 
 
 def made(port: int, before: dict[Key, Bridge] | None = None, **settings: Any) -> dict[Key, Bridge]:
+    scene = SceneSettings(gestures=settings.pop("gestures", None))
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return make_bridges(Settings(mqtt=mqtt), MODELS, before or {})
+    return make_bridges(Settings(mqtt=mqtt, scene=scene), MODELS, before or {})
 
 
 @pytest.fixture
@@ -251,6 +252,10 @@ def test_only_a_changed_bridge_is_replaced(port: int) -> None:
     before = made(port)
     assert made(port, before) == before
     assert not made(port, before, topic="lab").keys() & before.keys()
+    assert made(port, before, gestures=("pat",)) == before
+    announced = made(port, discovery="homeassistant")
+    fewer = made(port, announced, discovery="homeassistant", gestures=("pat",))
+    assert not fewer.keys() & announced.keys()
     with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
         made(port, before, user="robot", password_file="/nowhere")
 

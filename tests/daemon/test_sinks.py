@@ -1,5 +1,6 @@
 """Sinks never block the loop and stop when asked; the journal holds whole lines within its limit."""
 
+import itertools
 import json
 import os
 import random
@@ -17,9 +18,11 @@ from rigs.programs import Program, ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from daemon.events import Event, SensorEvent, decode, encode
+from daemon.events import Event, RobotAction, SensorEvent, decode, encode
 from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
-from daemon.sinks import JournalSink, LinesSink
+from daemon.sinks import EventFanout, JournalSink, LinesSink, RobotSink
+from drivers.robot.link import RobotLink
+from drivers.robot.message import RobotMessage
 
 
 @pytest.fixture
@@ -79,6 +82,28 @@ def test_what_a_slow_reader_loses_is_told(pipe: tuple[int, int], caplog: pytest.
     # Some were written, one is in the pipe by half.
     assert told[0] == sink.dropped
     assert 45 <= sum(told) <= 50
+
+
+def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
+    reader, writer = pipe
+    fanout = EventFanout()
+    done = RobotAction(touch=7, action="say", what="Hello", time=PREDICTION.time)
+
+    class Link(RobotLink):
+        """Acts before it returns, as a thread of its own may."""
+
+        def __init__(self) -> None:
+            pass
+
+        def publish(self, message: RobotMessage, is_told: bool = True) -> None:
+            fanout.emit(done)
+
+    lines = LinesSink("stdout", writer, encode)
+    fanout.sinks = (RobotSink(Link(), itertools.count()), lines)
+    fanout.emit(PREDICTION)
+    lines.stop(WITHIN_S)
+    with open(reader, "rb", closefd=False) as file:
+        assert [decode(file.readline()) for _ in range(2)] == [PREDICTION, done]
 
 
 def test_states_outlast_events_in_a_full_queue(pipe: tuple[int, int]) -> None:
