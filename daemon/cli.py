@@ -5,6 +5,7 @@ import errno
 import importlib
 import io
 import os
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,8 @@ from daemon.terminal.own_name import own_name
 from drivers.errors import TouchdError
 from drivers.extras import extra_of, how_to_install
 
+# What the C library says.
+NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
 USERS_MISTAKE = 2
 OUR_MISTAKE = 1
 INTERRUPTED = 130
@@ -134,6 +137,8 @@ def _complain(error: Exception) -> int:
     what, code = str(error), USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
         what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}"
+    elif isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
+        what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         _discard_output()
         what = f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"

@@ -101,6 +101,18 @@ def test_a_command_for_researchers_says_where_it_is(refusal: Refusal, name: str)
     assert f"python -m docs.studies {name}" in refusal(name)
 
 
+def test_a_library_that_the_system_lacks_is_named(tmp_path: Path) -> None:
+    (tmp_path / "numpy.py").write_text(
+        "raise ImportError('Importing the numpy C-extensions failed.\\n\\nOriginal error was: "
+        "libstdc++.so.6: cannot open shared object file: No such file or directory\\n')"
+    )
+    done = ran([*TOUCHD, "classify"], env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    assert done.stderr == (
+        "touchd: libstdc++.so.6, a library of the system, is not there; install the package that brings it\n"
+    )
+    assert done.returncode == 2
+
+
 def test_an_internal_error_is_one_line_and_exit_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
