@@ -76,7 +76,11 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
     if settings.robot is None:
         return None
     actions = {name: pad.scene.actions for name, pad in settings.pads.items()}
-    return RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
+    link = RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
+    for name in settings.pads:
+        # Until frames come: a program that waits for "up" must not find a pad that is not there.
+        link.set_status("down", name)
+    return link
 
 
 def scenes_of(settings: Settings, models: Mapping[str, Classifier]) -> dict[str, Scene]:

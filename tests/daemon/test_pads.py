@@ -16,7 +16,7 @@ from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
 from rigs.programs import TOUCHD, Program
-from rigs.robots import SAY
+from rigs.robots import SAY, Robot
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
@@ -38,7 +38,7 @@ from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.touch_store import folder_of, kept_touches
 from daemon.kept.touches import read_journal
 from daemon.playback.rig import SpawnedDaemon
-from daemon.setup.destinations import encoder_for
+from daemon.setup.destinations import encoder_for, link_to_robot
 from daemon.setup.parts import Parts
 from daemon.sinks import RobotSink
 from drivers.fakes.fake_port import FakePort
@@ -148,6 +148,19 @@ def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> Non
     assert said == [line for line in expected(LENGTHS) if line["touch"] in (1, 2, 3)]
     for pad in ("back", "folder"):
         assert {event.state for event in on(pad, events) if isinstance(event, SensorEvent)} == {"down"}
+
+
+def test_the_robot_hears_up_of_a_pad_only_once_its_frames_come() -> None:
+    with Robot() as robot:
+        settings = Settings(sensors={"head": PadSettings()}, robot=RobotSettings(url=robot.url))
+        link = link_to_robot(settings, lambda _: None)
+        assert link is not None
+        link.start()
+        robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
+        RobotSink(link, itertools.count(1)).put(SensorEvent(state="up", time=TIME, pad="head"))
+        robot.calls.wait_for_raise("TouchGesture/head/Status", "up")
+        link.stop(WITHIN_S)
+        assert robot.calls.raised("TouchGesture/head/Status") == ["down", "up", "down"]
 
 
 def test_the_robot_hears_of_each_pad_by_its_name() -> None:
