@@ -20,7 +20,7 @@ from drivers.errors import os_errors_as
 from drivers.numbers import within
 from drivers.pad.diagnosis import as_yaml, caution, propose
 from drivers.pad.format import PRESETS, PadFormat
-from drivers.pad.port import Line, SensorError, open_port, read_waiting
+from drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
 from drivers.pad.protocol import parser_of
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
@@ -96,7 +96,7 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
         # The last is the slowest, which every adapter can do.
         with open_port(port, bauds[-1]) as opened:
             for baud in bauds if "://" not in port else bauds[:1]:
-                console.print(f"listening at {port}, {baud} baud ...")
+                console.print(f"listening to {port}{at_baud(port, baud)} ...")
                 try:
                     opened.baudrate = baud
                 except (OSError, ValueError):

@@ -12,7 +12,7 @@ from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
 from drivers.pad.line_watch import MANY_SHARE
 from drivers.pad.pace import clock_ms, pace_of
-from drivers.pad.port import Line
+from drivers.pad.port import Line, at_baud
 from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import SensorError
 
@@ -68,7 +68,7 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
     """Report whether frames were decoded; if not, try other baud rates and diagnose the bytes."""
     expected = str(sensor.described)
     if heard.frames:
-        return Check("protocol", "ok", f"{expected} at {sensor.baud} baud, as configured")
+        return Check("protocol", "ok", f"{expected}{at_baud(sensor.port, sensor.baud)}, as configured")
     if heard.broke_off:
         return Check("protocol", "to do", heard.broke_off, "try another cable")
     if not heard.recent:

@@ -15,6 +15,7 @@ from daemon.kept.touch_store import TouchStore, folder_of
 from daemon.live.address import listen, require_library
 from drivers.frame import Counts
 from drivers.pad.format import encode_frame
+from drivers.pad.port import at_baud
 from drivers.recording import RecordingError
 from drivers.robot.actions import Kind
 from drivers.robot.link import RobotLink
@@ -107,7 +108,7 @@ def open_live_page(
 def description_of(sensor: SensorSettings) -> str:
     """Return a line that says which pad it is and how it is read, for recordings."""
     pad = sensor.described
-    return f"{pad}, crop {pad.crop}, invert {pad.invert}, at {sensor.baud} baud on {sensor.port}"
+    return f"{pad}, crop {pad.crop}, invert {pad.invert},{at_baud(sensor.port, sensor.baud)} on {sensor.port}"
 
 
 def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:

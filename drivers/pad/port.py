@@ -37,6 +37,11 @@ class SensorError(TouchdError):
         self.kind = kind
 
 
+def at_baud(port: str, baud: int) -> str:
+    """Return " at 512000 baud", for people, or nothing where the port is an address and has none."""
+    return "" if "://" in port else f" at {baud} baud"
+
+
 def check_port(port: str, baud: int) -> None:
     """Raise SensorError when `port` can be seen to be unusable.
 

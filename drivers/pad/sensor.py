@@ -13,7 +13,7 @@ from drivers.frame import Frame
 from drivers.pad.diagnosis import diagnose
 from drivers.pad.line_watch import LineWatch
 from drivers.pad.parser import FrameParser
-from drivers.pad.port import Line, SensorError, check_port, open_port, read_waiting, reads_all
+from drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting, reads_all
 from drivers.pad.sensor_state import Announcer, SensorState
 from drivers.queue import DroppingQueue, Signal
 
@@ -187,4 +187,4 @@ class Sensor:
 
     @property
     def _where(self) -> str:
-        return self._port if "://" in self._port else f"{self._port} at {self._baud} baud"
+        return self._port + at_baud(self._port, self._baud)

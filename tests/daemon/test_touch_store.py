@@ -25,7 +25,7 @@ from daemon.kept.touch_frames import FeltTouch, cut
 from daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
 from daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from daemon.setup.destinations import open_touch_stores
+from daemon.setup.destinations import description_of, open_touch_stores
 from drivers.frame import Counts, Frame
 from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
 
@@ -387,3 +387,4 @@ def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> Non
     store.add(felt(1))
     (kept,) = kept_touches(tmp_path / "events.jsonl.touches")
     assert read_provenance(kept.path)["sensor"].endswith("at 512000 baud on /dev/pad")
+    assert description_of(SensorSettings(port="tcp://pad:4000")).endswith("invert True, on tcp://pad:4000")
