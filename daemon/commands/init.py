@@ -22,6 +22,9 @@ from drivers.pad.diagnosis import as_yaml, caution, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
 from drivers.pad.protocol import parser_of
+from drivers.robot.session import RobotError
+from drivers.robot.settings import RobotSettings, read_login
+from drivers.whole_file import whole_file
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 FIRST_BYTE_S = 3.0
@@ -49,9 +52,12 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Write the file and say what next; returns 0 when pad and robot answered, else 1."""
     options = parser().parse_args(arguments)
-    if options.file.exists():
-        raise ConfigError(f"{options.file} is there already; give another name, or move it away")
     file = shlex.quote(str(options.file))
+    not_written = f"{file}: cannot be written"
+    with os_errors_as(ConfigError, not_written, "give another path"):
+        is_there = options.file.exists()
+    if is_there:
+        raise ConfigError(f"{options.file} is there already; give another name, or move it away")
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
@@ -60,15 +66,18 @@ def main(arguments: Sequence[str]) -> int:
     robot = _ask_robot(console) if options.robot is None else options.robot
     robot = None if robot in ("", "none") else robot
     described_as = as_yaml(described or PRESETS["fabric-grid"])
-    text = f"sensor:\n  port: {json.dumps(port)}\n  baud: {baud}\n  {described_as}\n"
-    text += f"robot: {f'{{url: {json.dumps(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
-    with os_errors_as(ConfigError, f"{options.file}: cannot be written", "give another path"):
-        options.file.write_text(text)
+    text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n  {described_as}\n"
+    text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
+    with (
+        os_errors_as(ConfigError, not_written, "give another path"),
+        whole_file(options.file, replace=False) as new,
+    ):
+        new.write_text(text, encoding="utf-8")
     settings = load(options.file)
     console.print(
         f"pad: {described}, at {port}"
         if described
-        else f"pad: none found; plug it in and run {own_name()} doctor"
+        else f"pad: none found; plug it in and run {own_name()} doctor -c {file}"
     )
     if described and (check_it := caution(described)):
         console.print(f"{file}: {check_it}", style="yellow")
@@ -79,6 +88,10 @@ def main(arguments: Sequence[str]) -> int:
         is_well &= check.verdict == "ok"
     console.print(f"wrote {file}; next: {own_name()} doctor -c {file}, then {own_name()} run -c {file}")
     return 0 if is_well else 1
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)
 
 
 def _ports() -> list[str]:
@@ -134,8 +147,14 @@ def _answering(opened: Line) -> PadFormat | None:
 
 
 def _ask_robot(console: Console) -> str:
-    """Return what is typed, "" without a terminal or at its end."""
-    if not sys.stdin.isatty():
-        return ""
-    console.print("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ", end="")
-    return sys.stdin.readline().strip()
+    """Return the address that is typed, "" without a terminal or at its end."""
+    while sys.stdin.isatty():
+        console.print("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ", end="")
+        typed = sys.stdin.readline().strip()
+        try:
+            if typed not in ("", "none"):
+                read_login(RobotSettings(url=typed))
+            return typed
+        except RobotError as error:
+            console.print(str(error), style="yellow")
+    return ""

@@ -87,7 +87,7 @@ def with_model(text: str, model: Path, pad: str | None = None) -> str:
 
     pad: one of several, whose own model is set.
     """
-    value = json.dumps(str(model))
+    value = json.dumps(str(model), ensure_ascii=False)
     root = yaml.compose(text, yaml.SafeLoader)
     own = _section(_section(root, "sensors"), pad)
     at = own or root

@@ -82,6 +82,11 @@ def convert(text: bytes | str, struct: type[T], renamed: Mapping[str, Mapping[st
         raw = loader.get_single_data()
     except yaml.MarkedYAMLError as error:
         raise StrictYamlError(_plain_syntax(error)) from error
+    except yaml.reader.ReaderError as error:
+        line = len(text[: error.position + 1].splitlines())
+        raise StrictYamlError(
+            f"not YAML: line {line}: {error.reason}; save the file as UTF-8 text"
+        ) from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         raise StrictYamlError(f"not YAML: {' '.join(str(error).split())}") from error
     if isinstance(raw, dict):
@@ -156,7 +161,7 @@ def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
     keys, value = _names(path), _value(raw, path)
     name = ".".join(keys)
     if where.startswith("key`"):
-        name, value = f"a name in {name}", list(value)
+        name, value = f"a name in {name or 'the file'}", list(value)
     unknown = re.fullmatch(r"Object contains unknown field `(.*)`", problem)
     if unknown:
         return _unknown_key(keys, unknown[1], struct)

@@ -105,6 +105,13 @@ def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
     assert {name for name in named if not re.search(rf"\b{name}:", text)} == set()
 
 
+def test_a_file_in_another_encoding_is_told_with_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "touchd.yaml"
+    path.write_bytes("sensor:\n  port: /dev/ttyACM0\n# Größe\n".encode("latin-1"))
+    with pytest.raises(ConfigError, match="line 3: invalid start byte; save the file as UTF-8 text"):
+        load(path)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -171,6 +178,7 @@ def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
         ("sensor: !!python/object/apply:os.system [ls]", "could not determine a constructor"),
         ("model: 2020-99-99", "not YAML"),
         ("a: \x00", "not YAML"),
+        ("1: 2", "a name in the file must be text, not [1]"),
     ],
 )
 def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str) -> None:

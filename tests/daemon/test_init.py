@@ -1,5 +1,6 @@
 """`touchd init`: finds pad and robot, and writes a configuration that runs."""
 
+import errno
 import os
 import pty
 import subprocess
@@ -52,12 +53,31 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
 
 def test_no_address_can_break_the_file(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
-    address = 'x: {"y": #'
+    address = 'x: {"y": # 😀'
     assert main([str(path), "--port", str(tmp_path / address), "--baud", "9600", "--robot", address]) == 1
     settings = load(path)
     assert settings.sensor.port == str(tmp_path / address)
     assert settings.robot is not None
     assert settings.robot.url == address
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "missing/touchd.yaml"])
+def test_a_file_that_cannot_be_written_is_told(tmp_path: Path, name: str) -> None:
+    options = ["--port", str(tmp_path / "Größe 😀"), "--baud", "9600", "--robot", "none"]
+    with pytest.raises(ConfigError, match=r"cannot be written .*; give another path"):
+        main([str(tmp_path / name), *options])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, text: str, encoding: str) -> None:
+        path.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(ConfigError, match="No space left on device"):
+        main([str(tmp_path / "touchd.yaml"), "--port", str(tmp_path / "none"), "--robot", "none"])
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_pad_that_only_answers_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,6 +126,8 @@ def test_the_robot_is_asked_for_tried_and_used(tmp_path: Path, monkeypatch: pyte
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", str(path), "--port", port.path, "--baud", "115200") as terminal:
+            terminal.until("The robot's address")
+            terminal.answer("nao.local", "is not an address such as tcp://nao.local:9559")
             terminal.until("The robot's address")
             terminal.answer(robot.url)
             assert "pad: fabric-grid 10x10" in terminal.until("robot: ")
