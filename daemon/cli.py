@@ -142,6 +142,8 @@ def _complain(error: Exception) -> int:
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         _discard_output()
         what = f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
+    elif isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
+        what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
     elif not isinstance(error, TouchdError):
         what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
         code = OUR_MISTAKE

@@ -123,6 +123,8 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
 
 
 def _why(error: Exception) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return "no UTF-8 text; is it compressed, or saved in another encoding?"
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
@@ -138,7 +140,7 @@ def read_provenance(path: Path) -> dict[str, str]:
                 if not line.startswith("# "):
                     break
                 key, _, value = line[2:].partition(": ")
-                provenance[key] = value.rstrip("\n")
+                provenance[key] = value.rstrip()
     except DAMAGED as error:
         raise RecordingError(f"{path}: cannot be read as a recording ({_why(error)})") from error
     return provenance
@@ -211,11 +213,15 @@ def splice(recordings: Sequence[Recording]) -> Stream:
 
 @dataclass(frozen=True)
 class _Layout:
-    """What a header says: columns in a row, what stands between keys and cells, its own line number."""
+    """What a header says: columns in a row, what stands between keys and cells, its own line number.
+
+    separator: a semicolon where a spreadsheet saved the file in a language with a decimal comma.
+    """
 
     width: int
     between: Literal["", "sequence", "sensor_ms"]
     line_number: int
+    separator: Literal[",", ";"]
 
 
 def _keys(recording: Recording) -> Keys:
@@ -223,9 +229,11 @@ def _keys(recording: Recording) -> Keys:
 
 
 def _open_text(path: Path, mode: Literal["r", "x"]) -> IO[str]:
+    # Spreadsheets mark UTF-8 by three bytes at the beginning.
+    encoding = "utf-8-sig" if mode == "r" else "utf-8"
     if path.suffix == ".gz":
-        return cast(IO[str], gzip.open(path, f"{mode}t", encoding="utf-8", newline=""))
-    return path.open(mode, encoding="utf-8", newline="")
+        return cast(IO[str], gzip.open(path, f"{mode}t", encoding=encoding, newline=""))
+    return path.open(mode, encoding=encoding, newline="")
 
 
 def _lines(path: Path, file: IO[str]) -> Iterator[str]:
@@ -253,7 +261,8 @@ def _parse(path: Path, file: IO[str], select: Selection) -> Iterator[Recording]:
                     clock_ms.append(int(row[len(KEYS)]))
                 cells.fromlist(_cells(row))
             except (ValueError, OverflowError) as error:
-                raise RecordingError(f"{path}, line {line_number}: {error}") from error
+                what = str(error).replace(" for int() with base 10", ", no whole number")
+                raise RecordingError(f"{path}, line {line_number}: {what}") from error
         counts = np.array(cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
         if layout.between == "sensor_ms":
             yield Recording(*keys, counts, np.array(clock_ms, dtype=np.int64), "live")
@@ -263,7 +272,8 @@ def _parse(path: Path, file: IO[str], select: Selection) -> Iterator[Recording]:
 
 def _rows(path: Path, lines: Iterator[str], layout: _Layout) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows after the header that are not empty, with the numbers of their lines."""
-    for line_number, row in enumerate(csv.reader(lines, skipinitialspace=True), layout.line_number + 1):
+    reader = csv.reader(lines, delimiter=layout.separator, skipinitialspace=True)
+    for line_number, row in enumerate(reader, layout.line_number + 1):
         if row and len(row) != layout.width:
             raise RecordingError(
                 f"{path}, line {line_number}: {len(row)} columns where the header has {layout.width}"
@@ -288,13 +298,14 @@ def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
     for number, line in enumerate(lines, 1):
         if line.startswith("#"):
             continue
-        header = [name.strip().strip('"').strip().lower() for name in line.split(",")]
+        separator: Literal[",", ";"] = "," if "," in line else ";"
+        header = [name.strip().strip('"').strip().lower() for name in line.split(separator)]
         if header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS:][0] == "cell1":
             match header[4:-CELLS]:
                 case []:
-                    return _Layout(len(header), "", number)
+                    return _Layout(len(header), "", number, separator)
                 case ["sequence" | "sensor_ms" as between]:
-                    return _Layout(len(header), between, number)
+                    return _Layout(len(header), between, number, separator)
         break
     raise RecordingError(
         f"{path}: no known layout (expected participant, substrate, cover, gesture and {CELLS} cells)"

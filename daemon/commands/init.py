@@ -52,12 +52,9 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Write the file and say what next; returns 0 when pad and robot answered, else 1."""
     options = parser().parse_args(arguments)
-    file = shlex.quote(str(options.file))
-    not_written = f"{file}: cannot be written"
-    with os_errors_as(ConfigError, not_written, "give another path"):
-        is_there = options.file.exists()
-    if is_there:
+    if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
+    file = shlex.quote(str(options.file))
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
@@ -69,16 +66,13 @@ def main(arguments: Sequence[str]) -> int:
     text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n  {described_as}\n"
     text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
     with (
-        os_errors_as(ConfigError, not_written, "give another path"),
+        os_errors_as(ConfigError, f"{options.file}: cannot be written", "give another path"),
         whole_file(options.file, replace=False) as new,
     ):
         new.write_text(text, encoding="utf-8")
     settings = load(options.file)
-    console.print(
-        f"pad: {described}, at {port}"
-        if described
-        else f"pad: none found; plug it in and run {own_name()} doctor -c {file}"
-    )
+    later = f"none found; once it can be opened, {own_name()} doctor -c {file} says what to set"
+    console.print(f"pad: {described}, at {port}" if described else f"pad: {later}")
     if described and (check_it := caution(described)):
         console.print(f"{file}: {check_it}", style="yellow")
     is_well = described is not None

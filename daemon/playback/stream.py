@@ -11,6 +11,7 @@ from rich.console import Console
 
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import (
+    EVERYTHING,
     NO_TOUCH,
     Recording,
     RecordingError,
@@ -68,7 +69,8 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
     wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
     if not wanted:
         names = ", ".join(str(path) for path in arguments.files)
-        raise RecordingError(f"{names}: no recording matches; see which there are with fewer options")
+        none = "no recording matches; see which there are with fewer options"
+        raise RecordingError(f"{names}: {'no frames' if select == EVERYTHING else none}")
     hours = sum(len(part.counts) + 2 * QUIET_FRAMES for part in wanted) / FRAME_RATE_HZ / 3600
     if hours > MOST_HOURS:
         raise RecordingError(

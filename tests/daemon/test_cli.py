@@ -123,6 +123,10 @@ def test_an_internal_error_is_one_line_and_exit_1(
         cli.main(["fail", "--debug"])
 
 
+def test_a_path_that_cannot_be_looked_at_is_told(tmp_path: Path, refusal: Refusal) -> None:
+    assert "File name too long; give another path" in refusal("init", str(tmp_path / ("x" * 300)))
+
+
 def main(arguments: Sequence[str]) -> int:
     """The command "fail" of the test above."""
     raise KeyError("oops")

@@ -61,11 +61,10 @@ def test_no_address_can_break_the_file(tmp_path: Path) -> None:
     assert settings.robot.url == address
 
 
-@pytest.mark.parametrize("name", ["x" * 300, "missing/touchd.yaml"])
-def test_a_file_that_cannot_be_written_is_told(tmp_path: Path, name: str) -> None:
+def test_a_file_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     options = ["--port", str(tmp_path / "Größe 😀"), "--baud", "9600", "--robot", "none"]
     with pytest.raises(ConfigError, match=r"cannot be written .*; give another path"):
-        main([str(tmp_path / name), *options])
+        main([str(tmp_path / "missing/touchd.yaml"), *options])
     assert list(tmp_path.iterdir()) == []
 
 

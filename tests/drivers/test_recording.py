@@ -125,6 +125,26 @@ def test_each_of_haarts_layouts_gives_all_64_cells(tmp_path: Path, header: str, 
 
 
 @pytest.mark.parametrize(
+    ("old", "new"), [("", ""), (",", ";"), ("\n", "\r\n")], ids=["comma", "semicolon", "CRLF"]
+)
+def test_what_a_spreadsheet_saved_again_is_read(tmp_path: Path, old: str, new: str) -> None:
+    recording = made("Ännchen", "rub", 50)
+    write_recordings(tmp_path / "pad.csv", [recording], {"source": "made for a test"})
+    text = (tmp_path / "pad.csv").read_text(encoding="utf-8").replace(old, new)
+    (tmp_path / "again.csv").write_bytes(text.encode("utf-8-sig"))
+    (again,) = read_recordings(tmp_path / "again.csv")
+    assert (again.participant, again.gesture) == ("Ännchen", "rub")
+    np.testing.assert_array_equal(again.counts, recording.counts)
+    assert read_provenance(tmp_path / "again.csv") == {"source": "made for a test"}
+
+
+def test_another_encoding_is_refused_as_that(tmp_path: Path) -> None:
+    (tmp_path / "pad.csv").write_text(TEST_HEADER, encoding="utf-16")
+    with pytest.raises(RecordingError, match="no UTF-8 text; is it compressed, or saved in another encoding"):
+        read_recordings(tmp_path / "pad.csv")
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("", "no known layout"),
@@ -134,7 +154,7 @@ def test_each_of_haarts_layouts_gives_all_64_cells(tmp_path: Path, header: str, 
         (f"{TEST_HEADER}\n{ROW}{cells(0)}\nP3,foam\n", "line 3: 2 columns where the header has 69"),
         (f"{TEST_HEADER}\n{ROW}{cells(960)[:-4]}1024\n", "line 2: a count outside 0 to 1023"),
         (f"# a note\n{TEST_HEADER}\n{ROW}-{cells(1)}\n", "line 3: a count outside 0 to 1023"),
-        (f"{TEST_HEADER}\n{ROW}x{cells(1)}\n", "line 2: invalid literal"),
+        (f"{TEST_HEADER}\n{ROW}x{cells(1)}\n", "line 2: invalid literal, no whole number: 'x1'"),
         (f"{TEST_HEADER}\n{ROW}{'0' * 5000}\n", "line 2: too long"),
     ],
 )
