@@ -11,7 +11,7 @@ from daemon.doctor.listening import START_S, Heard, listen
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
 from drivers.pad.line_watch import MANY_SHARE
-from drivers.pad.pace import clock_ms, pace_of
+from drivers.pad.pace import clock_by_ours, pace_of
 from drivers.pad.port import Line, at_baud
 from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import SensorError
@@ -23,7 +23,6 @@ TRY_BAUD_S = 0.5
 SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
 # One lost frame in a thousand is harmless.
 CLEAN_SHARE = 0.001
-COMPARABLE_S = 1.5
 CLOCK_TOLERANCE = 0.05
 STOPPED_S = 1.0
 
@@ -141,7 +140,7 @@ def check_rate(heard: Heard) -> Check:
         f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms by the pad's clock, "
         f"{figures['arrival_jitter_ms']:.1f} ms on arrival, longest wait {figures['longest_wait_ms']:.0f} ms"
     )
-    clock = _clock_by_ours(heard)
+    clock = clock_by_ours(heard.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
@@ -154,14 +153,3 @@ def check_rate(heard: Heard) -> Check:
         found += f"; the model takes {FRAME_RATE_HZ:g}, so many are left out"
         return Check("rate", "warning", found, "", figures)
     return Check("rate", "ok", found, "", figures)
-
-
-def _clock_by_ours(heard: Heard) -> float:
-    """Return the pad's clock rate relative to this machine's; 1 with too few frames."""
-    arrival_s = heard.arrival_s()
-    since_s = arrival_s - arrival_s[0]
-    if since_s[-1] < COMPARABLE_S:
-        return 1.0
-    # A fit through all frames, so that one late frame does not matter.
-    slope, _ = np.polyfit(since_s, clock_ms(heard.frames) / 1000, 1)
-    return float(slope)

@@ -13,7 +13,8 @@ from daemon.touch import Onset, Release, TouchTracker
 from drivers.frame import CLOCK_MODULUS, Frame
 from drivers.pad.grid import Ring, RingSettings
 from drivers.pad.health import PadHealth
-from drivers.pad.pace import clock_ms, pace_of
+from drivers.pad.line_watch import CLOCK_OFF
+from drivers.pad.pace import clock_by_ours, clock_ms, pace_of
 from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 from drivers.recording import NO_TOUCH, Recording
@@ -139,6 +140,11 @@ def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]
             *found,
             f"{pace.rate_hz:.1f} frames a second come, and more than {LEAST_RATE_HZ:.0f} are needed",
         ]
+    clock = clock_by_ours(capture.frames)
+    if abs(clock - 1) > CLOCK_OFF:
+        found.append(
+            f"the pad's clock runs {clock:.2f} times as fast as this machine's; it must count milliseconds"
+        )
     if lost > MOST_LOST_SHARE * len(capture.frames):
         found.append(f"{lost} frames were lost on the way: look at cable and plug")
     if gesture == NO_TOUCH and capture.touched_share > 0:

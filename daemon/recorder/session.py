@@ -61,7 +61,11 @@ class Session:
         """Return the recordings still to make; raises RecordingError where a file of one's name is none."""
         there = [take for take in self.takes() if take.path.exists()]
         for take in there:
-            if not read_recordings(take.path):
+            try:
+                is_one = bool(read_recordings(take.path))
+            except RecordingError as error:
+                raise RecordingError(f"{error}; mend or delete it, and record it again") from error
+            if not is_one:
                 raise RecordingError(f"{take.path}: holds no recording; delete it, and record it again")
         return [take for take in self.takes() if take not in there]
 

@@ -10,6 +10,7 @@ from drivers.frame import CLOCK_MODULUS, Frame
 
 # Two frames so much further apart than usual have lost one between them.
 LOST_STEP = 1.75
+COMPARABLE_S = 1.5
 
 
 @dataclass(frozen=True)
@@ -50,3 +51,13 @@ def pace_of(frames: Sequence[Frame]) -> Pace:
     is_whole = steps < LOST_STEP * usual_ms
     lost = int(np.rint(steps[~is_whole] / usual_ms - 1).sum())
     return Pace(1000.0 / float(steps[is_whole].mean()), float(steps[is_whole].std()), lost)
+
+
+def clock_by_ours(frames: Sequence[Frame]) -> float:
+    """Return how many times as fast as this machine's the pad's clock runs; 1 with too few frames to tell."""
+    since_s = np.array([frame.host_s - frames[0].host_s for frame in frames])
+    if since_s[-1] < COMPARABLE_S:
+        return 1.0
+    # A fit through all frames, so that one late frame does not matter.
+    slope, _ = np.polyfit(since_s, clock_ms(frames) / 1000, 1)
+    return float(slope)

@@ -89,7 +89,7 @@ def test_a_file_that_holds_no_recording_is_not_counted_as_made(tmp_path: Path) -
     assert one.missing() == [second]
     for make in (second.path.touch, second.path.mkdir, lambda: second.path.write_bytes(b"\x1f\x8b half")):
         make()
-        with pytest.raises(RecordingError, match=re.escape(str(second.path))):
+        with pytest.raises(RecordingError, match=f"{re.escape(str(second.path))}.*delete it"):
             one.missing()
         second.path.rmdir() if second.path.is_dir() else second.path.unlink()
 
@@ -166,6 +166,14 @@ def test_a_recording_that_does_not_show_its_gesture_is_reported(
 def test_a_pad_too_slow_to_be_felt_is_told_as_that() -> None:
     told = complaints(captured(0.0, list(range(0, 4000, 204))), "pat", [])
     assert told == ["4.9 frames a second come, and more than 7 are needed"]
+
+
+@pytest.mark.parametrize(("clock", "told"), [(1.0, []), (4.0, ["4.00"]), (0.05, ["0.05"])])
+def test_a_clock_that_does_not_count_milliseconds_is_told(clock: float, told: list[str]) -> None:
+    nothing = np.zeros((8, 8), np.uint16)
+    frames = tuple(Frame(i, 19 * i, 0.019 * i / clock, nothing) for i in range(400))
+    says = "the pad's clock runs {} times as fast as this machine's; it must count milliseconds"
+    assert complaints(Capture(frames, 0.9), "pat", []) == [says.format(ratio) for ratio in told]
 
 
 def test_lost_frames_and_a_broken_pad_are_reported() -> None:
