@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from daemon.events import Event, EventError
+from daemon.events import Event
 from daemon.kept.journal import JournalError
 from daemon.kept.touches import events_among, read_lines
 from drivers.errors import TouchdError
@@ -72,11 +72,9 @@ def _convert_recording(file: Path, out: Path) -> None:
 def _convert_journal(file: Path, out: Path) -> None:
     # Read once: a running daemon may write on, and begin another file.
     lines = list(read_lines(file))
-    if lines and isinstance(lines[0], EventError):
-        raise JournalError(f"{file}, line 1: {lines[0]}")
     events = events_among(lines)
     if not events:
-        raise ConvertError(f"{file}: no events in it")
+        raise JournalError(f"{file}, line 1: {lines[0]}" if lines else f"{file}: no events in it")
     if wrong := len(lines) - len(events):
         sys.stderr.write(f"{file}: left out {wrong} lines that are no events\n")
     if out.suffix == ".csv":

@@ -53,7 +53,7 @@ def test_lines_of_a_journal_that_are_no_events_are_left_out_and_counted(
     journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = journal.read_bytes().split(b"\n")
-    journal.write_bytes(b"\n".join([lines[0], b"\0" * 40, b"garbage", *lines[1:]]))
+    journal.write_bytes(b"\n".join([b"\0" * 40, lines[0], b"garbage", *lines[1:]]))
     assert main(["convert", str(journal), "-o", str(tmp_path / "events.csv")]) == 0
     with (tmp_path / "events.csv").open() as file:
         assert [row["type"] for row in csv.DictReader(file)] == ["touch_began", "prediction"]
