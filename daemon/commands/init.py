@@ -18,7 +18,7 @@ from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
 from drivers.errors import os_errors_as
 from drivers.numbers import within
-from drivers.pad.diagnosis import as_yaml, caution, propose
+from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
 from drivers.pad.protocol import parser_of
@@ -113,6 +113,8 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
                 # A pad that is silent at one baud rate is silent at all, but may answer a query.
                 described = propose(data) if data else _answering(opened)
                 if described is not None:
+                    if data and not parser_of(described).feed(data, 0.0):
+                        console.print(diagnose(data, described)[1], style="yellow")
                     return port, baud, described
                 first_byte_s = LISTEN_S if data else 0.0
     except (SensorError, OSError) as error:

@@ -73,7 +73,8 @@ def propose(data: bytes) -> PadFormat | None:
     for guess in sorted(guesses, key=_plausibility, reverse=True):
         parser = parser_of(guess)
         frames = parser.feed(data, 0.0)
-        count = len(frames) + parser.counts.duplicates
+        parser.reset()
+        count = len(frames) + parser.counts.duplicates + parser.counts.bad_time
         is_most = guess.framing != "binary" or count * guess.frame_bytes > len(data) / 2
         if count >= LEAST_FRAMES - 1 and is_most:
             level = np.median([frame.pressure for frame in frames]) if frames else 0
@@ -86,9 +87,8 @@ def _plausibility(guess: PadFormat) -> float:
     mostly square; a long header is cells."""
     square = min(guess.rows, guess.columns) / max(guess.rows, guess.columns)
     header = len(guess.first_bytes)
-    is_known = guess.framing == "binary" and any(preset.line == guess.line for preset in PRESETS.values())
     return (
-        5 * is_known
+        5 * _is_known(guess)
         + 3 * (guess.checksum != "none")
         + 2 * guess.clock
         + 2 * square
@@ -98,6 +98,10 @@ def _plausibility(guess: PadFormat) -> float:
         # Cells read from a wrong offset look larger.
         - 0.1 * FULL_SCALES.index(guess.full_scale)
     )
+
+
+def _is_known(guess: PadFormat) -> bool:
+    return guess.framing == "binary" and any(preset.line == guess.line for preset in PRESETS.values())
 
 
 def as_yaml(described: PadFormat) -> str:
@@ -208,7 +212,9 @@ def _fitting(windows: list[bytes], header: bytes, fields: dict[str, Any]) -> Ite
         return
     sound = sum(reader.damage_in(window) in (None, "bad_framing") for window in windows)
     steps = [later - earlier for earlier, later in pairwise(map(reader.time_in, windows))]
-    if loose.clock and sum(0 < step <= MAX_STEP_MS for step in steps) < COMMONLY * len(steps):
+    is_clock = sum(0 < step <= MAX_STEP_MS for step in steps) >= COMMONLY * len(steps)
+    # A known line with a checksum is no accident: its clock may be what is wrong.
+    if loose.clock and not is_clock and not (_is_known(loose) and loose.checksum != "none"):
         return
     if sound >= COMMONLY * len(windows):
         top = max(

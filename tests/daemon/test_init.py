@@ -51,6 +51,16 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
         main([str(path)])
 
 
+def test_a_pad_whose_clock_stands_still_is_told_and_no_other_is_invented(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "touchd.yaml"
+    with FakePort(STREAM, lambda counts, _: ENCODE(counts, 7), loop=True) as port:
+        main([str(path), "--port", port.path, "--baud", "115200", "--robot", "none"])
+    assert "frames of fabric-grid 10x10 arrive, but their clock stands still" in capsys.readouterr().err
+    assert load(path).sensor.described == PRESETS["fabric-grid"]
+
+
 def test_no_address_can_break_the_file(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     address = 'x: {"y": # 😀'

@@ -37,6 +37,17 @@ DAMAGED = bytes(byte for at, byte in enumerate(binary(10, 10)) if at % 37)
 
 
 @pytest.mark.parametrize(
+    "step_ms", [0, -19, 18_500, 1000, 400_000_000], ids=["still", "backwards", "us", "1 Hz", "random"]
+)
+@pytest.mark.parametrize("frames", [5, 40])
+def test_a_pad_whose_clock_is_wrong_is_no_other_pad(step_ms: int, frames: int) -> None:
+    sent = (encode_fabric_grid(counts_of(i), (10**6 + step_ms * i) % 2**32) for i in range(frames))
+    data = b"".join(sent)[50:-20]
+    assert propose(data) == PRESETS["fabric-grid"]
+    assert diagnose(data, PRESETS["fabric-grid"])[0] == "clock"
+
+
+@pytest.mark.parametrize(
     ("data", "expected", "kind", "words"),
     [
         (binary(8, 8), pad("fabric-grid", 10, 10), "format", "looks like fabric-grid 8x8, configured"),
