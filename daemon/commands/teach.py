@@ -58,6 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0."""
     options = parser().parse_args(arguments)
     # Before three minutes of recording, not after: adapting takes torch.
+    from model.adapt.folder import files_of, read_file
     from model.adapt.head import AdaptSettings
     from model.adapt.report import report_lines
     from model.adapt.ship import adapt_folder, check_output
@@ -67,6 +68,8 @@ def main(arguments: Sequence[str]) -> int:
     prepare(options.folder)
     output = _free_name(options.folder, options.folder.resolve().name)
     check_output(output)
+    for path in files_of(options.folder):
+        read_file(path)
     try:
         _record(console, options, settings)
         console.print("\nLearning from them takes about a minute.")
@@ -155,11 +158,12 @@ def put_into_use(
             model = _beside(model)
         # A link stays one.
         with whole_file(config.resolve()) as new:
-            new.write_text(with_model(config.read_text(encoding="utf-8"), model, pad), encoding="utf-8")
             by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
             try:
+                # As bytes, for line ends to stay as they are.
+                new.write_bytes(with_model(config.read_bytes().decode(), model, pad).encode())
                 settings = load(new)
-            except ConfigError as error:
+            except (ConfigError, UnicodeDecodeError) as error:
                 raise by_hand from error
             if only_pad(settings, pad).model != str(model):
                 raise by_hand

@@ -14,6 +14,7 @@ from drivers.recording import (
     SUFFIXES,
     UNLABELLED,
     Recording,
+    RecordingError,
     read_recordings,
     realign,
 )
@@ -37,13 +38,16 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
     """Return every recording of the folder's files, in the order of their names: whole scans at 54 Hz.
 
     known: gestures of the model that is to be adapted. keep_all: it is to keep those.
-    Raises ExtraError, or RecordingError for a file that is none.
+    Raises ExtraError.
     """
     recordings: list[Recording] = []
     first_of: dict[bytes, Path] = {}
     frames = 0
-    for path in _files(folder):
-        for recording in map(on_grid, map(realign, read_recordings(path))):
+    files = files_of(folder)
+    if not files:
+        raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
+    for path in files:
+        for recording in map(on_grid, map(realign, read_file(path))):
             frames += len(recording.counts)
             if frames > MOST_FRAMES:
                 raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
@@ -58,16 +62,24 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
     return recordings
 
 
-def _files(folder: Path) -> list[Path]:
-    """Return the recording files, not those that a session was writing when it was cut off."""
+def files_of(folder: Path) -> list[Path]:
+    """Return the recording files, not those that a session was writing when it was cut off.
+
+    Raises ExtraError where the folder is none.
+    """
     if folder.is_file():
         raise ExtraError(f"{folder}: is a file; name the folder that it is in")
     with os_errors_as(ExtraError, f"{folder}: cannot be read", "check the path"):
         found = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
-    files = [path for path in found if not path.name.startswith(".")]
-    if not files:
-        raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
-    return files
+    return [path for path in found if not path.name.startswith(".")]
+
+
+def read_file(path: Path) -> list[Recording]:
+    """Return the recordings of one of the folder's files; raises ExtraError where it is none."""
+    try:
+        return read_recordings(path)
+    except RecordingError as error:
+        raise ExtraError(f"{error}; mend it, or move it to another folder") from error
 
 
 def _check(path: Path, recording: Recording) -> None:

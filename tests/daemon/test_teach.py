@@ -20,6 +20,7 @@ from daemon.config import ConfigError, SensorSettings, Settings, load
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
 from drivers.recording import Stream, ideal_clock_ms
+from model.adapt.folder import ExtraError
 from model.classifier import SHIPPED_MODEL, Classifier
 
 
@@ -79,12 +80,29 @@ def test_a_configuration_that_is_a_link_stays_one(tmp_path: Path) -> None:
     assert load(kept).model == str(model)
 
 
-def test_a_configuration_that_cannot_be_changed_stays_and_its_person_is_told(tmp_path: Path) -> None:
+@pytest.mark.parametrize("before", [b"{robot: null}\n", "robot: null\n".encode("utf-16")])
+def test_a_configuration_that_cannot_be_changed_stays_and_its_person_is_told(
+    tmp_path: Path, before: bytes
+) -> None:
     config = tmp_path / "touchd.yaml"
-    config.write_text("{robot: null}\n")
+    config.write_bytes(before)
     with pytest.raises(ConfigError, match=r"touchd.yaml stays as it was; set `model: .*lab-1.onnx` in it"):
         used_after("", config, tmp_path / "lab-1.onnx", is_worse=False)
-    assert config.read_text() == "{robot: null}\n"
+    assert config.read_bytes() == before
+
+
+def test_line_ends_stay_as_they_are(tmp_path: Path) -> None:
+    config, model = tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
+    config.write_bytes(b"robot: null\r\nlanguage: de\r\n")
+    used_after("", config, model, is_worse=False)
+    assert config.read_bytes().startswith(b"robot: null\r\nlanguage: de")
+
+
+def test_a_file_in_the_folder_that_is_no_recording_is_told_before_recording(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    (tmp_path / "participants.csv").write_text("name,age\nAnn,30\n")
+    with pytest.raises(ExtraError, match=r"participants.csv: no known layout .*move it to another folder"):
+        teach.main([str(tmp_path), "--participant", "ann"])
 
 
 def test_a_model_without_a_gesture_of_the_scene_is_not_put_into_use(tmp_path: Path) -> None:
