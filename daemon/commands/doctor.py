@@ -12,9 +12,9 @@ from rich.text import Text
 from daemon.commands.settings import add_settings, settings_of
 from daemon.doctor.check import Check, Verdict
 from daemon.doctor.examine import examine
+from daemon.terminal.width import text_width
 from drivers.numbers import within
 
-WIDTH = 80
 VERDICT_WIDTH, NAME_WIDTH = 11, 11
 STYLES: dict[Verdict, str] = {"ok": "green", "warning": "yellow", "to do": "bold red", "not checked": "dim"}
 LISTEN_S = 8.0
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
     """Show a line for each check; returns 0 when there is nothing to do, else 1."""
     options = parser().parse_args(arguments)
     settings = settings_of(options)
-    talk = Console(stderr=True, width=WIDTH, highlight=False)
+    talk = Console(stderr=True, width=text_width(), highlight=False)
     checks = examine(settings, options.seconds, lambda line: talk.print(line, style="cyan"), options.press)
     return _as_json(checks) if options.json else _as_lines(checks)
 
@@ -56,7 +56,7 @@ def _as_json(checks: Iterable[Check]) -> int:
 
 
 def _as_lines(checks: Iterable[Check]) -> int:
-    console = Console(width=WIDTH, highlight=False)
+    console = Console(width=text_width(), highlight=False)
     to_do = 0
     for check in checks:
         console.print(_line(check))
@@ -69,7 +69,7 @@ def _line(check: Check) -> Table:
     line = Table.grid(padding=(0, 1, 0, 0))
     line.add_column(width=VERDICT_WIDTH)
     line.add_column(width=NAME_WIDTH)
-    line.add_column(width=WIDTH - VERDICT_WIDTH - NAME_WIDTH - 3, overflow="fold")
+    line.add_column(width=text_width() - VERDICT_WIDTH - NAME_WIDTH - 3, overflow="fold")
     line.add_row(Text(check.verdict, STYLES[check.verdict]), check.name, Text(check.found))
     if check.advice:
         line.add_row("", "", Text(f"-> {check.advice}", "bold"))

@@ -13,9 +13,9 @@ from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import HOW, Dialogue, Terms
 from daemon.recorder.session import Session, name
 from daemon.terminal.ask import Stopped, ask_setting
+from daemon.terminal.width import text_width
 from drivers.numbers import within
 
-WIDTH = 80
 MOST_ROUNDS = 100
 MOST_GESTURES = 50
 SHORTEST_S, LONGEST_S = 1.0, 60.0
@@ -72,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Make one recording after the other, until all are there or the person stops; returns 0."""
     options = parser().parse_args(arguments)
-    console = Console(width=WIDTH, highlight=False, markup=False)
+    console = Console(width=text_width(), highlight=False, markup=False)
     try:
         if options.from_journal:
             label(console, options)

@@ -21,13 +21,13 @@ from daemon.recorder.session import Session, Setting, name
 from daemon.setup.parts import load_models
 from daemon.terminal.ask import Stopped, ask, ask_name
 from daemon.terminal.own_name import own_name
+from daemon.terminal.width import text_width
 from drivers.errors import TouchdError, os_errors_as
 from drivers.numbers import within
 from drivers.whole_file import whole_file
 
 ROUNDS = 2
 SERVICE_FOLDER = Path("/etc/touchd")
-WIDTH = 80
 # With a second at either end and the countdown, fourteen recordings take two and a half minutes.
 SECONDS = 6.0
 COUNTDOWN_S = 2.0
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
     from model.adapt.report import report_lines
     from model.adapt.ship import adapt_folder, check_output
 
-    console = Console(width=WIDTH, highlight=False, markup=False)
+    console = Console(width=text_width(), highlight=False, markup=False)
     settings = settings_of(options)
     prepare(options.folder)
     output = _free_name(options.folder, options.folder.resolve().name)

@@ -20,6 +20,7 @@ from drivers.frame import COLUMNS, ROWS, Counts
 REFRESH_HZ = 12
 PAD_SCALE = 2
 WIDTH = 56
+GAP = 2
 # How far noise rises above the least reading of a taxel, in counts.
 NOISE_COUNTS = 6.0
 
@@ -41,10 +42,11 @@ def progress(console: Console) -> Iterator[Show]:
 
     def draw() -> Table:
         step, elapsed_s, length_s, pressure = shown
-        words = [Text(line, style="bold") for line in big(step, WIDTH, False)]
+        width = min(WIDTH, console.width - COLUMNS * PAD_SCALE - GAP)
+        words = [Text(line, style="bold") for line in big(step, width, False)]
         left = Text(f"{step}, {math.ceil(length_s - elapsed_s)} s")
-        bar = ProgressBar(total=length_s, completed=elapsed_s, width=WIDTH)
-        grid = Table.grid(padding=(1, 2))
+        bar = ProgressBar(total=length_s, completed=elapsed_s, width=width)
+        grid = Table.grid(padding=(1, GAP))
         grid.add_row(
             as_text(pad_picture(level_of(pressure), PAD_SCALE, palette)), Group(*words, "", left, bar)
         )

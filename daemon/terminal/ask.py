@@ -28,10 +28,12 @@ def ask(console: Console, question: str, answers: Collection[str]) -> str:
 
 
 def ask_name(console: Console, question: str, default: str = "") -> str:
-    """Return a name for a participant, a substrate or a cover; raises Stopped."""
+    """Return a name for a participant, a substrate or a cover; raises Stopped, as `ask` does."""
     hint = f" [{default}]" if default else ""
     while True:
         answer = _line(console, f"{question}{hint} ") or default
+        if answer == "q":
+            raise Stopped
         if is_name(answer):
             return answer
         console.print(f"  {NAME_RULE}", style="yellow")

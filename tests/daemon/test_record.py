@@ -18,6 +18,7 @@ from daemon.recorder import dialogue
 from daemon.recorder.capture import Capture, PadReader, complaints
 from daemon.recorder.dialogue import Dialogue, Terms
 from daemon.recorder.session import Session, Setting
+from daemon.terminal.width import text_width
 from docs.studies.hand import simulate
 from drivers.frame import Frame
 from drivers.recording import Recording, RecordingError, read_recordings
@@ -181,6 +182,14 @@ def test_lost_frames_and_a_broken_pad_are_reported() -> None:
     told = complaints(captured(1.0, gaps), "pat", ["row 4 of the pad stands still: a broken wire?"])
     assert told[0].startswith("row 4")
     assert told[1].startswith("3 frames were lost")
+
+
+@pytest.mark.parametrize(("columns", "width"), [(30, 40), (60, 60), (200, 80)])
+def test_text_is_as_wide_as_the_terminal_within_reason(
+    monkeypatch: pytest.MonkeyPatch, columns: int, width: int
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    assert text_width() == width
 
 
 def test_an_impossible_recording_is_refused_in_one_line(
