@@ -1,11 +1,13 @@
 """Writes a file whole or not at all, even if the power fails."""
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 PARTIAL = ".partial-"
+NO_LINKS = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 @contextmanager
@@ -35,8 +37,10 @@ def _put_beside_none(path: Path, partial: Path) -> None:
     """Give the new file its name; raises FileExistsError where that is taken, unlike a renaming."""
     try:
         os.link(partial, path)
-    except PermissionError:
-        # USB sticks (FAT) have no links: take the name, then put the file there.
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        # USB sticks (FAT) and some shares have no links: take the name, then put the file there.
         path.open("x").close()
         os.replace(partial, path)
 

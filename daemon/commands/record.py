@@ -15,6 +15,7 @@ from daemon.recorder.session import Session, name
 from daemon.terminal.ask import Stopped, ask_setting
 from daemon.terminal.width import text_width
 from drivers.numbers import within
+from model.adapt.folder import trouble_with
 
 MOST_ROUNDS = 100
 MOST_GESTURES = 50
@@ -100,4 +101,6 @@ def _names(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(name(part.strip()) for part in text.split(",")))
     if len(names) > MOST_GESTURES:
         raise argparse.ArgumentTypeError(f"more than {MOST_GESTURES} gestures")
+    if why := trouble_with(names, HOW):
+        raise argparse.ArgumentTypeError(why)
     return names

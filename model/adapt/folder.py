@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations
 from pathlib import Path
 
@@ -82,15 +82,26 @@ def read_file(path: Path) -> list[Recording]:
         raise ExtraError(f"{error}; mend it, or move it to another folder") from error
 
 
+def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
+    """Return why gestures cannot be learned under their names, beside known ones; "" where they can."""
+    for gesture in gestures:
+        if gesture == RESERVED or not GESTURE.fullmatch(gesture):
+            return (
+                f"{gesture!r} cannot name a gesture; letters, digits, - and _ can, "
+                f"{LONGEST_LABEL} at most, but not {RESERVED!r}"
+            )
+    for one, other in combinations(sorted({*gestures, *known}), 2):
+        if _folded(one) == _folded(other):
+            return f"{one} and {other} differ in writing only; name them alike"
+    return ""
+
+
 def _check(path: Path, recording: Recording) -> None:
     gesture = recording.gesture
     if gesture == UNLABELLED:
         raise ExtraError(f"{path}: nobody has said what it shows; do, with `touchd record --from-journal`")
-    if gesture == RESERVED or not GESTURE.fullmatch(gesture):
-        raise ExtraError(
-            f"{path}: {gesture!r} cannot name a gesture; letters, digits, - and _ can, "
-            f"{LONGEST_LABEL} at most, but not {RESERVED!r}"
-        )
+    if why := trouble_with({gesture}):
+        raise ExtraError(f"{path}: {why}")
     if not recording.participant.strip():
         raise ExtraError(f"{path}: does not say who touches; put a name into its first column")
     if len(recording.counts) < SHORTEST_FRAMES:
@@ -101,9 +112,8 @@ def _check(path: Path, recording: Recording) -> None:
 
 
 def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep_all: bool) -> None:
-    for one, other in combinations(sorted(gestures | set(known)), 2):
-        if _folded(one) == _folded(other):
-            raise ExtraError(f"{folder}: {one} and {other} differ in writing only; name them alike")
+    if why := trouble_with(gestures, known):
+        raise ExtraError(f"{folder}: {why}")
     if not gestures - {NO_TOUCH}:
         raise ExtraError(f"{folder}: nothing but {NO_TOUCH}; record gestures too")
     if len(gestures) < 2:

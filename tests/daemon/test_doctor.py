@@ -10,7 +10,6 @@ from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
 from rigs.robots import Robot
 
 from daemon import cli
-from daemon.commands.doctor import WIDTH
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
 from daemon.doctor.machine import check_model, check_robot, check_service
@@ -41,7 +40,7 @@ def test_a_missing_port_says_what_to_do_within_80_columns(capsys: pytest.Capture
     assert "to do       port" in shown
     assert "-> plug the pad in, or name its port in sensor.port" in shown
     assert shown.endswith("1 to do\n")
-    assert all(len(line) <= WIDTH for line in shown.splitlines())
+    assert all(len(line) <= 80 for line in shown.splitlines())
 
 
 def test_an_impossible_configuration_or_time_is_a_users_mistake(capsys: pytest.CaptureFixture[str]) -> None:

@@ -34,6 +34,23 @@ def session(folder: Path, **changes: object) -> Session:
     return replace(usual, **changes)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("gestures", "why"),
+    [
+        ("Pat,notouch", "Pat and pat differ in writing only"),
+        ("a-gesture-with-a-long-name", "24 at most"),
+        ("uncertain,pat", "'uncertain' cannot name a gesture"),
+    ],
+)
+def test_gestures_that_cannot_be_learned_are_refused_before_they_are_recorded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], gestures: str, why: str
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["record", str(tmp_path / "lab"), "--gestures", gestures])
+    assert why in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "lab").exists()
+
+
 def test_seed_and_person_alone_decide_the_order(tmp_path: Path) -> None:
     order = [take.gesture for take in session(tmp_path).takes()]
     assert [sorted(order[i : i + 4]) for i in (0, 4, 8)] == [["notouch", "pat", "rub", "stroke"]] * 3
