@@ -17,6 +17,7 @@ from drivers.errors import TouchdError
 from drivers.frame import DEFAULT_PAD
 from drivers.pad.format import PRESETS, PadFormat, Side
 from drivers.pad.grid import RingSettings
+from drivers.paths import written_out
 from drivers.robot.actions import ActionRule, Words
 from drivers.robot.settings import RobotSettings
 
@@ -38,7 +39,7 @@ def state_folder() -> Path:
     if service := os.environ.get("STATE_DIRECTORY"):
         return Path(service)
     users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return Path(users).expanduser() / "touchd"
+    return written_out(users) / "touchd"
 
 
 class ConfigError(TouchdError):
@@ -113,7 +114,7 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     @property
     def file(self) -> Path:
         """The file that path stands for."""
-        return state_folder() / "events.jsonl" if self.path is None else Path(self.path).expanduser()
+        return state_folder() / "events.jsonl" if self.path is None else written_out(self.path)
 
 
 class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -183,7 +184,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     @property
     def model_path(self) -> Path | None:
         """The configured ONNX file, None for the shipped one."""
-        return None if self.model is None else Path(self.model).expanduser()
+        return None if self.model is None else written_out(self.model)
 
     @property
     def bridges(self) -> dict[str, Section | None]:

@@ -6,7 +6,6 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -17,6 +16,7 @@ from daemon.bridges.bridge import POLL_S, Bridge, BridgeError, arrival_s
 from daemon.bridges.settings import MqttSettings
 from daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
 from drivers.frame import Frame
+from drivers.paths import written_out
 
 KEEPALIVE_S = 10
 CONNECT_S = 3.0
@@ -160,7 +160,7 @@ def _pressure(frame: Frame) -> bytes:
 
 def _read_password(file: str) -> str:
     try:
-        with Path(file).expanduser().open(encoding="utf-8") as opened:
+        with written_out(file).open(encoding="utf-8") as opened:
             password = opened.read(MAX_PASSWORD_BYTES).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise BridgeError(
@@ -173,6 +173,6 @@ def _read_password(file: str) -> str:
 
 def _tls(ca_file: str | None) -> ssl.SSLContext:
     try:
-        return ssl.create_default_context(cafile=str(Path(ca_file).expanduser()) if ca_file else None)
+        return ssl.create_default_context(cafile=str(written_out(ca_file)) if ca_file else None)
     except (OSError, ssl.SSLError) as error:
         raise BridgeError(f"mqtt.ca_file: {ca_file} cannot be used ({error}); give a file of PEM") from error

@@ -10,6 +10,7 @@ from daemon.config import ConfigError, Settings
 from daemon.doctor.check import Check
 from daemon.setup.parts import load_model
 from drivers.frame import COLUMNS, ROWS
+from drivers.paths import PathError
 from drivers.robot.limits import RobotLimits
 from drivers.robot.session import QiSession, RobotError, RobotLost, RobotRefused
 from drivers.robot.settings import RobotSettings, read_login
@@ -28,7 +29,7 @@ def check_model(settings: Settings) -> Check:
     """Load the model as the daemon does, and time its longest answer."""
     try:
         classifier = load_model(settings)
-    except ModelError as error:
+    except (ModelError, PathError) as error:
         return Check("model", "to do", str(error), "leave model out of the settings to use the shipped one")
     except ConfigError as error:
         return Check("model", "to do", str(error), "make the scene fit the model, or export a model for it")
@@ -54,7 +55,7 @@ def check_robot(settings: Settings) -> Check:
     wanted = settings.robot
     try:
         version, took_s = _ask_version(wanted)
-    except RobotError as error:
+    except (RobotError, PathError) as error:
         return Check("robot", "to do", str(error), "see docs/install.md, Wire a robot")
     except RobotLost as error:
         advice = "is it switched on, and can this machine reach it? ping it; check robot.url"

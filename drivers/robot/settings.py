@@ -5,11 +5,11 @@ import logging
 import os
 import re
 import stat
-from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
+from drivers.paths import written_out
 from drivers.robot.session import Login, RobotError
 
 log = logging.getLogger(__name__)
@@ -92,7 +92,7 @@ def _read_token(settings: RobotSettings) -> str:
         where = settings.token_file if "/" in settings.token_file else "(not shown, since it is no full path)"
         try:
             # A pipe that nobody writes to must not hold the daemon up.
-            fd = os.open(Path(settings.token_file).expanduser(), os.O_RDONLY | os.O_NONBLOCK)
+            fd = os.open(written_out(settings.token_file), os.O_RDONLY | os.O_NONBLOCK)
             with open(fd, "rb", buffering=0) as file:
                 content = file.read(MAX_TOKEN_BYTES + 1) or b""
                 mode = os.fstat(fd).st_mode

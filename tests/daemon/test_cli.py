@@ -137,6 +137,7 @@ def main(arguments: Sequence[str]) -> int:
     [
         ("sensor: {prot: csv}", "sensor.prot is not a setting; did you mean port?"),
         ("model: nowhere.onnx", "nowhere.onnx: the model cannot be read"),
+        ("journal: {path: ~nosuch/events.jsonl}", "~nosuch/events.jsonl: no such home is known"),
         ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
         ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is no gesture"),
         ("words: {tikle: {name: a, phrase: b}}", "words: tikle is nothing that is told; name one of"),
