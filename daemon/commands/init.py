@@ -5,7 +5,7 @@ import json
 import shlex
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -31,6 +31,9 @@ FIRST_BYTE_S = 3.0
 LISTEN_S = 1.0
 ANSWER_S = 0.5
 ENOUGH_BYTES = 8192
+
+Found = tuple[str, int, PadFormat]
+"""A port, its baud rate, and the pad there."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -58,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
-    found = next((found for port in ports if (found := _listen(console, port, bauds)) is not None), None)
+    found = _find(console, ports, bauds)
     port, baud, described = found or (options.port or DEFAULT_PORT, bauds[0], None)
     robot = _ask_robot(console) if options.robot is None else options.robot
     robot = None if robot in ("", "none") else robot
@@ -96,8 +99,22 @@ def _ports() -> list[str]:
     return [DEFAULT_PORT, *(port for port in found if port != linked)]
 
 
-def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int, PadFormat] | None:
-    """Return the port, its baud rate and what was heard of a pad there, None without a pad."""
+def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found | None:
+    """Return the first port with a pad. Only where no pad sends by itself are silent ports asked."""
+    silent: list[str] = []
+    for port in ports:
+        if found := _listen(console, port, bauds, silent.append):
+            return found
+    return next(filter(None, (_listen(console, port, bauds) for port in silent)), None)
+
+
+def _listen(
+    console: Console, port: str, bauds: Sequence[int], on_silence: Callable[[str], None] | None = None
+) -> Found | None:
+    """Return what was heard at a port, None without a pad.
+
+    on_silence: takes the port when it is silent, instead of asking there.
+    """
     first_byte_s = FIRST_BYTE_S
     try:
         # The last is the slowest, which every adapter can do.
@@ -111,6 +128,9 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> tuple[str, int
                 opened.reset_input_buffer()
                 data = _heard(opened, first_byte_s)
                 # A pad that is silent at one baud rate is silent at all, but may answer a query.
+                if not data and on_silence is not None:
+                    on_silence(port)
+                    return None
                 described = propose(data) if data else _answering(opened)
                 if described is not None:
                     if data and not parser_of(described).feed(data, 0.0):

@@ -51,6 +51,25 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
         main([str(path)])
 
 
+def test_devices_that_are_silent_are_sent_nothing_where_a_pad_sends_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(init, "FIRST_BYTE_S", 0.3)
+    monkeypatch.setattr(init, "DEFAULT_PORT", str(tmp_path / "none"))
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    with FakePort(STREAM, ENCODE, loop=True) as pad:
+        monkeypatch.setattr(init, "comports", lambda: [Found(os.ttyname(slave)), Found(pad.path)])
+        monkeypatch.setattr(init, "sorted", list, raising=False)
+        assert main([str(tmp_path / "touchd.yaml"), "--robot", "none"]) == 0
+    with pytest.raises(BlockingIOError):
+        os.read(master, 64)
+    os.close(slave)
+    os.close(master)
+    assert load(tmp_path / "touchd.yaml").sensor.port == pad.path
+
+
 def test_a_pad_whose_clock_stands_still_is_told_and_no_other_is_invented(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
