@@ -51,5 +51,11 @@ def _take_over(path: Path, partial: Path) -> None:
         before = path.stat()
     except FileNotFoundError:
         return
-    os.chown(partial, before.st_uid, before.st_gid)
+    try:
+        os.chown(partial, before.st_uid, before.st_gid)
+    except PermissionError:
+        # Another's file that a group shares becomes ours, and stays the group's.
+        if not os.access(path, os.W_OK):
+            raise
+        os.chown(partial, -1, before.st_gid)
     partial.chmod(before.st_mode & 0o7777)

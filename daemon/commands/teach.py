@@ -153,7 +153,9 @@ def put_into_use(
     if ask(console, question, ("", "u" if is_worse else "n")) == no:
         return
     is_service = config.resolve().parent == SERVICE_FOLDER
-    with os_errors_as(ConfigError, f"{config}: cannot be written", "try with sudo"):
+    again = "put sudo before the same command: it records nothing again"
+    advice = again if is_service else f"set `model: {model}` in it yourself"
+    with os_errors_as(ConfigError, f"{config}: cannot be written", advice):
         if is_service:
             model = _beside(model)
         # A link stays one.

@@ -104,6 +104,8 @@ def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
 
 def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
     """Report where the press on the top left corner was felt, in frames up to `is_pressed`."""
+    if heard.broke_off:
+        return Check("orientation", "to do", heard.broke_off, "try another cable")
     if not heard.frames or not is_pressed(heard.frames[-1], rest):
         return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor --press again")
     pressure = heard.frames[-1].pressure - rest

@@ -4,6 +4,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 from msgspec import field
@@ -174,8 +175,9 @@ class View:
             self.note(describe(event, self._words, self._language), event.state != "up")
 
     def stop(self, timeout_s: float = 0.0) -> None:
-        """Restore the terminal."""
-        self._live.stop()
+        """Restore the terminal, if it is still there."""
+        with suppress(OSError):
+            self._live.stop()
 
     def __enter__(self) -> "View":
         self._live.start()

@@ -1,6 +1,7 @@
 """The doctor's checks of the pad itself: rest, noise, broken taxels, orientation."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -111,4 +112,6 @@ def test_not_pressing_the_corner_is_no_fault() -> None:
     assert check.verdict == "ok"
     assert "top left corner" in asked[1]
     untouched = heard(resting(1.0))
-    assert check_orientation(untouched, np.median(untouched.counts(), axis=0)).verdict == "not checked"
+    rest = np.median(untouched.counts(), axis=0)
+    assert check_orientation(untouched, rest).verdict == "not checked"
+    assert check_orientation(replace(untouched, broke_off="unplugged"), rest).found == "unplugged"

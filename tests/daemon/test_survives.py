@@ -18,6 +18,7 @@ from rigs.live_rig import HANDSHAKE, Served, frames_among
 from rigs.made_events import touch
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
+from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from daemon.config import JournalSettings, SensorSettings, Settings, load
@@ -68,6 +69,18 @@ def full_pipe() -> tuple[int, int]:
             os.write(writer, b"x" * 65536)
     os.set_blocking(writer, True)
     return reader, writer
+
+
+def test_a_view_ends_well_when_its_terminal_is_closed() -> None:
+    stream = stream_of(LENGTHS)
+    with (
+        FakePort(stream, encoder_for(SensorSettings()), loop=True) as port,
+        Terminal("run", "--view", "--port", port.path) as terminal,
+    ):
+        terminal.until(port.path)
+        terminal.close()
+        terminal.process.terminate()
+        assert terminal.process.wait(WITHIN_S) == 0
 
 
 def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +236,23 @@ def test_a_replaced_file_keeps_its_permissions(tmp_path: Path) -> None:
     with whole_file(path) as partial:
         partial.write_text("after")
     assert (path.read_text(), path.stat().st_mode & 0o777) == ("after", 0o640)
+
+
+@pytest.mark.parametrize("may_write", [True, False])
+def test_a_file_of_anothers_is_replaced_where_it_may_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, may_write: bool
+) -> None:
+    def chown(path: Path, user: int, group: int) -> None:
+        if user != -1:
+            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    path = tmp_path / "touchd.yaml"
+    path.write_text("before")
+    monkeypatch.setattr(os, "chown", chown)
+    monkeypatch.setattr(os, "access", lambda *_: may_write)
+    with nullcontext() if may_write else pytest.raises(PermissionError), whole_file(path) as partial:
+        partial.write_text("after")
+    assert path.read_text() == ("after" if may_write else "before")
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS])

@@ -47,6 +47,10 @@ class Terminal:
         for text in then:
             self.until(text)
 
+    def close(self) -> None:
+        """Close the terminal under its program."""
+        os.dup2(os.open(os.devnull, os.O_RDWR), self._master)
+
     def _read(self) -> bytes:
         try:
             return os.read(self._master, 65536)
