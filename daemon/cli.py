@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             signal.signal(number, signal.default_int_handler)
     try:
         code = _run(words)
-        sys.stdout.flush()
+        _flush()
         return code
     except KeyboardInterrupt:
         return ended
@@ -125,6 +125,16 @@ def _replace_what_cannot_be_written() -> None:
 def _was_interrupted(error: BaseException | None) -> bool:
     """Whether a signal caused an error: compiled modules report one that comes while they are imported."""
     return error is not None and (isinstance(error, KeyboardInterrupt) or _was_interrupted(error.__cause__))
+
+
+def _flush() -> None:
+    """Write what is still buffered; where the terminal is gone, nobody misses it."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
+        _discard_output()
 
 
 def _discard_output() -> None:
