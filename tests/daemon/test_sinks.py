@@ -16,11 +16,11 @@ import pytest
 from rigs.made_events import PREDICTION, touch
 from rigs.programs import Program, ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
-from rigs.wait import WITHIN_S
+from rigs.wait import WITHIN_S, wait_for
 
 from daemon.events import Event, RobotAction, SensorEvent, decode, encode
 from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
-from daemon.sinks import EventFanout, JournalSink, LinesSink, RobotSink
+from daemon.sinks import EventFanout, JournalSink, LinesSink, QueuedSink, RobotSink
 from drivers.robot.link import RobotLink
 from drivers.robot.message import RobotMessage
 
@@ -68,6 +68,28 @@ def test_a_stalled_reader_blocks_nobody(pipe: tuple[int, int]) -> None:
     assert 30 <= sink.dropped <= 40
     sink.stop(0.6)
     assert "touchd-stdout" not in names()
+
+
+def test_losses_that_go_on_are_told_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
+    class SlowSink(QueuedSink[int]):
+        capacity = 2
+        written = 0
+
+        def write(self, item: int) -> None:
+            # While one is written, so many come that some are dropped each time.
+            for number in range(5 if self.written < 10 else 0):
+                self.put(number)
+            self.written += 1
+
+    sink = SlowSink("slow")
+    sink.start()
+    sink.put(0)
+    wait_for(lambda: sink.written >= 12)
+    told_meanwhile = caplog.text.count("are lost")
+    sink.stop(WITHIN_S)
+    assert (told_meanwhile, caplog.text.count("are lost")) == (1, 2)
+    numbers = re.findall(r"(\d+) events or frames are lost", caplog.text)
+    assert sum(map(int, numbers)) == sink.dropped
 
 
 def test_what_a_slow_reader_loses_is_told(pipe: tuple[int, int], caplog: pytest.LogCaptureFixture) -> None:
