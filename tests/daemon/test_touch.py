@@ -250,6 +250,10 @@ def test_a_touch_ends_when_only_the_object_remains(pad: TrackedPad) -> None:
     box = palm(2.0, counts=30.0, trembling=False)
     changes = pad.feel(palm(3.0, counts=150.0), box)
     assert [type(change) for change in changes] == [Onset, Release]
+    # What moved below the hand makes the rest of the pad no duller.
+    began, beside = pad.index, box[:54].copy()
+    beside[:, 6:8, 0:3] += 16.0
+    assert pad.feel(beside) == [Onset(began)]
 
 
 def test_started_under_a_hand_it_recovers_within_2_s() -> None:
