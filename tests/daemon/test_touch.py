@@ -390,6 +390,23 @@ def test_a_network_that_sees_touches_at_rest_is_ignored(network: Network) -> Non
     assert [type(change) for change in pad.feel(palm(1.0, counts=80.0), 2.0)] == [Onset, Release]
 
 
+def test_the_network_forgets_a_pad_with_its_sensor(seen: TrackedPad, network: Network) -> None:
+    seen.feel(8.0)
+    seen.tracker.forget("sensor")
+    # Another pad, which the network does not know at rest.
+    network.no_touch = 0.02
+    assert seen.feel(nothing(10.0) + 20.0, restarted=True) == []
+
+
+def test_a_light_hand_that_keeps_still_is_felt_after_a_second(seen: TrackedPad, network: Network) -> None:
+    # Too little for the network's looks alone to begin a touch.
+    network.no_touch = 0.25
+    began = seen.index
+    (onset,) = seen.feel(palm(1.2, counts=6.0, trembling=False))
+    assert isinstance(onset, Onset)
+    assert abs(onset.first_index - began) <= 1
+
+
 def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, network: Network) -> None:
     network.no_touch = 0.02
     changes = seen.feel(pat(2.0), nothing(1.8), pat(2.0))
