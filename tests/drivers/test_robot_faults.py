@@ -30,6 +30,7 @@ from drivers.fakes.stub_robot import StubRobot
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 from drivers.robot.link import RobotLink
+from drivers.robot.session import RobotLost, RobotSession
 from drivers.robot.settings import RobotSettings
 
 
@@ -97,6 +98,21 @@ def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
             link.publish(message("pat"))
             robot.calls.wait_for_raise(GESTURE, "pat")
             states.wait_for("up")
+
+
+def test_a_robot_that_refuses_is_not_stormed() -> None:
+    tried: list[float] = []
+
+    def refused(*_: object) -> RobotSession:
+        tried.append(time.monotonic())
+        raise RobotLost("connection refused")
+
+    link = RobotLink(RobotSettings(url="tcp://127.0.0.1:9"), open_session=refused)
+    link.start()
+    wait_for(lambda: len(tried) >= 4)
+    link.stop()
+    # Pauses of 0.1, 0.2 and 0.4 s, each shortened by at most half.
+    assert tried[3] - tried[0] >= 0.35
 
 
 def test_a_returning_robot_gets_the_status_each_time() -> None:
