@@ -19,8 +19,8 @@ from drivers.pad.sensor import SensorError
 # Usual baud rates, the lab's Mega and Teensy builds first.
 USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
 TRY_BAUD_S = 0.5
-# Rates that the ring resamples to the model's 54 Hz.
-SLOWEST_HZ, FASTEST_HZ = 50.0, 100.0
+# The ring lays any rate from the first on at the model's 54 Hz; between the others answers are best.
+SLOWEST_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
 # One lost frame in a thousand is harmless.
 CLEAN_SHARE = 0.001
 CLOCK_TOLERANCE = 0.05
@@ -144,12 +144,14 @@ def check_rate(heard: Heard) -> Check:
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
-    if pace.rate_hz < SLOWEST_HZ:
+    if pace.rate_hz < SLOW_HZ:
         advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
-        return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
+        if pace.rate_hz < SLOWEST_HZ:
+            return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
+        return Check("rate", "warning", f"{found}; {SLOW_HZ:g} or more are better", advice, figures)
     if pace.lost > CLEAN_SHARE * len(heard.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
-    if pace.rate_hz > FASTEST_HZ:
+    if pace.rate_hz > FAST_HZ:
         found += f"; the model takes {FRAME_RATE_HZ:g}, so many are left out"
         return Check("rate", "warning", found, "", figures)
     return Check("rate", "ok", found, "", figures)

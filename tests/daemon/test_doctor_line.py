@@ -89,4 +89,8 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     assert "milliseconds" in clock.advice
     slow = check_rate(Heard(tuple(steady(25, 0.025)), 0, b"", 10.0, ""))
     assert slow.figures["rate_hz"] == pytest.approx(40, abs=0.5)
+    assert slow.verdict == "warning"
     assert "54 Hz" in slow.advice
+    useless = check_rate(Heard(tuple(steady(55, 0.055)), 0, b"", 22.0, ""))
+    assert useless.verdict == "to do"
+    assert "20 are needed" in useless.found
