@@ -134,7 +134,7 @@ class Service:
 
     def _is_followed(self, pad: Pad) -> bool:
         """Whether somebody is shown a pad's frames one by one."""
-        bridges = self._parts.bridges.values()
+        bridges = (bridge for bridge in self._parts.bridges.values() if bridge.frames_hz is not None)
         return bool(self._viewers()) or any(bridge.pad == pad.name for bridge in bridges)
 
     def _move_on_to(self, parts: Parts) -> None:

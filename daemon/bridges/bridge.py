@@ -33,7 +33,7 @@ class Bridge(QueuedSink[Event | Frame]):
 
     def __init__(self, name: str, pad: str, frames_hz: float | None) -> None:
         self.pad = pad
-        self._frames_hz = frames_hz
+        self.frames_hz = frames_hz
         self._next_frame_s = 0.0
         self._peer_is_there = threading.Event()
         self._log = logging.getLogger(f"daemon.bridges.{name}")
@@ -51,9 +51,9 @@ class Bridge(QueuedSink[Event | Frame]):
 
     def put_frame(self, frame: Frame) -> None:
         """Queue a frame if one is due and there is somebody to send it to; never blocks."""
-        if self._frames_hz is None or not self._peer_is_there.is_set() or frame.host_s < self._next_frame_s:
+        if self.frames_hz is None or not self._peer_is_there.is_set() or frame.host_s < self._next_frame_s:
             return
-        period_s = 1.0 / self._frames_hz
+        period_s = 1.0 / self.frames_hz
         # A late frame does not delay those after it, unless there was a pause.
         is_late = frame.host_s - self._next_frame_s < period_s
         self._next_frame_s = (self._next_frame_s if is_late else frame.host_s) + period_s

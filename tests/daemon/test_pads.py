@@ -4,8 +4,9 @@ import itertools
 import json
 import re
 import threading
+import time
 from pathlib import Path
-from typing import TypeGuard
+from typing import Any, TypeGuard
 
 import msgspec
 import numpy as np
@@ -35,9 +36,11 @@ from daemon.config import (
     only_pad,
 )
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from daemon.health import Health, Notifier
 from daemon.kept.touch_store import folder_of, kept_touches
 from daemon.kept.touches import read_journal
 from daemon.playback.rig import SpawnedDaemon
+from daemon.service import Service
 from daemon.setup.destinations import encoder_for, link_to_robot
 from daemon.setup.parts import Parts
 from daemon.sinks import RobotSink
@@ -116,6 +119,37 @@ def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
             assert daemon.stop() == 0
         felt = {(message.topic, json.loads(message.payload)["pressure"][0][0]) for message in messages}
     assert felt == {("touchd/head/pressure", 100), ("touchd/arm/pressure", 200)}
+
+
+@pytest.mark.parametrize(("pressure_hz", "frames_wait"), [(None, True), (10.0, False)])
+def test_frames_wait_beside_a_bridge_that_passes_none_on(
+    monkeypatch: pytest.MonkeyPatch, pressure_hz: float | None, frames_wait: bool
+) -> None:
+    pytest.importorskip("paho.mqtt")
+    reads: list[int] = []
+
+    def reading(*arguments: Any) -> bytes:
+        data = read_waiting(*arguments)
+        reads.append(len(data))
+        return data
+
+    monkeypatch.setattr("drivers.pad.sensor.read_waiting", reading)
+    still = np.full((60, 8, 8), 20, np.uint16)
+    encode = encoder_for(SensorSettings())
+    with FakePort(Stream(still, ideal_clock_ms(60), ()), encode, loop=True) as port:
+        mqtt = MqttSettings(host="127.0.0.1", port=free_port(), pressure_hz=pressure_hz)
+        settings = Settings(sensor=SensorSettings(port=port.path), mqtt=mqtt)
+        service, stop = Service(settings, Health(Notifier({}))), threading.Event()
+        thread = threading.Thread(target=service.run, args=(stop,))
+        thread.start()
+        # The rest is measured first.
+        time.sleep(1.5)
+        reads.clear()
+        time.sleep(2.0)
+        stop.set()
+        thread.join()
+    sizes = [size / len(encode(still[0], 0)) for size in reads if size]
+    assert bool(np.median(sizes) >= 2) is frames_wait
 
 
 def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> None:
