@@ -265,7 +265,7 @@ def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
         asked_s = time.monotonic()
         assert daemon.stop() == 0
         # At ten times the pad's rate on a shared machine, not all queued frames are processed.
-        assert time.monotonic() - asked_s < 8.0
+        assert time.monotonic() - asked_s < 5.0
     os.close(daemon.unread[0])
     assert most_mb < MOST_DAEMON_MB
     audit = Audit(OLDEST_TOLD_MS)
