@@ -1,5 +1,7 @@
 """Clock checks: no frame is lost after a restart, and frames with a damaged clock are refused."""
 
+from itertools import pairwise
+
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import assert_are, counts_of, flip, packet, packets
@@ -70,6 +72,24 @@ def test_a_reset_forgets_half_a_frame_and_the_clock() -> None:
     assert_are(frames, [0, 1], 0)
     assert [frame.number for frame in frames] == [2, 3]
     assert parser.counts.bytes_dropped == 50
+
+
+@pytest.mark.parametrize("is_reset", [True, False])
+def test_a_frame_with_a_wrong_clock_waits_for_the_next_no_longer_than_its_run(is_reset: bool) -> None:
+    parser = FabricGrid()
+    parser.feed(packets([0, 1, 900]), 0.0)
+    if is_reset:
+        parser.reset()
+    else:
+        assert_are(parser.feed(packets([50, 51]), 1.0), [50, 51])
+    assert parser.counts.bad_time == 1
+    assert parser.feed(packets([901]), 2.0) == []
+
+
+def test_stamps_of_arrival_rise_though_frames_come_at_once() -> None:
+    clock = ArrivalClock(54.0)
+    stamps = [clock.stamp_ms(1.0) for _ in range(40)]
+    assert all(earlier < later for earlier, later in pairwise(stamps))
 
 
 def test_a_pad_off_its_stated_rate_is_followed_within_seconds() -> None:

@@ -25,13 +25,15 @@ SET = "with values above full_scale 1023; if firm presses do that, set a larger 
 FIRM = f"COM3: 22 % of the last frames were refused, {SET}"
 
 
-def watch(parser: FrameParser, packets: list[bytes], turns: int = 1, where: str = "COM3") -> None:
-    """Let the packets arrive over one look, again and again, after a first frame."""
+def watch(
+    parser: FrameParser, packets: list[bytes], turns: int = 1, where: str = "COM3", looks: int = 1
+) -> None:
+    """Let the packets arrive over one look, or several, again and again, after a first frame."""
     watched = LineWatch(parser, where)
     watched.update(0.0)
     for turn in range(turns):
         for number, packet in enumerate(packets, 1):
-            now_s = LOOK_S * (turn + number / len(packets))
+            now_s = LOOK_S * looks * (turn + number / len(packets))
             parser.feed(packet, now_s)
             watched.update(now_s)
 
@@ -109,6 +111,14 @@ def test_the_same_trouble_is_told_once_in_ten_minutes(caplog: pytest.LogCaptureF
     watch(parser_of(CONFIGURED), packets, turns=round(SAME_TROUBLE_S / LOOK_S) + 1)
     assert caplog.messages[0] == FIRM
     assert len(caplog.messages) == 2
+
+
+def test_a_line_that_was_mended_is_told_of_no_more(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_watch, "SAME_TROUBLE_S", 2 * LOOK_S)
+    watch(parser_of(CONFIGURED), pressed(900, range(120)) + pressed(100, range(120, 2700)), looks=5)
+    assert len(caplog.messages) == 1
 
 
 def test_frames_that_were_refused_while_the_pad_was_away_are_not_told(
