@@ -37,7 +37,8 @@ ADVICE_FOR_BYTES = {
     "text": "flash the program that sends frames, or set sensor.port: this may be another board",
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
     "damage": "try a shorter cable, another USB port, no hub; if firm presses do it, full_scale or checksum",
-    "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy",
+    "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy; "
+    "touchd init tries all rates with any format",
 }
 
 

@@ -10,7 +10,7 @@ from rigs.robots import message
 from daemon.setup.words import Language, vocabulary
 from drivers.robot import actions as robot_actions
 from drivers.robot.actions import Action, ActionRule, Words, spoken
-from drivers.robot.reactions import Reactions
+from drivers.robot.reactions import MOST_TOUCHES, Reactions
 from model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -110,6 +110,12 @@ def test_the_settled_answer_triggers_once_even_if_told_early(settled: str) -> No
 def test_simultaneous_touches_are_kept_apart() -> None:
     chosen = Reactions(rules("[{do: [{say: any}]}]"))
     assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
+
+
+def test_of_touches_without_end_the_latest_are_remembered() -> None:
+    chosen = Reactions(rules("[{do: [{say: any}]}]"))
+    assert all(done(chosen, "stroke", touch) == ["any"] for touch in range(2 * MOST_TOUCHES))
+    assert done(chosen, "stroke", 2 * MOST_TOUCHES - 1) == []
 
 
 def test_a_rule_with_gestures_answers_these_only() -> None:
