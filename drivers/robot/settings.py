@@ -105,7 +105,11 @@ def _read_token(settings: RobotSettings) -> str:
                 f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token"
             )
         if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
-            log.warning("robot token_file %s can be read or changed by others: chmod 600 it", where)
+            log.warning(
+                "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
+                "chgrp touchd)",
+                where,
+            )
     elif settings.token_env is not None:
         where = settings.token_env
         token = os.environ.get(where, "").strip()

@@ -324,7 +324,7 @@ def test_a_token_is_sent_to_no_unverified_robot(tmp_path: Path, caplog: pytest.L
         read_login(there)
     trusted = msgspec.structs.replace(there, trust_network=True)
     assert read_login(trusted) == read_login(msgspec.structs.replace(there, url="tcps://127.0.0.1:9503"))
-    assert "chmod 600" in caplog.text
+    assert "chmod 640" in caplog.text
     assert "s3cret" not in caplog.text + str(refused.value)
 
 
