@@ -35,7 +35,7 @@ class Command:
 
 
 COMMANDS = (
-    Command("init", "daemon.commands.init", "finds the pad, asks for the robot, writes a first configuration"),
+    Command("init", "daemon.commands.init", "finds the pad, asks for the robot, writes a configuration"),
     Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
     Command("demo", "daemon.commands.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
