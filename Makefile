@@ -1,5 +1,5 @@
 # make demo    sets up what the daemon needs (no torch) and shows it at work, without any hardware
-# make test    sets up everything and runs all tests
+# make test    sets up everything and runs the quick tests
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
