@@ -145,9 +145,9 @@ def check_rate(heard: Heard) -> Check:
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
-    if pace.rate_hz < SLOW_HZ:
+    if round(pace.rate_hz) < SLOW_HZ:
         advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
-        if pace.rate_hz < SLOWEST_HZ:
+        if round(pace.rate_hz) < SLOWEST_HZ:
             return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
         return Check("rate", "warning", f"{found}; {SLOW_HZ:g} or more are better", advice, figures)
     if pace.lost > CLEAN_SHARE * len(heard.frames):

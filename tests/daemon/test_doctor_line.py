@@ -79,8 +79,8 @@ def test_lost_frames_are_counted() -> None:
 
 
 def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
-    def steady(step_ms: int, step_s: float) -> list[Frame]:
-        return [Frame(i, step_ms * i, step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
+    def steady(step_ms: float, step_s: float) -> list[Frame]:
+        return [Frame(i, round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
 
     frames = steady(18, 0.009)
     late = [replace(frames[-1], host_s=frames[-1].host_s + 0.3)]
@@ -91,6 +91,8 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     assert slow.figures["rate_hz"] == pytest.approx(40, abs=0.5)
     assert slow.verdict == "warning"
     assert "54 Hz" in slow.advice
+    # A pad of 50 Hz by its label.
+    assert check_rate(Heard(tuple(steady(20.1, 0.0201)), 0, b"", 8.0, "")).verdict == "ok"
     useless = check_rate(Heard(tuple(steady(55, 0.055)), 0, b"", 22.0, ""))
     assert useless.verdict == "to do"
     assert "20 are needed" in useless.found
