@@ -33,7 +33,7 @@ DEVELOPMENT := $(VENV)/.development.stamp
 
 help:
 	@echo "make demo          set up what the daemon needs and show it at work, without any hardware"
-	@echo "make test          set up everything and run all tests"
+	@echo "make test          set up everything and run the quick tests"
 	@echo "make test-slow     run the tests that take minutes"
 	@echo "make test-systemd  install the service on a Debian machine of its own and try it there (root; see the file)"
 	@echo "make check         ruff and mypy"
