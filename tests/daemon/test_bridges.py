@@ -103,7 +103,7 @@ def test_without_a_peer_neither_put_nor_stop_waits(peer: Peer, monkeypatch: pyte
 
 
 def let_in_and_hang_up(port: int, sizes: list[int], ended: threading.Event) -> None:
-    """Accept clients of MQTT and of websockets, read what they say, and hang up."""
+    """Accept clients of MQTT and of websockets, read all they say, and hang up once they wait."""
     with socket.create_server(("127.0.0.1", port)) as door:
         door.settimeout(0.1)
         while not ended.is_set():
@@ -112,7 +112,10 @@ def let_in_and_hang_up(port: int, sizes: list[int], ended: threading.Event) -> N
                 asked = client.recv(65536)
                 key = re.search(rb"Sec-WebSocket-Key: (.*)\r", asked)
                 client.sendall(WELCOME % accept_key(key[1].decode()).encode() if key else CONNACK)
-                sizes.append(len(client.recv(65536)))
+                sizes.append(0)
+                client.settimeout(0.1)
+                while said := client.recv(65536):
+                    sizes[-1] += len(said)
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
