@@ -5,9 +5,12 @@ The daemon never waits for the robot, whether that is there, hangs or refuses.
 
 import atexit
 import logging
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 
 from drivers.frame import DEFAULT_PAD
@@ -16,8 +19,8 @@ from drivers.robot.events import EventDuty
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.reactions import Reaction, ReactionDuty, Reactions
-from drivers.robot.session import OpenSession, QiSession, load_qi
-from drivers.robot.settings import RobotSettings, read_login
+from drivers.robot.session import OpenSession, QiSession, RobotError, RobotSession, load_qi
+from drivers.robot.settings import RobotSettings, read_login, read_token
 from drivers.robot.worker import LinkState, RobotWorker
 
 log = logging.getLogger(__name__)
@@ -50,13 +53,12 @@ class RobotLink:
         words: Mapping[str, Words] = NO_WORDS,
         limits: RobotLimits | None = None,
     ) -> None:
-        login = read_login(settings)
+        self._settings, self._login = settings, read_login(settings)
         if open_session is None:
             load_qi()
             open_session = QiSession
         limits = limits or RobotLimits(call_s=settings.call_s, action_s=settings.action_s)
-        opener = partial(open_session, settings.url, login, limits)
-        self._url = settings.url
+        opener = partial(self._open, open_session, limits)
         self._on_state = on_state
         self._down_since_s: float | None = None
         self._event_duty = EventDuty(settings.prefix, limits, actions)
@@ -110,6 +112,15 @@ class RobotLink:
                 log.warning("the link to the robot did not end within %g s", timeout_s)
         atexit.unregister(self.stop)
 
+    def _open(
+        self, open_session: OpenSession, limits: RobotLimits, stopping: threading.Event
+    ) -> RobotSession:
+        if self._login is not None:
+            # The token may have been corrected since.
+            with suppress(RobotError):
+                self._login = replace(self._login, token=read_token(self._settings))
+        return open_session(self._settings.url, self._login, limits, stopping)
+
     def _workers(self) -> list[RobotWorker[RobotMessage] | RobotWorker[Reaction]]:
         return [self._events, *([self._actions] if self._actions else [])]
 
@@ -117,10 +128,10 @@ class RobotLink:
         now_s = time.monotonic()
         if state == "down":
             self._down_since_s = now_s
-            log.warning("robot %s is down (%s); trying until it is there", self._url, reason)
+            log.warning("robot %s is down (%s); trying until it is there", self._settings.url, reason)
         elif self._down_since_s is None:
-            log.info("robot %s is up", self._url)
+            log.info("robot %s is up", self._settings.url)
         else:
-            log.info("robot %s is up again after %.1f s", self._url, now_s - self._down_since_s)
+            log.info("robot %s is up again after %.1f s", self._settings.url, now_s - self._down_since_s)
         if self._on_state is not None:
             self._on_state(state, reason)

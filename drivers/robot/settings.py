@@ -66,7 +66,9 @@ def read_login(settings: RobotSettings) -> Login | None:
         raise RobotError(
             f"robot {settings.url} would get the token unencrypted; use tcps://, or leave user out"
         )
-    login = Login(settings.user, _read_token(settings))
+    login = Login(settings.user, read_token(settings))
+    if settings.token_file is not None:
+        _warn_of_readers(settings.token_file)
     host = settings.url.partition("//")[2].rpartition(":")[0]
     if _is_here(host):
         return login
@@ -86,7 +88,8 @@ def _is_here(host: str) -> bool:
         return host == "localhost"
 
 
-def _read_token(settings: RobotSettings) -> str:
+def read_token(settings: RobotSettings) -> str:
+    """Return the token as it is now; raises RobotError with one line, which does not show it."""
     if settings.token_file is not None:
         # A value that is no path may be the token itself.
         where = settings.token_file if "/" in settings.token_file else "(not shown, since it is no full path)"
@@ -95,7 +98,6 @@ def _read_token(settings: RobotSettings) -> str:
             fd = os.open(written_out(settings.token_file), os.O_RDONLY | os.O_NONBLOCK)
             with open(fd, "rb", buffering=0) as file:
                 content = file.read(MAX_TOKEN_BYTES + 1) or b""
-                mode = os.fstat(fd).st_mode
             token = content.decode().strip()
         except (OSError, UnicodeDecodeError) as error:
             why = error.strerror if isinstance(error, OSError) else "not text"
@@ -103,12 +105,6 @@ def _read_token(settings: RobotSettings) -> str:
         if len(content) > MAX_TOKEN_BYTES:
             raise RobotError(
                 f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token"
-            )
-        if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
-            log.warning(
-                "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
-                "chgrp touchd)",
-                where,
             )
     elif settings.token_env is not None:
         where = settings.token_env
@@ -118,3 +114,13 @@ def _read_token(settings: RobotSettings) -> str:
     if not token:
         raise RobotError(f"the robot's token in {where} is empty or missing; put it there")
     return token
+
+
+def _warn_of_readers(token_file: str) -> None:
+    mode = written_out(token_file).stat().st_mode
+    if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
+        log.warning(
+            "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
+            "chgrp touchd)",
+            token_file if "/" in token_file else "(not shown, since it is no full path)",
+        )

@@ -248,6 +248,16 @@ def test_a_wrong_login_gives_advice_without_the_token(
     assert "wr0ng-token" not in repr(states.told) + caplog.text
 
 
+def test_a_token_that_is_corrected_in_its_file_is_used_at_the_next_attempt(tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text("wr0ng-token\n")
+    login: dict[str, Any] = {"user": "nao", "token_file": str(token), "trust_network": True}
+    with Robot(login=LOGIN) as robot, linked(robot, **login) as (_, states):
+        states.wait_for("down")
+        token.write_text(f"{LOGIN.token}\n")
+        states.wait_for("down", "up")
+
+
 @pytest.mark.parametrize("encrypted", [True, False])
 def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
     with Robot(login=LOGIN if encrypted else None) as robot:
