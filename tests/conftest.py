@@ -1,11 +1,14 @@
 """Fixtures for tests of every folder."""
 
 import os
+import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# A shell has what it runs in the background ignore Ctrl-C, and so would the programs that tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
 
