@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# A shell has what it runs in the background ignore Ctrl-C, and so would the programs that tests start.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import pytest
 
@@ -16,6 +14,9 @@ from model.classifier import SHIPPED_MODEL, Classifier
 
 if TYPE_CHECKING:
     from rigs.live_rig import Served
+
+# A shell has what it runs in the background ignore Ctrl-C, and so would the programs that tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
