@@ -18,7 +18,7 @@ from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
 from drivers.errors import os_errors_as
 from drivers.numbers import within
-from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
+from drivers.pad.diagnosis import as_yaml, caution, diagnose, has_single_bits, is_certain, propose
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
 from drivers.pad.protocol import parser_of
@@ -30,7 +30,7 @@ from drivers.whole_file import whole_file
 FIRST_BYTE_S = 3.0
 LISTEN_S = 1.0
 ANSWER_S = 0.5
-ENOUGH_BYTES = 8192
+ENOUGH_BYTES = 32768
 
 Found = tuple[str, int, PadFormat]
 """A port, its baud rate, and the pad there."""
@@ -116,6 +116,7 @@ def _listen(
     on_silence: takes the port when it is silent, instead of asking there.
     """
     first_byte_s = FIRST_BYTE_S
+    guesses: list[tuple[bool, int, PadFormat]] = []
     try:
         # The last is the slowest, which every adapter can do.
         with open_port(port, bauds[-1]) as opened:
@@ -132,14 +133,22 @@ def _listen(
                     on_silence(port)
                     return None
                 described = propose(data) if data else _answering(opened)
-                if described is not None:
+                if described is not None and (not data or is_certain(described)):
                     if data and not parser_of(described).feed(data, 0.0):
                         console.print(diagnose(data, described)[1], style="yellow")
                     return port, baud, described
+                if described is not None:
+                    guesses.append((has_single_bits(data), baud, described))
                 first_byte_s = LISTEN_S if data else 0.0
     except (SensorError, OSError) as error:
         console.print(str(error), style="yellow")
-    return None
+    if not guesses:
+        return None
+    _, baud, described = max(guesses, key=lambda guess: guess[:2])
+    if len(guesses) > 1:
+        others = ", ".join(str(rate) for _, rate, _ in guesses if rate != baud)
+        console.print(f"{baud} baud is a guess; it may be {others} too: --baud sets it", style="yellow")
+    return port, baud, described
 
 
 def _heard(opened: Line, first_byte_s: float) -> bytes:

@@ -92,7 +92,10 @@ def with_model(text: str, model: Path, pad: str | None = None) -> str:
     """
     value = json.dumps(str(model), ensure_ascii=False)
     root = yaml.compose(text, yaml.SafeLoader)
-    own = _section(_section(root, "sensors"), pad)
+    pads = _section(root, "sensors")
+    own = _section(pads, pad)
+    if pads is not None and own is None:
+        raise ConfigError(f"sensors: {pad} has no setting beside which to set its model")
     at = own or root
     for key, old in at.value if isinstance(at, yaml.MappingNode) else ():
         if key.value == "model":

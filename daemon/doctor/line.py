@@ -9,7 +9,7 @@ from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
 from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.diagnosis import as_yaml, caution, diagnose, propose
+from drivers.pad.diagnosis import as_yaml, caution, diagnose, is_certain, propose
 from drivers.pad.line_watch import MANY_SHARE
 from drivers.pad.pace import clock_by_ours, pace_of
 from drivers.pad.port import Line, at_baud
@@ -80,10 +80,11 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
             "answers needs sensor.format with a poll",
         )
     kind, looks = diagnose(heard.recent, sensor.described)
-    if kind == "noise" and (baud := _other_baud(sensor, opened)):
+    proposed = propose(heard.recent) if kind == "format" else None
+    may_be_the_rate = not is_certain(proposed) if proposed else kind == "noise"
+    if may_be_the_rate and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{expected}, but at {baud} baud", f"set sensor.baud: {baud}")
     advice = ADVICE_FOR_BYTES[kind]
-    proposed = propose(heard.recent) if kind == "format" else None
     if proposed is not None:
         # What the bytes cannot show, how the pad lies, is the user's.
         wrong = [

@@ -62,17 +62,15 @@ class TouchStore:
         with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
             self._make_folder()
         prepare(folder)
-        for partial in folder.glob(f"{PARTIAL}*"):
-            partial.unlink(missing_ok=True)
-        self._count = max((kept.count for kept in kept_touches(folder)), default=0)
+        self._count: int | None = None
 
     def add(self, touch: FeltTouch) -> None:
         """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
-        self._count += 1
-        path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
         try:
             # A user may have deleted the touches with their folder.
             self._make_folder()
+            self._count = (self._take_over() if self._count is None else self._count) + 1
+            path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
             pieces = cut(touch)
             keep(path, pieces.recordings(), self._provenance(touch, pieces))
             for older in kept_touches(self._folder)[: -self._most]:
@@ -86,6 +84,12 @@ class TouchStore:
             if self._failing:
                 log.info("the frames of touches are kept again; those of %d were lost", self.lost)
             self._failing = False
+
+    def _take_over(self) -> int:
+        """Remove what a killed program left, and return the last count; another store wrote until now."""
+        for partial in self._folder.glob(f"{PARTIAL}*"):
+            partial.unlink(missing_ok=True)
+        return max((kept.count for kept in kept_touches(self._folder)), default=0)
 
     def _make_folder(self) -> None:
         """Make the folder where it is not there; like the journal, it is not world-readable."""

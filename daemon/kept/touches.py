@@ -85,7 +85,8 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     is no event. Raises JournalError when a file is there and cannot be read.
     """
     parts: list[list[Event]] = []
-    for file in _newest_first(path):
+    # Older files are kept where a link leads.
+    for file in _newest_first(path.resolve()):
         try:
             events = events_among(read_lines(file))
         except JournalError as error:

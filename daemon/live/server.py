@@ -63,11 +63,11 @@ class LiveServer:
 
     def __init__(self, listening: socket.socket, settings: LiveSettings, scenes: Scenes) -> None:
         self.listening = listening
-        self._settings = settings
+        self.settings = settings
         self._pads = {name: Memory(scene) for name, scene in scenes.items()}
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
-        self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY)
+        self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
         self._is_woken = False
         self._is_stopping = False
         self._frames_dropped = 0
@@ -81,7 +81,7 @@ class LiveServer:
         return self._items.dropped
 
     def start(self) -> None:
-        urls = urls_of(self._settings, self.listening.getsockname()[1])
+        urls = urls_of(self.settings, self.listening.getsockname()[1])
         log.info("live page: %s", " ".join(urls))
         self._thread.start()
 
@@ -216,6 +216,11 @@ class LiveServer:
     def _state(self) -> list[str]:
         pads = tuple(self._pads)
         return [encode_message(self._pads[pad].state(self._page.stamp, pad, pads)) for pad in pads]
+
+
+def _may_drop(item: Item) -> bool:
+    """Whether a later viewer needs it not."""
+    return isinstance(item, tuple | LivePrediction)
 
 
 def encode_frame(frame: Frame, pad: int = 0) -> bytes:

@@ -111,7 +111,9 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
     if quiet:
         best = max(quiet, key=likeness)
         # Under the touch's own names: with others the clock would start anew, and the tracker under the hand.
-        counts, sensor_ms = best.counts[:QUIET_FRAMES], best.sensor_ms[:QUIET_FRAMES]
+        quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
+        frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
+        counts, sensor_ms = best.counts[:frames], best.sensor_ms[:frames]
         return replace(recording, gesture=NO_TOUCH, counts=counts, sensor_ms=sensor_ms)
     rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
     return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))

@@ -101,7 +101,11 @@ def open_live_page(
     require_library()
     from daemon.live.server import LiveServer
 
-    listening = listen(settings.live, before.listening if before else None)
+    if before is not None and before.settings == settings.live:
+        # The one before answers until it is replaced; another socket would take half of its visitors.
+        listening = before.listening.dup()
+    else:
+        listening = listen(settings.live, before.listening if before else None)
     return LiveServer(listening, settings.live, scenes_of(settings, models))
 
 

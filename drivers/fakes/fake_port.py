@@ -23,7 +23,7 @@ POLL_S = 0.002
 # pyserial discards waiting input just after opening a port; a reader that does not is given this long.
 SETTLE_S = 0.5
 # The kernel hands bytes over in the background: empty once is not yet empty.
-EMPTY_FOR_S = 0.02
+EMPTY_FOR_S = 0.1
 
 
 class FakePort:

@@ -30,6 +30,8 @@ MOST_GRAMS = 12
 ORDERS: tuple[Literal["little", "big"], ...] = ("big", "little")
 CHECKSUMS = ("values", "sum8", "xor8", "none")
 COMMONLY = 0.8
+# Bytes at twice the baud rate that are damaged in between.
+FEW_BYTES = 0.01
 
 
 def diagnose(data: bytes, expected: PadFormat) -> tuple[str, str]:
@@ -82,6 +84,18 @@ def propose(data: bytes) -> PadFormat | None:
     return None
 
 
+def is_certain(found: PadFormat) -> bool:
+    """Whether bytes read at a wrong baud rate cannot look so: text, a known line, a clock that counts."""
+    return found.framing != "binary" or _is_known(found) or found.clock
+
+
+def has_single_bits(data: bytes) -> bool:
+    """Whether bits differ from both neighbours; at twice a pad's baud rate or more, each is read twice."""
+    bits = np.frombuffer(data, dtype=np.uint8)
+    edges = (bits ^ bits >> 1) & 0x7F
+    return bool(np.mean(edges & edges >> 1 > 0) > FEW_BYTES)
+
+
 def _plausibility(guess: PadFormat) -> float:
     """Rate a guess: a preset's line is known; a checksum or clock that fits is hardly an accident; pads are
     mostly square; a long header is cells."""
@@ -93,7 +107,8 @@ def _plausibility(guess: PadFormat) -> float:
         + 2 * guess.clock
         + 2 * square
         + 0.5 * (guess.cell == "u16")
-        + 0.1 * (guess.framing == "line")
+        # Guessed only where a line without numbers ends each frame.
+        + 3 * (guess.framing == "rows")
         - 0.05 * abs(header - 3)
         # Cells read from a wrong offset look larger.
         - 0.1 * FULL_SCALES.index(guess.full_scale)

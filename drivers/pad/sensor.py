@@ -22,7 +22,7 @@ __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 log = logging.getLogger(__name__)
 
 # Enough for a diagnosis: many frames of any geometry.
-RECENT_BYTES = 8192
+RECENT_BYTES = 32768
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
 WAIT_S = 0.0745
 # Noise changes a taxel by less within this time; nearly all touches change one by more.

@@ -241,6 +241,16 @@ def test_quiet_borrowed_from_another_person_costs_no_touch() -> None:
     np.testing.assert_array_equal(borrowed.counts, alike.counts)
 
 
+def test_a_fast_pads_quiet_lasts_as_long_as_a_slow_ones() -> None:
+    (touch, *_), quiet = (
+        [part for part in read_recordings(DEMO) if (part.gesture == "notouch") == is_quiet]
+        for is_quiet in (False, True)
+    )
+    fast = replace(quiet[0], counts=np.zeros((4000, 8, 8), np.uint16), sensor_ms=2 * np.arange(4000))
+    spans = with_quiet([touch], [fast]).spans
+    assert [span.stop - span.start for span in spans if span.gesture == "notouch"] == [2000, 2000]
+
+
 def test_classify_accepts_a_closed_output() -> None:
     with Program(*TOUCHD, "classify", GESTURES, stderr=subprocess.PIPE) as process:
         process.stdout.close()

@@ -9,13 +9,15 @@ from rigs.doctor_rig import SETTINGS, heard, pad_at_baud, pad_of, resting
 from rigs.formats import encode_csv_line
 from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
+from rigs.wire import read_too_fast
 
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Frame
+from drivers.frame import Counts, Frame
+from drivers.pad.format import PRESETS, encode_frame
 from drivers.pad.port import open_port
 from drivers.pad.protocol import parser_of
 
@@ -54,6 +56,19 @@ def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor) -> Chec
 
 def test_another_baud_rate_is_found_by_trying() -> None:
     assert protocol_of(pad_at_baud(resting(60.0), termios.B115200)).advice == "set sensor.baud: 115200"
+
+
+def test_what_a_wrong_baud_rate_makes_of_a_pad_is_no_other_pad() -> None:
+    velostat = PRESETS["velostat"]
+
+    def encode(counts: Counts, sensor_ms: int) -> bytes:
+        return encode_frame(velostat, counts, sensor_ms)
+
+    def twice(counts: Counts, sensor_ms: int) -> bytes:
+        return read_too_fast(encode(counts, sensor_ms), 2)
+
+    pad = pad_at_baud(np.zeros((3000, 8, 8), np.uint16), termios.B115200, encode, twice)
+    assert protocol_of(pad, SensorSettings(format="velostat")).advice == "set sensor.baud: 115200"
 
 
 def test_a_pad_unplugged_while_listening_is_reported() -> None:

@@ -8,6 +8,7 @@ import termios
 import tty
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rigs.doctor_rig import pad_at_baud
 from rigs.expectations import RECORDINGS, stream_of
@@ -16,6 +17,7 @@ from rigs.robots import Robot
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
+from rigs.wire import read_too_fast
 
 from daemon.commands import init
 from daemon.commands.init import main
@@ -23,7 +25,8 @@ from daemon.config import ConfigError, SensorSettings, load
 from daemon.events import SensorEvent, decode
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
-from drivers.pad.format import PRESETS
+from drivers.frame import Counts
+from drivers.pad.format import PRESETS, PadFormat, encode_frame
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
@@ -49,6 +52,26 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
     assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 57_600)
     with pytest.raises(ConfigError, match="is there already"):
         main([str(path)])
+
+
+def test_a_pad_of_its_own_format_is_found_at_its_own_baud_rate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = PadFormat(header="aa55", rows=8, columns=8, cell="u8", full_scale=255)
+
+    def encode(counts: Counts, sensor_ms: int) -> bytes:
+        return encode_frame(own, counts, None)
+
+    def twice(counts: Counts, sensor_ms: int) -> bytes:
+        return read_too_fast(encode(counts, sensor_ms), 2)
+
+    path = tmp_path / "touchd.yaml"
+    monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
+    rest = np.random.default_rng(0).integers(0, 24, (4000, 8, 8)).astype(np.uint16)
+    with pad_at_baud(rest, termios.B57600, encode, twice) as pad:
+        assert main([str(path), "--port", pad.path, "--robot", "none"]) == 0
+    sensor = load(path).sensor
+    assert (sensor.baud, str(sensor.described)) == (57_600, str(own))
 
 
 def test_devices_that_are_silent_are_sent_nothing_where_a_pad_sends_by_itself(

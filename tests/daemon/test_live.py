@@ -27,7 +27,7 @@ from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from daemon.live.address import LiveError
 from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
 from daemon.live.server import CAPACITY, LiveServer
-from daemon.setup.destinations import encoder_for, scenes_of
+from daemon.setup.destinations import encoder_for, open_live_page, scenes_of
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 
@@ -160,6 +160,17 @@ def test_a_hanging_page_thread_delays_no_event() -> None:
     assert dropped == 7
 
 
+def test_a_flood_of_frames_costs_a_later_viewer_no_state(served: Served) -> None:
+    with served.look() as viewer:
+        await_message(viewer, "state")
+        with hung(served.sink):
+            served.sink.put(PAD_UP)
+            for _ in range(CAPACITY + 7):
+                served.put_frame()
+    with served.look() as later:
+        assert await_message(later, "state")["sensor"]["state"] == "up"
+
+
 def test_stopping_does_not_wait_for_viewers(served: Served) -> None:
     server = served.sink
     with served.look() as viewer:
@@ -185,6 +196,18 @@ def test_settings_that_cannot_be_served_change_nothing(served: Served) -> None:
         there = LiveSettings(port=taken.getsockname()[1])
         with pytest.raises(LiveError, match="cannot listen"):
             served.serve(Settings(live=there), served.sink)
+    assert served.ask("/").status == 200
+
+
+def test_visitors_are_answered_while_another_page_waits_to_take_over(served: Served) -> None:
+    waiting = open_live_page(served.settings, served.models, served.sink)
+    assert waiting is not None
+    try:
+        assert [served.ask("/").status for _ in range(20)] == [200] * 20
+    finally:
+        before, served.sink = served.sink, waiting
+    before.stop(1.0)
+    waiting.start()
     assert served.ask("/").status == 200
 
 

@@ -450,6 +450,7 @@ def test_another_pad_can_be_selected(chrome: Chrome) -> None:
         untouched = chrome.execute_script(CANVAS)
         chrome.find_elements(By.CSS_SELECTOR, "#pads button")[1].click()
         wait_for(lambda: text_of(chrome, "#gesture") == "stroke")
+        assert text_of(chrome, "#flags").startswith("stroke")
         assert choices() == [("head: pat", "false"), ("arm: stroke", "true")]
         wait_for(lambda: chrome.execute_script(CANVAS) != untouched)
         # Events of a pad in the list do not change the selected one.

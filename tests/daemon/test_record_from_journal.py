@@ -303,6 +303,9 @@ def test_a_rotated_damaged_journal_is_read_as_far_as_possible(lab: Lab) -> None:
     assert [(touch.began.touch, len(touch.predictions)) for touch in read] == [(4, 1), (5, 1)]
     assert [touch.began.touch for touch in read_since(lab.journal, "")] == [3, 4, 5]
     assert read_since(lab.journal.with_name("none.jsonl"), "") == []
+    linked = lab.journal.with_name("linked")
+    linked.symlink_to(lab.journal)
+    assert [touch.began.touch for touch in read_since(linked, "")] == [3, 4, 5]
 
 
 def test_deleted_and_damaged_touches_are_passed_over(

@@ -62,6 +62,11 @@ def test_of_several_pads_the_one_that_was_taught_gets_the_model(tmp_path: Path, 
     assert new["right"] == old["right"]
 
 
+def test_a_pad_without_settings_of_its_own_is_left_to_the_user() -> None:
+    with pytest.raises(ConfigError, match="head has no setting"):
+        with_model("sensors:\n  head: {}\n  arm: {port: /dev/b}\n", Path("/srv/a.onnx"), "head")
+
+
 def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str | None:
     """Return the configured model after a person answered."""
     model.write_bytes(SHIPPED_MODEL.read_bytes())

@@ -28,6 +28,7 @@ from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.setup.destinations import description_of, open_touch_stores
 from drivers.frame import Counts, Frame
 from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
+from drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54
 TESTS = Path(__file__).parents[1]
@@ -343,8 +344,21 @@ def test_a_kill_while_writing_leaves_only_whole_files(tmp_path: Path) -> None:
             process.kill()
     for kept in kept_touches(tmp_path):
         assert len(read_frames(kept).touch.counts) == 20
-    TouchStore(tmp_path, 10_000, "")
+    TouchStore(tmp_path, 10_000, "").add(felt(1))
     assert {path.name for path in tmp_path.iterdir()} == {kept.path.name for kept in kept_touches(tmp_path)}
+
+
+def test_a_store_that_takes_over_leaves_what_the_one_before_still_writes(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    writing = tmp_path / "touches" / f"{PARTIAL}now"
+    writing.touch()
+    later = TouchStore(tmp_path / "touches", 20, "a made pad")
+    assert writing.exists()
+    store.add(felt(1))
+    later.add(felt(2))
+    assert not writing.exists()
+    assert [(kept.count, kept.number) for kept in kept_touches(tmp_path / "touches")] == [(1, 1), (2, 2)]
 
 
 def test_a_lowered_bound_keeps_the_last_touches(tmp_path: Path) -> None:

@@ -7,7 +7,8 @@ from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.wire import counts_of
 
 from drivers.pad.diagnosis import caution, diagnose, propose
-from drivers.pad.format import PRESETS, PadFormat, encode_frame
+from drivers.pad.format import PRESETS, PadFormat, encode_frame, encode_values
+from drivers.pad.sensor import RECENT_BYTES
 
 
 def pad(preset: str, rows: int, columns: int) -> PadFormat:
@@ -93,6 +94,20 @@ def test_what_is_guessed_in_a_proposal_is_said(numbers: int, words: str) -> None
     proposed = propose(printed(numbers))
     assert proposed is not None
     assert caution(proposed).startswith(words)
+
+
+@pytest.mark.parametrize(("rows", "columns", "end"), [(8, 8, ""), (16, 16, ""), (10, 32, "E"), (32, 32, "")])
+def test_a_row_a_line_is_no_small_pad(rows: int, columns: int, end: str) -> None:
+    own = PadFormat(framing="rows", rows=rows, columns=columns, end=end)
+    values = np.random.default_rng(0).integers(0, 600, (8, rows, columns)).astype(np.uint16)
+    assert propose(b"".join(encode_values(own, scan, None) for scan in values)[9:]) == own
+
+
+def test_long_lines_of_a_large_pad_are_known() -> None:
+    own = PadFormat(framing="line", rows=32, columns=32)
+    values = np.random.default_rng(0).integers(0, 600, (6, 32, 32)).astype(np.uint16)
+    data = b"".join(encode_values(own, scan, None) for scan in values)
+    assert propose(data[-RECENT_BYTES:]) == own
 
 
 def test_a_presets_line_is_known_also_from_a_pad_at_rest() -> None:

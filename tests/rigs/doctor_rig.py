@@ -36,14 +36,16 @@ def pad_of(counts: Counts, encode: Encode = encode_fabric_grid, **options: Any) 
     return FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode, **options)
 
 
-def pad_at_baud(counts: Counts, speed: int) -> FakePort:
+def pad_at_baud(
+    counts: Counts, speed: int, encode_right: Encode = encode_fabric_grid, encode_wrong: Encode = noise
+) -> FakePort:
     """A pad that sends noise unless its line has this speed of termios."""
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:
         line = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
         is_right = termios.tcgetattr(line)[5] == speed
         os.close(line)
-        return (encode_fabric_grid if is_right else noise)(counts, sensor_ms)
+        return (encode_right if is_right else encode_wrong)(counts, sensor_ms)
 
     port = pad_of(counts, encode, speed=4.0, loop=True)
     return port

@@ -47,3 +47,16 @@ def assert_are(frames: Sequence[Frame], numbers: Sequence[int], first_ms: int = 
     ]
     for frame, number in zip(frames, numbers, strict=True):
         np.testing.assert_array_equal(frame.pressure, counts_of(number))
+
+
+def read_too_fast(data: bytes, times: int) -> bytes:
+    """Return what a port reads of bytes at so many times their baud rate: each bit so often."""
+    sent = [bit for byte in data for bit in (0, *(byte >> place & 1 for place in range(8)), 1)]
+    bits = [bit for bit in sent for _ in range(times)]
+    read, at = bytearray(), 0
+    while at + 10 <= len(bits):
+        if bits[at] == 0:
+            read.append(sum(bit << place for place, bit in enumerate(bits[at + 1 : at + 9])))
+            at += 9
+        at += 1
+    return bytes(read)

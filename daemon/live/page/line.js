@@ -57,7 +57,9 @@ export class TimeLine {
   show(store) {
     this.#showMarks(store);
     const said = onLine(store);
-    const key = `${store.touch?.began.touch} ${said.at(-1)?.elapsed_s} ${endOf(store.scene)} ${innerWidth}`;
+    const { touch, pad, time } = store.touch?.began ?? {};
+    const { language } = store.scene;
+    const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), innerWidth, language].join();
     if (key === this.#drawnFlags) return;
     this.#drawnFlags = key;
     this.#flags.replaceChildren(...said.map((prediction, i) => flag(prediction, said[i - 1], store.scene)));
