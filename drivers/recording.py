@@ -169,10 +169,15 @@ def realign(recording: Recording) -> Recording:
 
     HAART was cut 54 rows of 8 into the row stream, so that each published frame holds the last two rows of
     one scan before the first six of the next; dropping the first 2 and the last 6 rows regroups whole scans.
-    A live recording is returned as it is.
+    A live recording is returned as it is. Raises RecordingError for a published frame alone.
     """
     if recording.framing == "live":
         return recording
+    if len(recording.counts) < 2:
+        raise RecordingError(
+            f"{recording.participant}, {recording.gesture}: one row alone holds no whole scan; the rows of a "
+            "recording stand together"
+        )
     rows = recording.counts.reshape(-1, COLUMNS)
     counts = rows[SEAM_ROWS : SEAM_ROWS - ROWS].reshape(-1, ROWS, COLUMNS)
     return replace(recording, counts=counts, sensor_ms=recording.sensor_ms[: len(counts)], framing="live")

@@ -38,7 +38,15 @@ ROW_S = 24.0
 LONGEST_S = 300.0
 LEGEND = "filled: the robot was told    red: not the gesture that was done    grey: a touch was felt"
 ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
-LABEL: Mapping[str, Any] = {"ha": "center", "va": "bottom", "fontsize": 8.5, "fontweight": "bold"}
+# Names may hold what matplotlib takes for a formula.
+NO_FORMULA: Mapping[str, Any] = {"parse_math": False}
+LABEL: Mapping[str, Any] = {
+    "ha": "center",
+    "va": "bottom",
+    "fontsize": 8.5,
+    "fontweight": "bold",
+    **NO_FORMULA,
+}
 LEAST_COLUMNS, MOST_COLUMNS = 4, 7
 # Do not scale noise up to look like touches.
 LEAST_SCALE_COUNTS = 100.0
@@ -117,7 +125,7 @@ def draw(felt: Trace, title: str) -> Figure:
     pad_rows = math.ceil(len(gestures) / columns)
     heights = [ROW_INCHES * len(rows), *([PADS_INCHES * pad_rows] if gestures else [])]
     figure = new_figure(sum(heights) + TITLE_INCHES)
-    figure.suptitle(title, fontsize=11, color=INK)
+    figure.suptitle(title, fontsize=11, color=INK, **NO_FORMULA)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
     for row, (begin_s, end_s) in enumerate(rows):
@@ -200,7 +208,8 @@ def _draw_pads(figure: SubFigure, felt: Trace, gestures: Sequence[str], rows: in
         mean = np.concatenate([felt.rise[span.start : span.stop] for span in spans]).mean(axis=0)
         highest = max(float(mean.max()), 1.0)
         axes.imshow(mean, cmap="inferno", vmin=0, vmax=highest)
-        axes.set_title(gesture, fontsize=9, color=colour_of(gesture, gestures), fontweight="bold")
+        colour = colour_of(gesture, gestures)
+        axes.set_title(gesture, fontsize=9, color=colour, fontweight="bold", **NO_FORMULA)
         axes.set_xlabel(f"mean pad, 0 to {highest:.0f}", fontsize=8, color=QUIET_INK)
         axes.set_xticks([])
         axes.set_yticks([])

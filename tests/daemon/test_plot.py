@@ -101,6 +101,13 @@ def test_every_answer_stands_at_its_mark(felt: Trace) -> None:
     assert sum(text.startswith("mean pad, 0 to ") for text in written) == 2
 
 
+def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(felt: Trace) -> None:
+    spans = tuple(replace(span, gesture="$x_{$") for span in felt.stream.spans)
+    figure = plot_recording.draw(replace(felt, stream=replace(felt.stream, spans=spans)), "a $\\title$")
+    figure.draw_without_rendering()
+    assert {"a $\\title$", "$x_{$"} <= set(words(figure))
+
+
 @pytest.fixture
 def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)

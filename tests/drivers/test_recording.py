@@ -123,6 +123,9 @@ def test_each_of_haarts_layouts_gives_all_64_cells(tmp_path: Path, header: str, 
     np.testing.assert_array_equal(rub.counts[1].ravel(), np.arange(1, 65))
     assert rub.framing == "published"
     assert rub.sensor_ms.tolist() == [0, 19]
+    assert len(realign(rub).counts) == 1
+    with pytest.raises(RecordingError, match="P3, pat: one row alone holds no whole scan"):
+        realign(pat)
 
 
 @pytest.mark.parametrize(
