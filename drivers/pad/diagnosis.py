@@ -72,7 +72,9 @@ def propose(data: bytes) -> PadFormat | None:
     if numbers is None and _is_text(data):
         return None
     guesses = _binaries(data) if numbers is None else _texts(data, numbers)
-    for guess in sorted(guesses, key=_plausibility, reverse=True):
+    # Of zeros every checksum is right.
+    checksum_tells = data.count(0) < COMMONLY * len(data)
+    for guess in sorted(guesses, key=lambda guess: _plausibility(guess, checksum_tells), reverse=True):
         parser = parser_of(guess)
         frames = parser.feed(data, 0.0)
         parser.reset()
@@ -96,14 +98,14 @@ def has_single_bits(data: bytes) -> bool:
     return bool(np.mean(edges & edges >> 1 > 0) > FEW_BYTES)
 
 
-def _plausibility(guess: PadFormat) -> float:
+def _plausibility(guess: PadFormat, checksum_tells: bool) -> float:
     """Rate a guess: a preset's line is known; a checksum or clock that fits is hardly an accident; pads are
     mostly square; a long header is cells."""
     square = min(guess.rows, guess.columns) / max(guess.rows, guess.columns)
     header = len(guess.first_bytes)
     return (
         5 * _is_known(guess)
-        + 3 * (guess.checksum != "none")
+        + 3 * (guess.checksum != "none" and checksum_tells)
         + 2 * guess.clock
         + 2 * square
         + 0.5 * (guess.cell == "u16")

@@ -103,6 +103,12 @@ def test_a_row_a_line_is_no_small_pad(rows: int, columns: int, end: str) -> None
     assert propose(b"".join(encode_values(own, scan, None) for scan in values)[9:]) == own
 
 
+@pytest.mark.parametrize("side", [8, 16])
+def test_zeros_are_no_checksum(side: int) -> None:
+    own = PadFormat(header="aa55", rows=side, columns=side, cell="u8", full_scale=255)
+    assert propose(encode_values(own, np.zeros((side, side), np.uint16), None) * 40) == own
+
+
 def test_long_lines_of_a_large_pad_are_known() -> None:
     own = PadFormat(framing="line", rows=32, columns=32)
     values = np.random.default_rng(0).integers(0, 600, (6, 32, 32)).astype(np.uint16)
