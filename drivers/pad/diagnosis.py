@@ -112,6 +112,8 @@ def _plausibility(guess: PadFormat, checksum_tells: bool) -> float:
         # Guessed only where a line without numbers ends each frame.
         + 3 * (guess.framing == "rows")
         - 0.05 * abs(header - 3)
+        # Untouched cells beside the header look like a part of it.
+        - 0.2 * guess.first_bytes.count(0)
         # Cells read from a wrong offset look larger.
         - 0.1 * FULL_SCALES.index(guess.full_scale)
     )
