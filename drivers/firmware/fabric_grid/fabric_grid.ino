@@ -28,7 +28,7 @@ const uint8_t COLUMN_PINS[] = {A0, A1, A2, A3, A4, A5, A6, A7, A8, A9};
 // fabric and wire, which leaves a twentieth of a count.
 const uint16_t SETTLE_US = 50;
 
-// The rate the model was trained at; touchd takes 50 to 100.
+// The rate the model was trained at; touchd takes 20 to 500, best 50 to 100.
 const uint8_t FRAME_RATE_HZ = 54;
 
 // --- The timer -----------------------------------------------------------------------------------------
