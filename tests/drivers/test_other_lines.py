@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.sockets import free_port
 from rigs.wait import wait_for
@@ -49,6 +49,18 @@ def test_a_tcp_pad_that_went_away_is_found_again() -> None:
                 down = next_state(queue)
                 assert down.state == "down"
                 assert down.reason == f"{address} went away: unplugged or switched off?"
+
+
+def test_no_frame_is_made_up_of_what_came_before_and_after_a_reconnect() -> None:
+    lines = list(map(encode_csv_line, STREAM.counts[:40], STREAM.sensor_ms.tolist()))
+    begun, rest = lines[20].rsplit(b",", 50)[0], lines[21].split(b",", 51)[-1]
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with sensing(address, CsvLines()) as queue:
+            for sent in (b"".join(lines[:20]) + begun, b"," + rest + b"".join(lines[22:])):
+                with server.accept()[0] as connection:
+                    connection.sendall(sent)
+            assert_played(next_frames(queue, 37), STREAM, [*range(1, 20), *range(22, 40)])
 
 
 def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
@@ -93,6 +105,23 @@ def test_a_lost_datagram_costs_its_frame_alone() -> None:
             frames += parser.feed(read_waiting(opened, parser), time.monotonic())
     assert_played(frames, STREAM, kept)
     assert parser.counts.bad == 60 - len(kept)
+
+
+def test_an_empty_datagram_is_no_lost_pad() -> None:
+    parser = FabricGrid()
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+        give(b"")
+        give(PACKETS[0])
+        assert [read_waiting(opened, parser) for _ in range(2)] == [b"", PACKETS[0]]
+
+
+def test_a_datagram_is_given_without_waiting_for_another() -> None:
+    parser = FabricGrid()
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+        give(PACKETS[0])
+        begun_s = time.monotonic()
+        assert read_waiting(opened, parser) == PACKETS[0]
+        assert time.monotonic() - begun_s < 0.08
 
 
 def test_a_udp_pad_is_heard_and_found_again_after_silence() -> None:

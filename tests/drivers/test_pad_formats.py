@@ -182,6 +182,29 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     assert parser.ask_in_s(1.3) == 0.0
 
 
+def test_a_pad_without_a_clock_may_send_the_sum_of_its_values() -> None:
+    described = PadFormat(header="aaabac", rows=8, columns=8, checksum="values")
+    data = b"".join(encode_frame(described, felt(number), None) for number in range(3))
+    assert_are(described, parser_of(described).feed(data, 1.0), range(3))
+
+
+def test_no_frame_is_made_up_of_two_where_any_byte_may_be_a_value() -> None:
+    described = PadFormat(header="aa55aa55", cell="u8", rows=8, columns=8, full_scale=255)
+    parser = parser_of(described)
+    cut_off = encode_frame(described, felt(0), None)[:40]
+    assert_are(described, parser.feed(cut_off + stream(described, [1, 2]), 1.0), [1, 2])
+    assert parser.counts.bad == 1
+
+
+def test_a_polled_pads_damaged_reply_is_refused_and_counted() -> None:
+    described = msgspec.structs.replace(PRESETS["itas"], checksum="sum8")
+    parser = parser_of(described)
+    parser.ask(0.0)
+    reply = encode_frame(described, felt(0), None)
+    assert parser.feed(bytes([reply[0] ^ 1]) + reply[1:], 0.0) == []
+    assert parser.counts.bad_checksum == parser.counts.bad == 1
+
+
 def test_a_pad_without_a_clock_gets_an_even_one() -> None:
     parser = parser_of(PRESETS["m1616"])
     rng = np.random.default_rng(0)

@@ -112,6 +112,21 @@ def test_a_heavy_still_hand_is_no_fault() -> None:
     assert findings_in(frames_of(counts)) == []
 
 
+def test_a_load_that_wavers_at_the_limit_is_one_finding() -> None:
+    counts = sound_pad(40)
+    saturated(counts[5 * RATE_HZ : 15 * RATE_HZ])
+    for first in range(15 * RATE_HZ, 40 * RATE_HZ, 10):
+        saturated(counts[first : first + 7])
+    assert [(found.kind, found.began) for _, found in findings_in(frames_of(counts))] == [("saturated", True)]
+
+
+def test_a_firm_fingertip_at_the_limit_is_no_fault() -> None:
+    counts = sound_pad(20)
+    fingertip = counts[5 * RATE_HZ :, 2:5, 2:5]
+    fingertip[:] = np.random.default_rng(1).integers(1000, 1024, fingertip.shape)
+    assert findings_in(frames_of(counts)) == []
+
+
 def test_an_intermittent_contact_does_not_flood_the_log() -> None:
     counts = sound_pad(60)
     for second in range(5, 60, 2):

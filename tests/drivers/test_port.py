@@ -1,15 +1,18 @@
 """A port is checked before anything starts, and each fault is reported in one line."""
 
+import errno
 import logging
 import os
 import time
 
 import numpy as np
 import pytest
+import serial
 from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
 
 from drivers.fakes.fake_port import FakePort
+from drivers.pad.port import open_port
 from drivers.pad.sensor import SensorError, check_port
 
 
@@ -28,6 +31,7 @@ def test_a_readable_port_passes_undisturbed() -> None:
         ("/etc/passwd", BAUD, "/etc/passwd is no serial port: name a device like /dev/ttyACM0"),
         ("/", BAUD, "/ is no serial port"),
         ("scoket://pad:1", BAUD, "scoket://pad:1 cannot be opened: .*'scoket' not known"),
+        ("rfc2217://pad", BAUD, "rfc2217://pad cannot be opened: gives no port"),
         ("/dev/null", -1, "/dev/null cannot be opened: .*baudrate"),
     ],
 )
@@ -35,6 +39,28 @@ def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, me
     with pytest.raises(SensorError, match=message) as refusal:
         check_port(port, baud)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [
+        (errno.ECONNREFUSED, "is not there"),
+        (errno.EHOSTUNREACH, "is not there"),
+        (errno.EIO, "is not there"),
+        (errno.EPERM, "no permission to open"),
+        (errno.EBUSY, "is busy"),
+        (errno.EADDRINUSE, "is busy"),
+    ],
+)
+def test_what_the_system_says_of_a_port_is_told_in_words(
+    number: int, reason: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(SensorError, match=reason):
+        open_port("/dev/ttyACM0", BAUD)
 
 
 def test_a_device_that_is_no_terminal_is_named() -> None:
