@@ -204,7 +204,7 @@ def encode_values(described: PadFormat, values: NDArray[np.uint16], sensor_ms: i
     if described.framing == "rows":
         lines = [",".join(map(str, row)) for row in values.tolist()]
         return "\n".join([*lines, described.end, ""]).encode()
-    time = (sensor_ms or 0) % 2**32
+    time = (sensor_ms or 0) % 2**32 if described.clock else 0
     body = time.to_bytes(4, described.order) if described.clock else b""
     body += encode_cells(described, values.ravel())
     if described.checksum != "none":

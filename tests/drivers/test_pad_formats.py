@@ -184,7 +184,7 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
 
 def test_a_pad_without_a_clock_may_send_the_sum_of_its_values() -> None:
     described = PadFormat(header="aaabac", rows=8, columns=8, checksum="values")
-    data = b"".join(encode_frame(described, felt(number), None) for number in range(3))
+    data = b"".join(encode_frame(described, felt(number), 19 * number) for number in range(3))
     assert_are(described, parser_of(described).feed(data, 1.0), range(3))
 
 
