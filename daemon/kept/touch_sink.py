@@ -11,10 +11,10 @@ from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_store import TouchStore
 from daemon.sinks import QueuedSink
-from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 
-# A second of rest, and as long as a touch may have gone on before it is noticed, of a pad of 100 Hz.
-RECENT_FRAMES = 160
+# A second of rest, and as long as a touch may have gone on before it is noticed; of a pad of 500 Hz.
+RECENT_MS, RECENT_FRAMES = 3000, 1500
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 
 
@@ -65,6 +65,8 @@ class _PadFrames:
 
     def take(self, frame: Frame) -> None:
         self._recent.append(frame)
+        while (frame.sensor_ms - self._recent[0].sensor_ms) % CLOCK_MODULUS > RECENT_MS:
+            self._recent.popleft()
         if self._began is not None and len(self._frames) < LONGEST_FRAMES:
             self._frames.append(frame)
 

@@ -184,6 +184,28 @@ def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore) -> No
     assert read_provenance(kept.path)["part"] == "the beginning of a longer touch"
 
 
+def test_a_fast_pads_touch_is_kept_from_its_beginning_with_a_second_of_rest(
+    store: TouchStore, tmp_path: Path
+) -> None:
+    sink = TouchSink({"pad": store})
+    sink.start()
+    for ms in range(0, 7000, 2):
+        sink.take(Frame(ms // 2, ms, 0.0, np.zeros((8, 8), np.uint16)))
+        if ms == 4000:
+            sink.put(TouchBegan(touch=1, time=timestamp(0.0), sensor_ms=3200))
+    sink.put(
+        TouchEnded(
+            touch=1, gesture="rub", frames=146, reason="released", time=timestamp(3.0), sensor_ms=5900
+        )
+    )
+    sink.stop(WITHIN_S)
+    (kept,) = kept_touches(tmp_path / "touches")
+    frames = read_frames(kept)
+    assert frames.before is not None
+    assert frames.before.sensor_ms[[0, -1]].tolist() == [2200, 3198]
+    assert frames.touch.sensor_ms[[0, -1]].tolist() == [3200, 5900]
+
+
 def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
     bench = StoreBench(store)
     bench.feel(palm(0.5))
