@@ -194,9 +194,7 @@ def test_a_fast_pads_touch_is_kept_from_its_beginning_with_a_second_of_rest(
         if ms == 4000:
             sink.put(TouchBegan(touch=1, time=timestamp(0.0), sensor_ms=3200))
     sink.put(
-        TouchEnded(
-            touch=1, gesture="rub", frames=146, reason="released", time=timestamp(3.0), sensor_ms=5900
-        )
+        TouchEnded(touch=1, gesture="rub", frames=146, reason="released", time=timestamp(3.0), sensor_ms=5900)
     )
     sink.stop(WITHIN_S)
     (kept,) = kept_touches(tmp_path / "touches")
