@@ -127,6 +127,16 @@ def test_a_firm_fingertip_at_the_limit_is_no_fault() -> None:
     assert findings_in(frames_of(counts)) == []
 
 
+def test_a_stuck_taxel_that_twitches_now_and_then_is_one_finding() -> None:
+    counts = sound_pad(90)
+    counts[5 * RATE_HZ :, 3, 3] = 100
+    # In a twentieth of the frames, for ten seconds at a time.
+    for first in range(30 * RATE_HZ, 90 * RATE_HZ, 20 * RATE_HZ):
+        counts[first : first + 10 * RATE_HZ : 40, 3, 3] = 101
+    found = [(finding.kind, finding.began) for _, finding in findings_in(frames_of(counts))]
+    assert found == [("stuck taxel", True)]
+
+
 def test_an_intermittent_contact_does_not_flood_the_log() -> None:
     counts = sound_pad(60)
     for second in range(5, 60, 2):
