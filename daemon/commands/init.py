@@ -18,7 +18,15 @@ from daemon.doctor.machine import check_robot
 from daemon.terminal.own_name import own_name
 from drivers.errors import os_errors_as
 from drivers.numbers import within
-from drivers.pad.diagnosis import as_yaml, caution, diagnose, has_single_bits, is_certain, propose
+from drivers.pad.diagnosis import (
+    RECENT_BYTES,
+    as_yaml,
+    caution,
+    diagnose,
+    has_single_bits,
+    is_certain,
+    propose,
+)
 from drivers.pad.format import PRESETS, PadFormat
 from drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
 from drivers.pad.protocol import parser_of
@@ -30,7 +38,6 @@ from drivers.whole_file import whole_file
 FIRST_BYTE_S = 3.0
 LISTEN_S = 1.0
 ANSWER_S = 0.5
-ENOUGH_BYTES = 32768
 
 Found = tuple[str, int, PadFormat]
 """A port, its baud rate, and the pad there."""
@@ -133,12 +140,12 @@ def _listen(
                     on_silence(port)
                     return None
                 described = propose(data) if data else _answering(opened)
-                if described is not None and (not data or is_certain(described)):
+                if described is not None and data and not is_certain(described):
+                    guesses.append((has_single_bits(data), baud, described))
+                elif described is not None:
                     if data and not parser_of(described).feed(data, 0.0):
                         console.print(diagnose(data, described)[1], style="yellow")
                     return port, baud, described
-                if described is not None:
-                    guesses.append((has_single_bits(data), baud, described))
                 first_byte_s = LISTEN_S if data else 0.0
     except (SensorError, OSError) as error:
         console.print(str(error), style="yellow")
@@ -155,7 +162,7 @@ def _heard(opened: Line, first_byte_s: float) -> bytes:
     data = b""
     silent = parser_of(PRESETS["fabric-grid"])
     until_s = time.monotonic() + first_byte_s
-    while time.monotonic() < until_s and len(data) < ENOUGH_BYTES:
+    while time.monotonic() < until_s and len(data) < RECENT_BYTES:
         came = read_waiting(opened, silent)
         until_s = time.monotonic() + LISTEN_S if came and not data else until_s
         data += came

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import CLOCK_MODULUS, Counts, Frame
+from drivers.pad.diagnosis import RECENT_BYTES
 from drivers.pad.parser import FrameParser
 from drivers.pad.port import Line, SensorError, read_waiting
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
-# Enough to see many frames of any geometry.
-RECENT_BYTES = 32768
 # No pad sends more than one frame per tick of its clock.
 TICK_MS = 1
 LONGEST_STEP_MS = 1000

@@ -18,6 +18,8 @@ from drivers.pad.clock import MAX_STEP_MS
 from drivers.pad.format import CELL_BITS, PRESETS, PadFormat
 from drivers.pad.protocol import parser_of
 
+# Enough for a diagnosis: several frames of any geometry.
+RECENT_BYTES = 32768
 LETTERS = frozenset(string.ascii_letters.encode())
 LEAST_TEXT_LINES = 3
 TEXT = frozenset(b"0123456789,; \t\r\n")
@@ -92,7 +94,7 @@ def is_certain(found: PadFormat) -> bool:
 
 
 def has_single_bits(data: bytes) -> bool:
-    """Whether bits differ from both neighbours; at twice a pad's baud rate or more, each is read twice."""
+    """Whether single bits occur; at twice a pad's baud rate or more there are none, each is read twice."""
     bits = np.frombuffer(data, dtype=np.uint8)
     edges = (bits ^ bits >> 1) & 0x7F
     return bool(np.mean(edges & edges >> 1 > 0) > FEW_BYTES)

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.backoff import Backoff
 from drivers.frame import Frame
-from drivers.pad.diagnosis import diagnose
+from drivers.pad.diagnosis import RECENT_BYTES, diagnose
 from drivers.pad.line_watch import LineWatch
 from drivers.pad.parser import FrameParser
 from drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting, reads_all
@@ -21,8 +21,6 @@ __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 
 log = logging.getLogger(__name__)
 
-# Enough for a diagnosis: many frames of any geometry.
-RECENT_BYTES = 32768
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
 WAIT_S = 0.0745
 # Noise changes a taxel by less within this time; nearly all touches change one by more.

@@ -91,8 +91,7 @@ def _is_here(host: str) -> bool:
 def read_token(settings: RobotSettings) -> str:
     """Return the token as it is now; raises RobotError with one line, which does not show it."""
     if settings.token_file is not None:
-        # A value that is no path may be the token itself.
-        where = settings.token_file if "/" in settings.token_file else "(not shown, since it is no full path)"
+        where = _shown(settings.token_file)
         try:
             # A pipe that nobody writes to must not hold the daemon up.
             fd = os.open(written_out(settings.token_file), os.O_RDONLY | os.O_NONBLOCK)
@@ -122,5 +121,10 @@ def _warn_of_readers(token_file: str) -> None:
         log.warning(
             "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
             "chgrp touchd)",
-            token_file if "/" in token_file else "(not shown, since it is no full path)",
+            _shown(token_file),
         )
+
+
+def _shown(token_file: str) -> str:
+    # A value that is no path may be the token itself.
+    return token_file if "/" in token_file else "(not shown, since it is no full path)"

@@ -58,7 +58,7 @@ def test_another_baud_rate_is_found_by_trying() -> None:
     assert protocol_of(pad_at_baud(resting(60.0), termios.B115200)).advice == "set sensor.baud: 115200"
 
 
-def test_what_a_wrong_baud_rate_makes_of_a_pad_is_no_other_pad() -> None:
+def test_a_wrong_baud_rate_makes_no_other_pad() -> None:
     velostat = PRESETS["velostat"]
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:

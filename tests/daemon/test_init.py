@@ -54,9 +54,7 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
         main([str(path)])
 
 
-def test_a_pad_of_its_own_format_is_found_at_its_own_baud_rate(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unknown_pad_is_found_at_its_baud_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own = PadFormat(header="aa55", rows=8, columns=8, cell="u8", full_scale=255)
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:

@@ -101,7 +101,7 @@ def test_every_answer_stands_at_its_mark(felt: Trace) -> None:
     assert sum(text.startswith("mean pad, 0 to ") for text in written) == 2
 
 
-def test_a_name_that_looks_like_a_formula_is_drawn_as_it_is(felt: Trace) -> None:
+def test_a_name_like_a_formula_is_drawn_as_it_is(felt: Trace) -> None:
     spans = tuple(replace(span, gesture="$x_{$") for span in felt.stream.spans)
     figure = plot_recording.draw(replace(felt, stream=replace(felt.stream, spans=spans)), "a $\\title$")
     figure.draw_without_rendering()

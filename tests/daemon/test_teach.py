@@ -62,7 +62,7 @@ def test_of_several_pads_the_one_that_was_taught_gets_the_model(tmp_path: Path, 
     assert new["right"] == old["right"]
 
 
-def test_a_pad_without_settings_of_its_own_is_left_to_the_user() -> None:
+def test_a_pad_without_settings_is_left_to_the_user() -> None:
     with pytest.raises(ConfigError, match="head has no setting"):
         with_model("sensors:\n  head: {}\n  arm: {port: /dev/b}\n", Path("/srv/a.onnx"), "head")
 

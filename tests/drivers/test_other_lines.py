@@ -51,7 +51,7 @@ def test_a_tcp_pad_that_went_away_is_found_again() -> None:
                 assert down.reason == f"{address} went away: unplugged or switched off?"
 
 
-def test_no_frame_is_made_up_of_what_came_before_and_after_a_reconnect() -> None:
+def test_no_frame_is_made_up_across_a_reconnect() -> None:
     lines = list(map(encode_csv_line, STREAM.counts[:40], STREAM.sensor_ms.tolist()))
     begun, rest = lines[20].rsplit(b",", 50)[0], lines[21].split(b",", 51)[-1]
     with socket.create_server(("127.0.0.1", 0)) as server:

@@ -182,13 +182,13 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     assert parser.ask_in_s(1.3) == 0.0
 
 
-def test_a_pad_without_a_clock_may_send_the_sum_of_its_values() -> None:
+def test_a_pad_without_a_clock_may_sum_its_values() -> None:
     described = PadFormat(header="aaabac", rows=8, columns=8, checksum="values")
     data = b"".join(encode_frame(described, felt(number), 19 * number) for number in range(3))
     assert_are(described, parser_of(described).feed(data, 1.0), range(3))
 
 
-def test_no_frame_is_made_up_of_two_where_any_byte_may_be_a_value() -> None:
+def test_no_frame_is_made_up_of_two() -> None:
     described = PadFormat(header="aa55aa55", cell="u8", rows=8, columns=8, full_scale=255)
     parser = parser_of(described)
     cut_off = encode_frame(described, felt(0), None)[:40]

@@ -248,7 +248,7 @@ def test_a_wrong_login_gives_advice_without_the_token(
     assert "wr0ng-token" not in repr(states.told) + caplog.text
 
 
-def test_a_token_that_is_corrected_in_its_file_is_used_at_the_next_attempt(tmp_path: Path) -> None:
+def test_a_corrected_token_is_used_at_the_next_attempt(tmp_path: Path) -> None:
     token = tmp_path / "token"
     token.write_text("wr0ng-token\n")
     login: dict[str, Any] = {"user": "nao", "token_file": str(token), "trust_network": True}
