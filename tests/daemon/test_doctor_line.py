@@ -5,19 +5,18 @@ import termios
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from rigs.doctor_rig import SETTINGS, heard, pad_at_baud, pad_of, resting
+from rigs.doctor_rig import SETTINGS, heard, pad_at_baud, pad_of, pad_read_too_fast, resting
 from rigs.formats import encode_csv_line
 from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
-from rigs.wire import read_too_fast
 
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts, Frame
-from drivers.pad.format import PRESETS, encode_frame
+from drivers.frame import Frame
+from drivers.pad.format import PRESETS
 from drivers.pad.port import open_port
 from drivers.pad.protocol import parser_of
 
@@ -59,15 +58,8 @@ def test_another_baud_rate_is_found_by_trying() -> None:
 
 
 def test_a_wrong_baud_rate_makes_no_other_pad() -> None:
-    velostat = PRESETS["velostat"]
-
-    def encode(counts: Counts, sensor_ms: int) -> bytes:
-        return encode_frame(velostat, counts, sensor_ms)
-
-    def twice(counts: Counts, sensor_ms: int) -> bytes:
-        return read_too_fast(encode(counts, sensor_ms), 2)
-
-    pad = pad_at_baud(np.zeros((3000, 8, 8), np.uint16), termios.B115200, encode, twice)
+    rest = np.zeros((3000, 8, 8), np.uint16)
+    pad = pad_read_too_fast(rest, termios.B115200, PRESETS["velostat"])
     assert protocol_of(pad, SensorSettings(format="velostat")).advice == "set sensor.baud: 115200"
 
 

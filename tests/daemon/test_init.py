@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.doctor_rig import pad_at_baud
+from rigs.doctor_rig import pad_at_baud, pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.programs import TOUCHD, Program
 from rigs.robots import Robot
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
-from rigs.wire import read_too_fast
 
 from daemon.commands import init
 from daemon.commands.init import main
@@ -25,8 +24,7 @@ from daemon.config import ConfigError, SensorSettings, load
 from daemon.events import SensorEvent, decode
 from daemon.setup.destinations import encoder_for
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
-from drivers.pad.format import PRESETS, PadFormat, encode_frame
+from drivers.pad.format import PRESETS, PadFormat
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
@@ -56,17 +54,10 @@ def test_the_pads_port_and_slow_baud_rate_are_found(tmp_path: Path, monkeypatch:
 
 def test_an_unknown_pad_is_found_at_its_baud_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own = PadFormat(header="aa55", rows=8, columns=8, cell="u8", full_scale=255)
-
-    def encode(counts: Counts, sensor_ms: int) -> bytes:
-        return encode_frame(own, counts, None)
-
-    def twice(counts: Counts, sensor_ms: int) -> bytes:
-        return read_too_fast(encode(counts, sensor_ms), 2)
-
     path = tmp_path / "touchd.yaml"
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     rest = np.random.default_rng(0).integers(0, 24, (4000, 8, 8)).astype(np.uint16)
-    with pad_at_baud(rest, termios.B57600, encode, twice) as pad:
+    with pad_read_too_fast(rest, termios.B57600, own) as pad:
         assert main([str(path), "--port", pad.path, "--robot", "none"]) == 0
     sensor = load(path).sensor
     assert (sensor.baud, str(sensor.described)) == (57_600, str(own))

@@ -11,6 +11,7 @@ import pytest
 from rigs.formats import encode_fabric_grid
 from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.sensor_rig import Encode, noise
+from rigs.wire import read_too_fast
 
 from daemon.config import Settings
 from daemon.doctor.check import Check
@@ -18,6 +19,7 @@ from daemon.doctor.listening import Heard, listen
 from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts
+from drivers.pad.format import PadFormat, encode_frame
 from drivers.pad.port import open_port
 from drivers.pad.protocol import parser_of
 from drivers.recording import Stream, ideal_clock_ms
@@ -49,6 +51,15 @@ def pad_at_baud(
 
     port = pad_of(counts, encode, speed=4.0, loop=True)
     return port
+
+
+def pad_read_too_fast(counts: Counts, speed: int, described: PadFormat) -> FakePort:
+    """A pad whose bytes are read at twice its baud rate unless its line has this speed of termios."""
+
+    def encode(counts: Counts, sensor_ms: int) -> bytes:
+        return encode_frame(described, counts, sensor_ms)
+
+    return pad_at_baud(counts, speed, encode, lambda *sent: read_too_fast(encode(*sent), 2))
 
 
 def heard(
