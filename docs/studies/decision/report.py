@@ -192,15 +192,17 @@ def stages_table(figures: StreamReport) -> str:
 
 
 def curve_table(figures: StreamReport) -> str:
-    """Return what the robot is told under each pair of settings, the default first."""
+    """Return what the robot is told where one of the two settings is the default's; the file has every pair."""
+    default = figures.default
     rows = [
         (
-            f"{p.speak_above:.2f}" + (" (default)" if p is figures.default else ""),
-            f"{p.revise_margin:.2f}",
+            f"{p.speak_above:.2f}",
+            f"{p.revise_margin:.2f}" + (" (default)" if p == default else ""),
             *map(_percent, (p.told_early, p.right_when_told_early, p.right_at_end, p.changed, p.harmed)),
             f"{p.median_settled_s:.2f} s",
         )
-        for p in (figures.default, *figures.curve)
+        for p in figures.curve
+        if p.speak_above == default.speak_above or p.revise_margin == default.revise_margin
     ]
     shares = ("told early", "right when told early", "right at the end", "changed", "harmed")
     return table(("speak_above", "revise_margin", *shares, "right for good after"), rows)
