@@ -9,6 +9,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -20,6 +21,7 @@ from rigs.wait import wait_for
 from drivers.frame import Frame
 from drivers.pad import network
 from drivers.pad.format import PRESETS, PadFormat, layout_of
+from drivers.pad.network import GONE_S
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import FrameQueue, Sensor
@@ -139,6 +141,8 @@ def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parser = FabricGrid()
+    now_s = [0.0]
+    monkeypatch.setattr(network, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
 
         def read() -> list[Frame]:
@@ -146,17 +150,36 @@ def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
 
         frames = []
         for number in range(30):
+            now_s[0] += GONE_S - 0.1
             give(PACKETS[number])
             frames += read()
             give(PACKETS[number + 100], "127.0.0.2")
             assert read() == []
         assert_played(frames, STREAM, list(range(30)))
-        monkeypatch.setattr(network, "GONE_S", 0.0)
+        now_s[0] += GONE_S
         give(PACKETS[130], "127.0.0.2")
         give(PACKETS[131], "127.0.0.2")
         assert read() + read()
+        give(PACKETS[30])
+        assert read() == []
     told = f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board a port of its own"
     assert caplog.messages == [told]
+
+
+def test_a_pad_may_have_an_ipv6_address() -> None:
+    try:
+        listening = socket.create_server(("::1", 0), family=socket.AF_INET6)
+    except OSError:
+        pytest.skip("no IPv6 on this machine")
+    with listening as server:
+        port = server.getsockname()[1]
+        with open_port(f"tcp://[::1]:{port}", 9600) as opened, server.accept()[0] as connection:
+            connection.sendall(PACKETS[0])
+            assert read_waiting(opened, FabricGrid()) == PACKETS[0]
+    with open_port(f"udp://[::1]:{port}", 9600) as opened:
+        with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sender:
+            sender.sendto(PACKETS[0], ("::1", port))
+        assert read_waiting(opened, FabricGrid()) == PACKETS[0]
 
 
 def test_datagrams_that_may_wait_are_all_taken_at_once() -> None:

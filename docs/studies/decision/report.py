@@ -192,7 +192,7 @@ def stages_table(figures: StreamReport) -> str:
 
 
 def curve_table(figures: StreamReport) -> str:
-    """Return what the robot is told where one of the two settings is the default's; the file has every pair."""
+    """Return what the robot is told where one of the settings is the default's; the file has every pair."""
     default = figures.default
     rows = [
         (
