@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 
-from daemon.pad.baseline import Baseline
+from daemon.pad.baseline import Baseline, LastSecond
 from daemon.touch import NoTouch, Onset, Release, TouchSettings, TouchTracker
 from drivers.pad.grid import GridFrame
 
@@ -465,11 +465,12 @@ def known(rest: float = 10.0) -> Baseline:
     return baseline
 
 
-def test_light_contact_of_a_second_hardly_moves_the_rest() -> None:
+@pytest.mark.parametrize(("read", "moved"), [(20.0, 1 / 3), (0.0, -1 / 3)], ids=["contact", "dip"])
+def test_light_contact_of_a_second_hardly_moves_the_rest(read: float, moved: float) -> None:
     baseline = known()
     for _ in range(54):
-        baseline.track(np.full(64, 20.0, np.float32))
-    np.testing.assert_allclose(baseline.counts, 10.0 + 1 / 3, atol=0.02)
+        baseline.track(np.full(64, read, np.float32))
+    np.testing.assert_allclose(baseline.counts, 10.0 + moved, atol=0.02)
 
 
 def test_the_rest_follows_a_drift_of_a_third_count_a_second() -> None:
@@ -493,6 +494,14 @@ def test_the_noise_floor_lies_above_the_sway() -> None:
     baseline.track_sway(np.full(64, 3.0, np.float32))
     baseline.track(np.full(64, 10.0, np.float32))
     np.testing.assert_allclose(baseline.noise_floor, 3.9, rtol=1e-5)
+    assert baseline.mean_noise_floor == pytest.approx(1.6)
+
+
+def test_the_newer_half_of_the_last_second_comes_second() -> None:
+    recent = LastSecond()
+    for read in range(60):
+        recent.push(np.full(64, read, np.float32))
+    assert [half.mean() for half in recent.halves()] == [19.0, 46.0]
 
 
 JUMPS = np.array([5, 4, 12, 9, 2, 2, 4, 6], np.float32)
