@@ -117,6 +117,15 @@ def test_an_empty_datagram_is_no_lost_pad() -> None:
         assert [read_waiting(opened, parser) for _ in range(2)] == [b"", PACKETS[0]]
 
 
+def test_datagrams_that_came_too_early_are_all_dropped() -> None:
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+        for packet in PACKETS[:3]:
+            give(packet)
+        opened.reset_input_buffer()
+        give(PACKETS[3])
+        assert read_waiting(opened, FabricGrid()) == PACKETS[3]
+
+
 def test_a_datagram_is_given_without_waiting_for_another() -> None:
     parser = FabricGrid()
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
