@@ -24,7 +24,7 @@ from drivers.pad.format import PRESETS, PadFormat, layout_of
 from drivers.pad.network import GONE_S
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import FrameQueue, Sensor
+from drivers.pad.sensor import WAIT_S, FrameQueue, Sensor
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"]]
 STREAM = stream_of(400)
@@ -256,6 +256,17 @@ def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
         # One poll a frame, at most at the pad's rate.
         steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
         assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
+
+
+def test_a_polled_pads_frames_never_wait() -> None:
+    queue = FrameQueue()
+    with polled_on_a_pty(POLLED[0]) as (path, pad):
+        sensor = Sensor(path, 9600, parser_of(POLLED[0]), queue)
+        sensor.may_wait = True
+        sensor.start()
+        next_frames(queue, 30)
+        sensor.stop()
+    assert pad.asked_s[29] - pad.asked_s[0] < 30 * WAIT_S / 2
 
 
 def test_a_late_reply_is_not_taken_for_another() -> None:

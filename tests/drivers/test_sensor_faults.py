@@ -5,6 +5,7 @@ import socket
 import threading
 import time
 from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +24,11 @@ from rigs.sensor_rig import (
     silence,
     stream_of,
 )
-from rigs.wait import wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from drivers.fakes.fake_port import FakePort
 from drivers.frame import Counts, Frame
+from drivers.pad import sensor as sensor_module
 from drivers.pad import sensor_state
 from drivers.pad.port import SensorError, open_port
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState
@@ -53,6 +55,37 @@ def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture)
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again after ")
+
+
+def test_a_port_that_is_silent_for_long_is_opened_anew() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(WITHIN_S)
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        sensor = Sensor(address, 9600, FabricGrid(), FrameQueue(), reopen_after_s=0.2)
+        sensor.start()
+        with server.accept()[0], server.accept()[0]:
+            sensor.stop()
+
+
+def test_wrong_bytes_are_looked_at_ever_less_often_until_a_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked_s: list[float] = []
+
+    def look(*seen: object) -> tuple[str, str]:
+        looked_s.append(time.monotonic())
+        return "noise", "noise"
+
+    monkeypatch.setattr(sensor_module, "diagnose", look)
+    switch = Switch(noise)
+    with FakePort(stream_of(), switch) as port, sensing(port.path, silence_s=0.2) as queue:
+        wait_for(lambda: len(looked_s) == 4)
+        steps_s = [later - earlier for earlier, later in pairwise(looked_s)]
+        assert all(later_s > 1.3 * earlier_s for earlier_s, later_s in pairwise(steps_s))
+        switch.encode = encode_fabric_grid
+        wait_for(lambda: len(queue) > 5)
+        switch.encode = noise
+        wrong_s = time.monotonic()
+        wait_for(lambda: len(looked_s) == 5)
+        assert looked_s[4] - wrong_s < 1.0
 
 
 def test_a_reader_told_to_stop_while_it_waits_for_an_address_says_nothing_more() -> None:
