@@ -259,9 +259,9 @@ def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
 
 
 def test_a_polled_pads_frames_never_wait() -> None:
-    queue = FrameQueue()
-    with polled_on_a_pty(POLLED[0]) as (path, pad):
-        sensor = Sensor(path, 9600, parser_of(POLLED[0]), queue)
+    queue, described = FrameQueue(), msgspec.structs.replace(POLLED[1], clock=True, header="aa55")
+    with polled_on_a_pty(described) as (path, pad):
+        sensor = Sensor(path, 9600, parser_of(described), queue)
         sensor.may_wait = True
         sensor.start()
         next_frames(queue, 30)
