@@ -97,6 +97,25 @@ def test_a_pad_that_keeps_still_wakes_nobody_until_it_is_touched() -> None:
         sensor.stop()
 
 
+@pytest.mark.parametrize(("counts_a_frame", "is_felt"), [(1.0, True), (0.2, False)], ids=["hand", "drift"])
+def test_a_slow_hand_wakes_the_loop_and_a_drift_does_not(counts_a_frame: float, is_felt: bool) -> None:
+    scans = np.zeros((80, 8, 8), np.uint16)
+    scans[:, 3, 4] = np.arange(80) * counts_a_frame
+    arrived = Signal()
+    queue = FrameQueue(filled=arrived)
+    with FakePort(Stream(scans, ideal_clock_ms(len(scans)), ()), encode_fabric_grid) as port:
+        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
+        sensor.loop_may_sleep = True
+        sensor.start()
+        # The first state and the first frame.
+        next_frames(queue, 1)
+        while arrived.wait(0.0):
+            pass
+        assert port.wait(WITHIN_S)
+        assert arrived.wait(0.0) == is_felt
+        sensor.stop()
+
+
 def test_frames_stamped_on_arrival_never_wait() -> None:
     stream, queue = stream_of(40), FrameQueue()
     described = PRESETS["velostat"]
