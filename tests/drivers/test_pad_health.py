@@ -112,6 +112,19 @@ def test_a_heavy_still_hand_is_no_fault() -> None:
     assert findings_in(frames_of(counts)) == []
 
 
+def test_a_hand_that_covers_the_pad_for_45_s_is_no_drift() -> None:
+    counts = sound_pad(240)
+    counts[100 * RATE_HZ : 145 * RATE_HZ] += 30
+    assert findings_in(frames_of(counts)) == []
+
+
+def test_a_load_at_the_limit_two_thirds_of_the_time_is_no_fault() -> None:
+    counts = sound_pad(30)
+    for first in range(0, 30 * RATE_HZ, 9):
+        saturated(counts[first : first + 6])
+    assert findings_in(frames_of(counts)) == []
+
+
 def test_a_load_that_wavers_at_the_limit_is_one_finding() -> None:
     counts = sound_pad(40)
     saturated(counts[5 * RATE_HZ : 15 * RATE_HZ])
@@ -170,6 +183,14 @@ def test_a_creeping_rest_and_its_return_are_reported_once(caplog: pytest.LogCapt
     lines = [line[1:] for line in logged(frames, caplog)]
     assert lines == [("WARNING", begin.what), ("INFO", f"no longer: {begin.what}")]
     assert "the level at rest rose by" in begin.what
+
+
+@pytest.mark.parametrize("levels", [(0, 14, 7, 14), (14, 0, 14, 7)], ids=["wavers", "falls first"])
+def test_a_rest_that_has_risen_is_one_finding_while_it_wavers(levels: tuple[int, ...]) -> None:
+    counts = sound_pad(400)
+    counts += np.repeat(np.array(levels, np.uint16), 100 * RATE_HZ)[:, None, None]
+    found = [(finding.kind, finding.began) for _, finding in findings_in(frames_of(counts))]
+    assert found == [("drift", True)]
 
 
 def test_a_restarting_clock_does_no_harm() -> None:
