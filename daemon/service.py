@@ -109,6 +109,9 @@ class Service:
                 pad.queue.put(SensorState("down", why))
         self._taken_over.clear()
         self._next = parts
+        # After clear, so that an end between the two is not missed.
+        if self._has_ended:
+            return parts.changed
         if not self._taken_over.wait(PATIENCE_S):
             log.info("the new configuration waits for a touch to end")
             self._taken_over.wait()
@@ -117,7 +120,7 @@ class Service:
         # One after the other: the old journal may be the same file.
         _stop([sink for sink in before.sinks if sink not in parts.sinks], REPLACED_STOP_S)
         for sink in parts.sinks:
-            if sink not in before.sinks:
+            if sink not in before.sinks and not self._has_ended:
                 sink.start()
         return parts.changed
 

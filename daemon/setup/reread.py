@@ -15,6 +15,8 @@ from drivers.errors import TouchdError
 log = logging.getLogger(__name__)
 
 STOP_S = 0.2
+# More than a model takes to load: a Python that ends while ONNX Runtime loads one aborts.
+SETTLE_S = 1.0
 PATIENCE_S = 30.0
 LOOK_S = 0.5
 
@@ -37,6 +39,12 @@ class Reloader:
         """Begin to read the settings again; returns at once."""
         self._latest = next(self._numbers)
         threading.Thread(target=self._reload, args=(self._latest,), name="touchd-reload", daemon=True).start()
+
+    def end(self) -> None:
+        """Wait for the reload under way, and begin no other."""
+        self._latest = next(self._numbers)
+        if self._one_at_a_time.acquire(timeout=SETTLE_S):
+            self._one_at_a_time.release()
 
     def _reload(self, number: int) -> None:
         try:
@@ -84,3 +92,4 @@ def rereading(asked: threading.Event, reloader: Reloader) -> Iterator[None]:
         ending.set()
         asked.set()
         thread.join(STOP_S)
+        reloader.end()

@@ -364,3 +364,40 @@ def test_reloads_that_a_later_one_replaces_do_not_pile_up(monkeypatch: pytest.Mo
     touch_ends.set()
     wait_for(lambda: not any(thread.name == "touchd-reload" for thread in threading.enumerate()))
     assert len(used) == 2
+
+
+def test_the_end_waits_for_a_reload_under_way_and_begins_none() -> None:
+    begun, loaded = threading.Event(), threading.Event()
+    used: list[int] = []
+
+    def use(_: Settings) -> list[str]:
+        used.append(len(used))
+        begun.set()
+        loaded.wait(WITHIN_S)
+        used.append(len(used))
+        return []
+
+    asked = threading.Event()
+    reloader = Reloader(Settings, use)
+    with rereading(asked, reloader):
+        asked.set()
+        assert begun.wait(WITHIN_S)
+        reloader.start()
+        threading.Timer(0.2, loaded.set).start()
+    # Python may end now: nothing is inside a library that would abort.
+    assert used == [0, 1]
+    wait_for(lambda: not any(thread.name == "touchd-reload" for thread in threading.enumerate()))
+    assert used == [0, 1]
+
+
+def test_a_reload_after_the_end_starts_nothing(tmp_path: Path) -> None:
+    settings = Settings(sensor=SensorSettings(port="/dev/nowhere"))
+    journal = tmp_path / "events.jsonl"
+    service = Service(settings, Health(Notifier({})))
+    ended = threading.Event()
+    ended.set()
+    service.run(ended)
+    assert service.reload(Settings(sensor=settings.sensor, journal=JournalSettings(path=str(journal)))) == [
+        "journal"
+    ]
+    assert "touchd-journal" not in [thread.name for thread in threading.enumerate()]
