@@ -28,8 +28,9 @@ from daemon.events import (
 )
 from daemon.pad.age import Age, Feeling
 from daemon.pad.feel import FeelMeter
+from daemon.pad.held import LEFT_ANYHOW_FRAMES
 from daemon.pad.steps import Heard, Step, Work, work_off
-from daemon.touch import CALIBRATION_FRAMES, LEFT_ANYHOW_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from drivers.pad.grid import GridFrame, Ring, RingSettings
 from drivers.pad.sensor_state import SensorState

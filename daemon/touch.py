@@ -6,11 +6,8 @@ counts, as a light touch does; a touch lifts other rows too, or that one by more
 beyond one row's or column's first counts. Firm contact begins a touch at once. Light contact may also be a
 baseline that shifted or a pad that wobbles: it begins a touch when it moves on and the network sees one.
 
-A touch ends when contact has been gone for `quiet_s`. A fabric rarely comes back to where it was, and noise
-may have begun meanwhile, so a touch also ends when the pad shows that nobody touches it, whatever it reads:
-it keeps still far below the touch's own level; or it has become far calmer than the touch was; or the network
-sees no touch, several times running. What it reads then becomes its baseline. A load that keeps still at the
-touch's level for `settled_s` is no hand, for a resting hand trembles. The figures behind the numbers are in
+A touch ends when contact has been gone for `quiet_s`, or when the pad shows that nobody touches it, whatever
+it reads (daemon/pad/held.py). What it reads then becomes its baseline. The figures behind the numbers are in
 docs/touch.md.
 """
 
@@ -23,16 +20,16 @@ from numpy.typing import NDArray
 
 from daemon.events import EndReason
 from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
-from daemon.pad.sight import ASK_FRAMES, DOUBT, NoTouch, Sight
+from daemon.pad.held import END_STRIDE_FRAMES, HeldTouch
+from daemon.pad.light import STEP_FRAMES, LightContact, beyond_one_wire, is_in_common
+from daemon.pad.sight import ASK_FRAMES, NoTouch, Sight
 from daemon.pad.wire import LOOK_FRAMES, LooseWire
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.grid import GridFrame
 
 # A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
 SMOOTH_FRAMES = 3
 CALIBRATION_FRAMES = 27
-WIRE_COUNTS = 25.0
-BACKDATE_COUNTS = 1.0
 # Up to this threshold the network may begin a touch that has too little contact.
 NOTICED_COUNTS = 4.0
 # A pad silent for longer, or restarted, may have been moved or changed: it is calibrated anew.
@@ -41,8 +38,7 @@ CHANGED_AFTER_MS = 2000.0
 # Contact that only a hand makes: this much, or this many times the untouched pad's recent peak.
 FIRM_COUNTS = 60.0
 FIRM_RESTLESS = 3.0
-# A baseline's shift is over after two frames; a hand goes on moving, by so many counts summed over the pad.
-STEP_FRAMES = 2
+# A hand goes on moving, by so many counts summed over the pad.
 MOVED_COUNTS = 6.0
 SURE_MOVEMENT = 4.0
 # Later movement may be a breathing body's.
@@ -57,33 +53,10 @@ RESTLESS_KEPT = 0.999
 # What was measured while a hand left is forgotten after two quiet seconds, in which a body breathes once.
 LEAVING_FRAMES = 108
 
-# A vibration that begins lifts all taxels alike, before it is known and taken out (drivers/pad/vibration.py).
-COMMON_COUNTS = 8.0
-COMMON_SHARE = 0.25
-
-# The end is checked nine times a second.
-END_STRIDE_FRAMES = 6
-# Far below the touch's level: a share of its highest half second, or less contact than a resting hand makes.
-LOW_SHARE = 0.35
-LOW_COUNTS = 80.0
-# A taxel keeps still when its half seconds differ by less than this, its sway, or what its noise explains.
-STILL_COUNTS = 0.9
-STILL_SWAYS = 1.2
-STILL_SPREADS = 0.8
-MAX_SPREAD_COUNTS = 4.0
-LOAD_NOISE = 0.03
-STILL_FRAMES = 36
-CALM_FRAMES = 90
-# Light contact that keeps still may be a light pat's lift-off, if the network surely sees one, for so long.
-LEFT_ANYHOW_FRAMES = 200
-# A pad whose rest the network takes for a touch is untouched when it moves hardly more than it did at rest.
-RESTFUL = 1.1
 # The network is asked while nothing touches the pad about its last two thirds of a second, for some touches
 # are in no single taxel above the noise; else about its last second.
 GLANCE_FRAMES = 36
 ABOVE_AND_BELOW = np.array([[1], [-1]], np.float32)
-# The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.
-DISTURBED_FLOOR = 2.2
 
 
 class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -128,34 +101,6 @@ class Release:
     reason: EndReason
 
 
-@dataclass
-class _Light:
-    """Light contact of which it is not clear yet whether it is a touch.
-
-    since: its first frame. last: its latest frame above the threshold, with the taxels touched in it. before:
-    the pad after the first step, to see whether it goes on moving. moved, highest: most movement and contact.
-    """
-
-    since: int
-    last: int
-    touched: NDArray[np.bool_]
-    before: Taxels
-    moved: float = 0.0
-    highest: float = 0.0
-
-
-@dataclass
-class _Held:
-    """A touch that goes on: its frames, its highest level and activity, how long it has seemed over."""
-
-    first: int
-    last: int
-    level: float = 0.0
-    activity: float = 0.0
-    still_frames: int = 0
-    calm_frames: int = 0
-
-
 class TouchTracker:
     """Follows the pad frame by frame and says when a touch begins and ends.
 
@@ -179,8 +124,8 @@ class TouchTracker:
         self._restless = self._restless_since = 0.0
         self._watched_frames = 0
         self._rest_activity = 0.0
-        self._light: _Light | None = None
-        self._held: _Held | None = None
+        self._light: LightContact | None = None
+        self._held: HeldTouch | None = None
         if before is not None:
             vars(self).update(vars(before))
         self._sight = Sight(no_touch)
@@ -212,7 +157,7 @@ class TouchTracker:
     @property
     def is_disturbed(self) -> bool:
         """Whether the untouched pad is so noisy that light touches go unnoticed."""
-        return self._baseline.mean_noise_floor >= DISTURBED_FLOOR
+        return self._baseline.is_disturbed
 
     @property
     def loose_lines(self) -> tuple[str, ...]:
@@ -257,8 +202,8 @@ class TouchTracker:
         # The same for what lies above rest and for what lies below.
         both = np.maximum(ABOVE_AND_BELOW * rise - self._baseline.noise_floor, 0)
         above = both[0]
-        contact, sunken = _beyond_one_wire(both)
-        if self._light is None and contact >= self._onset_counts and _is_in_common(rise):
+        contact, sunken = beyond_one_wire(both)
+        if self._light is None and contact >= self._onset_counts and is_in_common(rise):
             contact = 0.0
         if contact >= self._onset_counts or self._light is not None:
             return self._weigh_light(smooth, above, contact)
@@ -291,7 +236,7 @@ class TouchTracker:
         if not is_seen or self._settings.onset_threshold > NOTICED_COUNTS:
             return None
         self._sight.forget_looks()
-        self._held = _Held(self._index - GLANCE_FRAMES - ASK_FRAMES, self._index)
+        self._held = HeldTouch(self._index - GLANCE_FRAMES - ASK_FRAMES, self._index)
         return Onset(self._held.first)
 
     @property
@@ -306,17 +251,9 @@ class TouchTracker:
         """Tell a touch from a shifted baseline, which stands still, and a wobble, which the network knows."""
         light = self._light
         if light is None:
-            light = self._light = _Light(self._index, self._index, above > 0, smooth)
+            light = self._light = LightContact(self._index, smooth)
+        light.follow(self._index, smooth, above, contact, self._onset_counts, self._baseline)
         waited = self._index - light.since
-        if waited <= STEP_FRAMES:
-            light.before = smooth
-        if contact >= self._onset_counts:
-            light.last, light.touched = self._index, above > 0
-        light.highest = max(light.highest, contact)
-        off = smooth - light.before
-        off -= np.sort(off)[TAXELS // 2]
-        moved = np.maximum(np.abs(off) - self._baseline.noise_floor, 0)
-        light.moved = max(light.moved, float(moved.sum()))
         movement = light.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
         is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
         may_breathe = waited > SURE_FRAMES and self._sight.is_there
@@ -324,7 +261,7 @@ class TouchTracker:
         if is_sure or self._is_light_touch(waited, movement):
             self._light = None
             self._sight.forget_looks()
-            self._held = _Held(self._backdate(light), self._index)
+            self._held = HeldTouch(light.began(self._index, self._recent, self._baseline), self._index)
             return Onset(self._held.first)
         if self._index - light.last >= CALIBRATION_FRAMES:
             self._restless = max(self._restless, light.highest)
@@ -343,14 +280,10 @@ class TouchTracker:
             return is_due
         return self._sight.is_below(least, self._recent.last(waited - STEP_FRAMES))
 
-    def _hold(self, smooth: Taxels, held: _Held) -> Release | None:
+    def _hold(self, smooth: Taxels, held: HeldTouch) -> Release | None:
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
         if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
-            if self._index - held.last > SECOND_FRAMES:
-                # The hand is back; what the last second looked like is over.
-                held.still_frames = held.calm_frames = 0
-                self._sight.forget_looks()
-            held.last = self._index
+            held.touched(self._index, self._sight)
         elif (quiet_frames := self._index - held.last) >= self._quiet_frames:
             # About the quiet alone, where `quiet_s` is short.
             asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
@@ -363,57 +296,19 @@ class TouchTracker:
             return self._look_for_end(held)
         return None
 
-    def _look_for_end(self, held: _Held) -> Release | None:
+    def _look_for_end(self, held: HeldTouch) -> Release | None:
         """End the touch when the pad shows that nobody touches it, whatever it reads."""
-        older, newer = self._recent.halves()
-        change, spread = np.abs(newer - older), self._recent.spread()
-        rise = newer - self._baseline.counts
-        above = rise - self._baseline.noise_floor
-        # By what the lightest quarter rose, the whole pad may have drifted.
-        drift = max(float(np.sort(rise)[TAXELS // 4]), 0.0)
-        level, undrifted = (float(np.maximum(each, 0).sum()) for each in (above, above - drift))
-        activity = float(change.sum() + spread.sum())
-        held.level, held.activity = max(held.level, level), max(held.activity, activity)
-        is_far_below = level <= LOW_SHARE * held.level
-        is_low = is_far_below or level <= LOW_COUNTS
-        is_calm = is_far_below and activity <= LOW_SHARE * held.activity
-        held.calm_frames = held.calm_frames + END_STRIDE_FRAMES if is_calm else 0
-        is_restful = self._sight.is_lost and activity <= RESTFUL * self._rest_activity
-        is_still = self._is_still(change, spread, rise) or (is_low and is_restful)
-        held.still_frames = held.still_frames + END_STRIDE_FRAMES if is_still else 0
-        may_be_low = undrifted <= max(LOW_SHARE * held.level, LOW_COUNTS)
-        may_be_none = may_be_low and (self._sight.knows_rest or not self.is_disturbed)
-        if not (is_far_below or held.still_frames or may_be_none):
-            self._sight.forget_looks()
-        elif self._index % ASK_FRAMES == 0:
-            self._sight.look(self._recent.last(SECOND_FRAMES))
-        seems_left = (is_low and held.still_frames >= STILL_FRAMES) or held.calm_frames >= CALM_FRAMES
+        held.look(self._index, self._recent, self._baseline, self._sight, self._rest_activity)
         # Without contact a quiet time that is longer than this look is waited for.
         is_quiet = held.last < self._index and self._quiet_frames > SECOND_FRAMES
-        if not is_quiet and (self._sight.is_none or (seems_left and self._is_left(held, level))):
+        if not is_quiet and held.is_over(self._recent, self._sight):
             return self._take_for_rest(held, "released")
         return self._take_for_rest(held, "settled") if held.still_frames >= self._settled_frames else None
 
-    def _is_left(self, held: _Held, level: float) -> bool:
-        """Whether a pad that seems left is: not if the network surely sees a light touch."""
-        seemed_frames = max(held.still_frames, held.calm_frames)
-        is_clear = level >= LOW_COUNTS or seemed_frames >= LEFT_ANYHOW_FRAMES
-        return is_clear or not self._sight.sees_touch(self._recent.last(SECOND_FRAMES), DOUBT)
-
-    def _is_still(self, change: Taxels, spread: Taxels, rise: Taxels) -> bool:
-        allowed = np.maximum(STILL_SWAYS * self._baseline.sway, STILL_SPREADS * spread)
-        noise = np.maximum(LOAD_NOISE * rise, MAX_SPREAD_COUNTS)
-        return bool((change <= np.maximum(allowed, STILL_COUNTS)).all() and (spread <= noise).all())
-
-    def _take_for_rest(self, held: _Held, reason: EndReason) -> Release | None:
+    def _take_for_rest(self, held: HeldTouch, reason: EndReason) -> Release | None:
         """End the touch, and take the current readings as rest."""
         if reason == "released":
-            over_frames = max(
-                held.still_frames, held.calm_frames, SECOND_FRAMES if self._sight.is_none else 0
-            )
-            # The ring holds no older frames.
-            over_frames = min(over_frames, LEFT_ANYHOW_FRAMES) + SECOND_FRAMES // 2
-            held.last = max(held.first, min(held.last, self._index - over_frames))
+            held.last = held.over_since(self._index, self._sight)
         if reason != "released" or self._sight.sees_touch(self._recent.last(SECOND_FRAMES)):
             # The network takes what lies there for a hand, and would begin the touch anew.
             self._sight.forget_rest()
@@ -424,15 +319,8 @@ class TouchTracker:
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
-        self._restless = max(_beyond_one_wire(above))
+        self._restless = max(beyond_one_wire(above))
         return release
-
-    def _backdate(self, light: _Light) -> int:
-        """Return the first frame of the unbroken run up to the contact with its taxels above rest."""
-        rest = self._baseline.counts[light.touched].mean()
-        before = self._recent.last(SECOND_FRAMES)[: light.since - self._index - 1, light.touched]
-        above = before.mean(axis=1) - rest >= BACKDATE_COUNTS
-        return light.since - (len(above) if above.all() else int(above[::-1].argmin()))
 
     def _calibrate(self, frames: int = CALIBRATION_FRAMES) -> None:
         self._baseline.calibrate(self._recent.last(frames))
@@ -464,16 +352,3 @@ class TouchTracker:
 def _median(a: Taxels, b: Taxels, c: Taxels) -> Taxels:
     median: Taxels = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
     return median
-
-
-def _is_in_common(rise: Taxels) -> bool:
-    """Whether all taxels are above rest alike, as no hand lifts them."""
-    lifted = np.sort(rise)
-    return bool(lifted[TAXELS // 2] >= COMMON_SHARE * lifted[-1] and lifted[-1] <= COMMON_COUNTS)
-
-
-def _beyond_one_wire(above: NDArray[np.float32]) -> list[float]:
-    """Sum each of (N, 64) counts, less the strongest row or column up to what a loose wire lifts."""
-    grids = above.reshape(-1, ROWS, COLUMNS)
-    lines = zip(np.add.reduce(grids, axis=2).tolist(), np.add.reduce(grids, axis=1).tolist(), strict=True)
-    return [sum(rows) - min(max(*rows, *columns), WIRE_COUNTS) for rows, columns in lines]

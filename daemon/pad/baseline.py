@@ -19,6 +19,8 @@ MAX_DEVIATION_COUNTS = 4.0
 SWAY_FLOOR = 1.3
 MAX_SWAY_COUNTS = 4.0
 SWAY_KEPT = 0.995
+# The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.
+DISTURBED_FLOOR = 2.2
 
 
 class Baseline:
@@ -55,6 +57,11 @@ class Baseline:
     def mean_noise_floor(self) -> float:
         """Mean noise floor that the taxels' noise alone would give."""
         return float(np.add.reduce(self._noise)) / TAXELS
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether the pad is so noisy that light touches go unnoticed."""
+        return self.mean_noise_floor >= DISTURBED_FLOOR
 
     def track_sway(self, change: Taxels) -> None:
         """Note by how much (64,) counts an untouched pad moved from one half second to the next."""
