@@ -9,8 +9,8 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib import metadata
+from typing import NamedTuple
 
 from daemon.terminal.own_name import own_name
 from drivers.errors import TouchdError
@@ -25,8 +25,7 @@ UNTIL_ENDED = ("run", "demo", "replay", "fake-robot")
 """Commands that go on until a signal ends them, which is then no interruption."""
 
 
-@dataclass(frozen=True)
-class Command:
+class Command(NamedTuple):
     """A subcommand: `main(arguments)` of a module, imported only when it is called, returns the exit code."""
 
     name: str

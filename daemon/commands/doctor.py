@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import msgspec
 from rich.console import Console
@@ -44,24 +44,17 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     settings = settings_of(options)
     talk = Console(stderr=True, width=text_width(), highlight=False)
-    checks = examine(settings, options.seconds, lambda line: talk.print(line, style="cyan"), options.press)
-    return _as_json(checks) if options.json else _as_lines(checks)
-
-
-def _as_json(checks: Iterable[Check]) -> int:
-    found = list(checks)
-    to_do = any(check.verdict == "to do" for check in found)
-    sys.stdout.buffer.write(msgspec.json.encode({"ok": not to_do, "checks": found}) + b"\n")
-    return int(to_do)
-
-
-def _as_lines(checks: Iterable[Check]) -> int:
-    console = Console(width=text_width(), highlight=False)
-    to_do = 0
-    for check in checks:
+    console = Console(width=text_width(), highlight=False, quiet=options.json)
+    checks = []
+    for check in examine(
+        settings, options.seconds, lambda line: talk.print(line, style="cyan"), options.press
+    ):
         console.print(_line(check))
-        to_do += check.verdict == "to do"
+        checks.append(check)
+    to_do = sum(check.verdict == "to do" for check in checks)
     console.print(f"{to_do} to do" if to_do else "nothing to do", style="bold")
+    if options.json:
+        sys.stdout.buffer.write(msgspec.json.encode({"ok": not to_do, "checks": checks}) + b"\n")
     return int(to_do > 0)
 
 

@@ -7,8 +7,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import msgspec
@@ -87,7 +87,9 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
         # Where nohup has it ignored, a terminal that closes ends nothing.
         if can_reread or signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
             wanted[signal.SIGHUP] = hung_up if can_reread else stop
-        closing.enter_context(_on_signals(wanted))
+        for number, event in wanted.items():
+            before = signal.signal(number, lambda *_, event=event: event.set())
+            closing.callback(signal.signal, number, before)
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         service = Service(settings, Health(notifier))
@@ -101,19 +103,23 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
             marks, language = first.scene.answer_at_frames, settings.language
             view = View(title, settings.vocabulary, marks, pad=name, language=language)
             closing.enter_context(view)
-            closing.enter_context(_logging(ViewHandler(view), settings.log_level))
+            handler: logging.Handler = ViewHandler(view)
             service.show_on(view)
         else:
             log_sink = LogSink(sys.stderr.fileno())
             log_sink.start()
             closing.callback(log_sink.stop, LOG_STOP_S)
-            closing.enter_context(_logging(LogHandler(log_sink), settings.log_level))
+            handler = LogHandler(log_sink)
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
             if in_words and page and settings.live and settings.live.host in EVERY_ADDRESS:
                 sys.stderr.write(qr_code(page))
-        reloader = Reloader(read, service.reload)
-        closing.enter_context(rereading(hung_up, reloader))
+        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+        root = logging.getLogger()
+        root.addHandler(handler)
+        closing.callback(root.removeHandler, handler)
+        root.setLevel(settings.log_level.upper())
+        closing.enter_context(rereading(hung_up, Reloader(read, service.reload)))
         service.run(stop)
 
 
@@ -126,31 +132,6 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
         return f"{pad}{describe(event, settings.vocabulary, settings.language)}".encode()
 
     return line
-
-
-@contextmanager
-def _on_signals(wanted: Mapping[signal.Signals, threading.Event]) -> Iterator[None]:
-    """Make each of these signals only set its event."""
-    before = {number: signal.getsignal(number) for number in wanted}
-    for number, event in wanted.items():
-        signal.signal(number, lambda *_, event=event: event.set())
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _logging(handler: logging.Handler, level: str) -> Iterator[None]:
-    root = logging.getLogger()
-    handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
-    root.addHandler(handler)
-    root.setLevel(level.upper())
-    try:
-        yield
-    finally:
-        root.removeHandler(handler)
 
 
 def favour_latency() -> None:

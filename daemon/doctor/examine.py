@@ -6,16 +6,9 @@ import numpy as np
 
 from daemon.config import Settings
 from daemon.doctor.check import Check
-from daemon.doctor.line import (
-    check_damage,
-    check_protocol,
-    check_rate,
-    port_is_not_open,
-    port_is_open,
-    port_is_taken,
-)
+from daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
 from daemon.doctor.listening import Heard, listen
-from daemon.doctor.machine import check_model, check_robot, check_service, service_runs
+from daemon.doctor.machine import check_model, check_robot, check_service
 from daemon.doctor.pad import (
     check_noise,
     check_orientation,
@@ -24,9 +17,8 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from drivers.pad.port import Line, open_port
+from drivers.pad.port import Line
 from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import SensorError, check_port
 
 PRESS_S = 15.0
 # Too few to measure a rate.
@@ -49,15 +41,12 @@ def examine(settings: Settings, seconds: float, say: Say, with_press: bool = Fal
 
 def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool) -> Iterator[Check]:
     sensor = settings.sensor
-    try:
-        check_port(sensor.port, sensor.baud)
-        opened = open_port(sensor.port, sensor.baud)
-    except SensorError as error:
-        yield port_is_taken() if error.kind == "busy" and service_runs() else port_is_not_open(error)
+    check, opened = check_opening(sensor)
+    yield check
+    if opened is None:
         yield Check("pad", "not checked", "there is no port to read it from")
         return
     with opened:
-        yield port_is_open(sensor)
         say(f"Leave the pad alone for {seconds:g} s ...")
         heard = listen(opened, parser_of(sensor.described), seconds)
         yield check_protocol(heard, sensor, opened)

@@ -8,13 +8,13 @@ from serial.tools.list_ports import comports
 from daemon.config import SensorSettings
 from daemon.doctor.check import Check
 from daemon.doctor.listening import START_S, Heard, listen
+from daemon.doctor.machine import service_runs
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.diagnosis import as_yaml, caution, diagnose, is_certain, propose
 from drivers.pad.line_watch import MANY_SHARE
 from drivers.pad.pace import clock_by_ours, pace_of
-from drivers.pad.port import Line, at_baud
+from drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import SensorError
 
 # Usual baud rates, the lab's Mega and Teensy builds first.
 USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
@@ -42,26 +42,22 @@ ADVICE_FOR_BYTES = {
 }
 
 
-def port_is_open(sensor: SensorSettings) -> Check:
-    """Report that the port can be opened, and the device that a link points to."""
-    device = os.path.realpath(sensor.port)
-    is_link = os.path.islink(sensor.port)
-    return Check("port", "ok", f"{sensor.port}{f' ({device})' if is_link else ''}, found and permitted")
-
-
-def port_is_taken() -> Check:
-    """Report that the daemon reads the port, as it should."""
-    advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
-    return Check("port", "not checked", "the service touchd reads it", advice)
-
-
-def port_is_not_open(error: SensorError) -> Check:
-    """Report why the port cannot be opened, and list the ports."""
-    others = ", ".join(sorted(port.device for port in comports()))
-    advice = ADVICE_FOR_PORT[error.kind]
-    if error.kind in ("missing", "unusable"):
-        advice += f"; there are {others}" if others else "; this machine has no serial port at all"
-    return Check("port", "to do", str(error), advice)
+def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
+    """Open the port; report that, with the device that a link points to, or why not, with the ports."""
+    try:
+        check_port(sensor.port, sensor.baud)
+        opened = open_port(sensor.port, sensor.baud)
+    except SensorError as error:
+        if error.kind == "busy" and service_runs():
+            advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
+            return Check("port", "not checked", "the service touchd reads it", advice), None
+        advice = ADVICE_FOR_PORT[error.kind]
+        if error.kind in ("missing", "unusable"):
+            others = ", ".join(sorted(port.device for port in comports()))
+            advice += f"; there are {others}" if others else "; this machine has no serial port at all"
+        return Check("port", "to do", str(error), advice), None
+    device = f" ({os.path.realpath(sensor.port)})" if os.path.islink(sensor.port) else ""
+    return Check("port", "ok", f"{sensor.port}{device}, found and permitted"), opened
 
 
 def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:

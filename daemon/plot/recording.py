@@ -1,7 +1,6 @@
 """A recording as a picture: pressure over time, tracked touches, answers, mean pads."""
 
 import math
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
+from daemon.commands.classify import play
 from daemon.config import Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event, TouchBegan
@@ -30,7 +30,7 @@ from daemon.plot.plot import (
     lane_of,
     new_figure,
 )
-from drivers.frame import FRAME_RATE_HZ, Frame
+from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import UNLABELLED, Span, Stream
 from model.classifier import Classifier
 
@@ -90,20 +90,20 @@ def feel(stream: Stream, settings: Settings, model: Classifier) -> Trace:
             "--participant, --substrate, --cover or --gesture"
         )
     events: list[Event] = []
-    pipeline = Pipeline(settings.pipeline, model, events.append)
-    told_at: list[int] = []
-    for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-        pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
-        told_at += [number] * (len(events) - len(told_at))
-    pipeline.flush()
-    touches = gather(events)
-    began_at = [at for at, event in zip(told_at, events, strict=False) if isinstance(event, TouchBegan)]
-    # A touch began a little before it was noticed.
-    starts_s = [
-        float(time_s[at]) - (int(stream.sensor_ms[at]) - touch.began.sensor_ms) / 1000
-        for at, touch in zip(began_at, touches, strict=True)
-    ]
-    return Trace(stream, time_s, _rise(stream, restarts), touches, starts_s)
+    starts_s: list[float] = []
+    frames: list[int] = []
+
+    def emit(event: Event) -> None:
+        events.append(event)
+        if isinstance(event, TouchBegan):
+            # A touch began a little before it was noticed.
+            noticed = frames[-1]
+            starts_s.append(
+                float(time_s[noticed]) - (int(stream.sensor_ms[noticed]) - event.sensor_ms) / 1000
+            )
+
+    play(stream, Pipeline(settings.pipeline, model, emit), frames.append)
+    return Trace(stream, time_s, _rise(stream, restarts), gather(events), starts_s)
 
 
 def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.bridges import Key, make_bridges
-from daemon.config import ConfigError, SceneSettings, SensorSettings, Settings
+from daemon.config import ConfigError, SceneSettings, Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event
 from daemon.kept.touch_sink import TouchSink
@@ -40,8 +40,8 @@ BEHIND_OF_SEVERAL_FRAMES = 9
 class Pad:
     """One pad: its reader, the queue that this fills, and the pipeline that empties it.
 
-    settings: those of this pad. arrived: set whenever something waits in the queue.
-    number: its place among the pads. behind_frames, touch_numbers: see `Pipeline`.
+    settings: those of this pad. make_pipeline: makes its pipeline, perhaps from the one before.
+    arrived: set whenever something waits in the queue.
     before: the same pad under the previous settings; its queue is kept, and its reader if the port stays.
     catch_up_s: when its pipeline should catch up, `time.monotonic()`.
     """
@@ -51,39 +51,26 @@ class Pad:
         name: str,
         settings: Settings,
         model: Classifier,
-        emit: Emit,
-        viewers: Viewers,
+        make_pipeline: Callable[..., Pipeline],
         arrived: Signal,
-        number: int,
-        behind_frames: int,
-        touch_numbers: Iterator[int],
-        before: Pad | None = None,
+        before: Pad | None,
     ) -> None:
         self.name = name
         self.settings = settings
         self.model = model
         self.model_file = model_file(settings)
-        self._make_pipeline = partial(
-            Pipeline,
-            settings.pipeline,
-            model,
-            emit,
-            pad=name,
-            viewers=viewers,
-            behind_frames=behind_frames,
-            first_index=number,
-            numbers=touch_numbers,
-        )
+        self._make_pipeline = make_pipeline
+        self.pipeline = make_pipeline()
         self.catch_up_s = math.inf
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
         self.watch: PadWatch = before.watch if before else PadWatch(name)
         sensor = settings.sensor
         self.sensor: Sensor
-        if before is not None and _is_read_alike(sensor, before.settings.sensor):
+        # A reader goes on where nothing but the pad's size differs.
+        if before and sensor == msgspec.structs.replace(before.settings.sensor, size_mm=sensor.size_mm):
             self.sensor = before.sensor
         else:
             self.sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self.queue)
-        self.pipeline = self._make_pipeline()
 
     def go_on_from(self, before: Pad) -> None:
         """Replace the same pad under the previous settings, between two touches."""
@@ -128,12 +115,18 @@ class Parts:
                 name,
                 pad,
                 models[name],
-                emit,
-                viewers,
+                partial(
+                    Pipeline,
+                    pad.pipeline,
+                    models[name],
+                    emit,
+                    pad=name,
+                    viewers=viewers,
+                    behind_frames=behind_frames,
+                    first_index=number,
+                    numbers=self._touch_numbers.setdefault(name, itertools.count(1)),
+                ),
                 arrived,
-                number,
-                behind_frames,
-                self._touch_numbers.setdefault(name, itertools.count(1)),
                 pads_before.get(name),
             )
             for number, (name, pad) in enumerate(settings.pads.items())
@@ -175,11 +168,6 @@ class Parts:
     def sinks(self) -> tuple[Sink, ...]:
         one_each = (self.journal, self.robot, self.live, self.kept)
         return (*(sink for sink in one_each if sink is not None), *self.bridges.values())
-
-
-def _is_read_alike(one: SensorSettings, other: SensorSettings) -> bool:
-    """Whether one reader does for both: nothing but the pad's size differs."""
-    return one == msgspec.structs.replace(other, size_mm=one.size_mm)
 
 
 def model_file(settings: Settings) -> tuple[object, ...]:

@@ -6,15 +6,13 @@ import re
 import reprlib
 import typing
 from collections.abc import Hashable, Mapping
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import msgspec
 import yaml
 
 T = TypeVar("T", bound=msgspec.Struct)
 log = logging.getLogger(__name__)
-Keys = tuple[str, ...]
-Steps = tuple[str | int, ...]
 
 PLAIN_WORDS = {
     "int": "a whole number",
@@ -128,22 +126,32 @@ def _plain_syntax(error: yaml.MarkedYAMLError) -> str:
     return f"{where}{hint} ({problem})"
 
 
-def _path_to(where: str, raw: Any, struct: type[msgspec.Struct]) -> Steps:
-    """Return the names and places that lead to a wrong value; msgspec calls a name in a mapping "..."."""
-    path: Steps = ()
-    for name, place in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", where):
-        if place == "...":
-            section = _section(struct, _names(path[:-1]))
-            hint = typing.get_type_hints(section, include_extras=True)[_names(path)[-1]]
-            of = next(typing.get_args(part)[1] for part in _parts(hint) if typing.get_origin(part) is dict)
-            path += (next(key for key, value in _value(raw, path).items() if not _is(value, of)),)
+class _Place(NamedTuple):
+    """Where a mistake is: the names that lead there, its value and type, and the section that it is in."""
+
+    names: tuple[str, ...]
+    value: Any
+    kind: Any
+    section: type[msgspec.Struct]
+
+
+def _place(where: str, raw: Any, struct: type[msgspec.Struct]) -> _Place:
+    """Return the place that msgspec calls $.actions[0].above; a name in a mapping it calls [...]."""
+    at = _Place((), raw, struct, struct)
+    for name, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", where):
+        if name:
+            section = _section(at.kind)
+            kind = typing.get_type_hints(section, include_extras=True)[name]
+            at = _Place((*at.names, name), at.value.get(name), kind, section)
+        elif index == "...":
+            kind = next(
+                typing.get_args(part)[1] for part in _parts(at.kind) if typing.get_origin(part) is dict
+            )
+            key = next(key for key, value in at.value.items() if not _is(value, kind))
+            at = _Place((*at.names, key), at.value[key], kind, at.section)
         else:
-            path += (name or int(place),)
-    return path
-
-
-def _names(path: Steps) -> Keys:
-    return tuple(step for step in path if isinstance(step, str))
+            at = at._replace(value=at.value[int(index)])
+    return at
 
 
 def _is(value: Any, kind: Any) -> bool:
@@ -157,79 +165,61 @@ def _is(value: Any, kind: Any) -> bool:
 def _plainly(message: str, raw: Any, struct: type[msgspec.Struct]) -> str:
     """Turn msgspec's message into one that names the setting, the allowed values and the given one."""
     problem, _, where = message.partition(" - at `")
-    path = _path_to(where, raw, struct)
-    keys, value = _names(path), _value(raw, path)
-    name = ".".join(keys)
+    at = _place(where, raw, struct)
+    name, value = ".".join(at.names), at.value
     if where.startswith("key`"):
         name, value = f"a name in {name or 'the file'}", list(value)
-    unknown = re.fullmatch(r"Object contains unknown field `(.*)`", problem)
-    if unknown:
-        return _unknown_key(keys, unknown[1], struct)
-    missing = re.fullmatch(r"Object missing required field `(.*)`", problem)
-    if missing:
-        return f"{'.'.join((*keys, missing[1]))} is missing and has no default"
+    if unknown := re.fullmatch(r"Object contains unknown field `(.*)`", problem):
+        return _unknown_key(at, unknown[1], struct)
+    if missing := re.fullmatch(r"Object missing required field `(.*)`", problem):
+        return f"{'.'.join((*at.names, missing[1]))} is missing and has no default"
     if value is None and name:
         return f"{name} is empty; give it a value, or leave it out"
     if problem.startswith("Invalid enum value"):
-        return f"{name} must be {_choices(struct, keys)}, not {_shortly(value)}"
-    expected = re.fullmatch(r"Expected `(.*?)`(.*?)(, got .*)?", problem)
-    if expected:
+        literals = [part for part in _parts(at.kind) if typing.get_origin(part) is Literal]
+        choices = " or ".join(str(choice) for literal in literals for choice in typing.get_args(literal))
+        return f"{name} must be {choices}, not {_shortly(value)}"
+    if expected := re.fullmatch(r"Expected `(.*?)`(.*?)(, got .*)?", problem):
         kinds = " or ".join(PLAIN_WORDS.get(kind, kind) for kind in expected[1].split(" | "))
         how = expected[2]
         if how.startswith(" matching regex"):
-            default = getattr(_section(struct, keys[:-1])(), keys[-1])
+            default = getattr(at.section(), at.names[-1])
             how = f" such as {default}" if default else " in another form"
         hint = "; put it in quotes" if kinds == "text" and isinstance(value, int | float) else ""
         return f"{name or 'the file'} must be {kinds}{how}, not {_shortly(value)}{hint}"
     return f"{name}: {problem}" if name else problem
 
 
-def _unknown_key(keys: Keys, wrong: str, struct: type[msgspec.Struct]) -> str:
+def _unknown_key(at: _Place, wrong: str, struct: type[msgspec.Struct]) -> str:
     if wrong == "token":
         # A hint at a similar setting would have the token written there, and shown.
         return "robot.token is not a setting: put the token into a file of its own and name it in token_file"
-    homes = [name for name in struct.__struct_fields__ if (name,) != keys and wrong in _known(struct, name)]
+    homes = [
+        name
+        for name, kind in typing.get_type_hints(struct).items()
+        if (name,) != at.names
+        and typing.get_origin(kind) is not dict
+        and wrong in _section(kind).__struct_fields__
+    ]
+    known = _section(at.kind).__struct_fields__
     if homes:
-        return f"{'.'.join((*keys, wrong))} is not a setting; it belongs under {' or '.join(homes)}:"
-    known = _section(struct, keys).__struct_fields__
-    near = difflib.get_close_matches(wrong, known, n=1, cutoff=0.5)
-    advice = f"did you mean {near[0]}?" if near else f"known here: {', '.join(known)}"
-    return f"{'.'.join((*keys, wrong))} is not a setting; {advice}"
+        advice = f"it belongs under {' or '.join(homes)}:"
+    elif near := difflib.get_close_matches(wrong, known, n=1, cutoff=0.5):
+        advice = f"did you mean {near[0]}?"
+    else:
+        advice = f"known here: {', '.join(known)}"
+    return f"{'.'.join((*at.names, wrong))} is not a setting; {advice}"
 
 
-def _known(struct: type[msgspec.Struct], name: str) -> tuple[str, ...]:
-    """Return the settings of a section, none of another value or a mapping."""
-    parts = _parts(typing.get_type_hints(struct)[name])
-    sections = [part for part in parts if isinstance(part, type) and issubclass(part, msgspec.Struct)]
-    return sections[0].__struct_fields__ if sections and typing.get_origin(parts[0]) is not dict else ()
-
-
-def _choices(struct: type[msgspec.Struct], keys: Keys) -> str:
-    """Return the words that a Literal setting may be, as a list for people."""
-    hint = typing.get_type_hints(_section(struct, keys[:-1]))[keys[-1]]
-    literals = [part for part in _parts(hint) if typing.get_origin(part) is Literal]
-    return " or ".join(str(choice) for literal in literals for choice in typing.get_args(literal))
-
-
-def _section(struct: type[msgspec.Struct], keys: Keys) -> type[msgspec.Struct]:
-    for key in keys:
-        if key not in struct.__struct_fields__:
-            # A name in a mapping, whose values the struct describes.
-            continue
-        parts = _parts(typing.get_type_hints(struct)[key])
-        struct = next(part for part in parts if isinstance(part, type) and issubclass(part, msgspec.Struct))
-    return struct
+def _section(kind: Any) -> type[msgspec.Struct]:
+    """Return the section that a type describes; one without settings where it describes none."""
+    sections = (part for part in _parts(kind) if isinstance(part, type) and issubclass(part, msgspec.Struct))
+    return next(sections, msgspec.Struct)
 
 
 def _parts(hint: Any) -> list[Any]:
     """Return a type and its components: `tuple[A, ...] | None` holds A."""
     return [hint, *(part for argument in typing.get_args(hint) for part in _parts(argument))]
-
-
-def _value(raw: Any, path: Steps) -> Any:
-    for step in path:
-        raw = raw.get(step) if isinstance(raw, dict) else raw[step]
-    return raw
 
 
 def _shortly(value: Any) -> str:
