@@ -101,8 +101,7 @@ class View:
         self._touches: deque[ShownTouch] = deque(maxlen=TOUCHES)
         self._labels: dict[str, str] = {}
         self._now: LivePrediction | None = None
-        self._pad = ""
-        self._robot = ""
+        self._states = {"pad": "awaited"}
         self._said_by_robot = ""
         self._doing = ""
         self._notes: deque[tuple[str, bool]] = deque(maxlen=NOTES)
@@ -164,9 +163,9 @@ class View:
                     if isinstance(event, Prediction):
                         self._name_labels(event.probabilities)
                 case SensorEvent():
-                    self._pad = event.state
+                    self._states["pad"] = event.state
                 case RobotEvent():
-                    self._robot = event.state
+                    self._states["robot"] = event.state
                 case RobotAction(action="say" | "animated_say"):
                     self._said_by_robot = self._term("quote", what=event.what)
                 case RobotAction(action="behavior"):
@@ -189,34 +188,34 @@ class View:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
         """Yield the picture at the size of the terminal."""
         width, height = console.size
-        paper = self._palette.paper
         with self._lock:
             # In a terminal that is smaller, the rest is cut off.
             lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
-        for row in range(height):
-            yield from _fit(lines[row] if row < len(lines) else [], width, paper)
-            if row < height - 1:
+        for row, line in enumerate(self._fit(lines, width, height)):
+            if row:
                 yield Segment.line()
+            yield from line
 
     def _draw(self, width: int, height: int) -> list[Line]:
         body = height - 3
         card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
         scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
         with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
-        pad_width = COLUMNS * scale if with_pad else 0
-        left = self._left(scale, pad_width, body) if with_pad else []
-        right_width = width - 2 - (pad_width + GAP if with_pad else 0)
-        right = self._right(right_width, body)
-        paper = self._palette.paper
-        lines = [self._header(width)]
-        for row in range(body):
-            line: Line = [Segment(" ", paper)]
-            if with_pad:
-                line += _fit(left[row] if row < len(left) else [], pad_width, paper)
-                line.append(Segment(" " * GAP, paper))
-            line += _fit(right[row] if row < len(right) else [], right_width, paper)
-            lines.append(line)
-        return [*lines, self._robot_line(), self._note_line()]
+        margin = Segment(" ", self._palette.paper)
+        left: list[Line] = [[margin]] * body
+        right_width = width - 2
+        if with_pad:
+            pad_width = COLUMNS * scale
+            right_width -= pad_width + GAP
+            pad = self._fit(self._left(scale, pad_width, body), pad_width, body)
+            left = [[margin, *line, *[margin] * GAP] for line in pad]
+        right = self._fit(self._right(right_width, body), right_width, body)
+        lines = [[*one, *other] for one, other in zip(left, right, strict=True)]
+        return [self._header(width), *lines, self._robot_line(), self._note_line()]
+
+    def _fit(self, lines: list[Line], width: int, height: int) -> list[Line]:
+        """Return lines cropped or padded to a width and a height."""
+        return Segment.set_shape(lines[:height], width, height, self._palette.paper)
 
     def _going_on(self) -> ShownTouch | None:
         touch = self._touches[-1] if self._touches else None
@@ -224,9 +223,8 @@ class View:
 
     def _header(self, width: int) -> Line:
         palette = self._palette
-        states = [("pad", self._pad or "awaited"), *([("robot", self._robot)] if self._robot else [])]
         vitals: Line = []
-        for name, state in states:
+        for name, state in self._states.items():
             style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
             vitals += [
                 Segment(f"  {'●' if state == 'up' else '○'} ", style),
@@ -237,7 +235,7 @@ class View:
             Segment(" touchd", palette.ink + Style(bold=True)),
             Segment(f"  {self._title}", palette.muted),
         ]
-        return [*_fit(title, max(width - taken, 0), palette.paper), *vitals]
+        return [*Segment.adjust_line_length(title, max(width - taken, 0), palette.paper), *vitals]
 
     def _left(self, scale: int, width: int, height: int) -> list[Line]:
         palette = self._palette
@@ -266,10 +264,9 @@ class View:
     def _last_touch(self, touch: ShownTouch) -> Line:
         palette = self._palette
         changes = list(dict.fromkeys(said.gesture for said in touch.predictions))
+        name = self._name(touch.ended.gesture) if touch.ended else ""
         line = [
-            Segment(
-                f"{self._name(touch.ended.gesture if touch.ended else '')} ", palette.ink + Style(bold=True)
-            ),
+            Segment(f"{name} ", palette.ink + Style(bold=True)),
             Segment(f"{touch.length_s:.1f} s", palette.muted),
         ]
         if len(changes) > 1:
@@ -319,7 +316,7 @@ class View:
     def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
         palette = self._palette
         if touch is None or (touch.ended is not None and not touch.predictions):
-            return self._term("no pad" if self._pad == "down" else "touch me"), palette.faint
+            return self._term("no pad" if self._states["pad"] == "down" else "touch me"), palette.faint
         if not touch.predictions:
             return "...", palette.faint
         word = self._name(touch.predictions[-1].gesture)
@@ -396,8 +393,3 @@ class ViewHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._view.note(record.getMessage(), record.levelno >= logging.WARNING)
-
-
-def _fit(line: Line, width: int, paper: Style) -> Line:
-    """Return a line cropped or padded to a width."""
-    return Segment.adjust_line_length(line, width, paper)
