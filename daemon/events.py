@@ -143,6 +143,11 @@ def one_line(reason: str) -> str:
     return printable.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
 
 
+def kind_of(event: Event) -> str:
+    """Return the `type` of an event's line."""
+    return str(event.__struct_config__.tag)
+
+
 def encode(event: Event) -> bytes:
     """Return the event as one line of JSON, UTF-8, without a newline."""
     return msgspec.json.encode(event)

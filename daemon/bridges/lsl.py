@@ -8,16 +8,7 @@ import pylsl
 
 from daemon.bridges.bridge import Bridge
 from daemon.bridges.settings import LslSettings
-from daemon.events import (
-    Event,
-    Prediction,
-    RobotAction,
-    RobotEvent,
-    SensorEvent,
-    TouchBegan,
-    TouchEnded,
-    epoch_s,
-)
+from daemon.events import Event, Prediction, epoch_s, kind_of
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 
 LOOKS = 10
@@ -59,19 +50,10 @@ class LslBridge(Bridge):
 
 def marker_of(event: Event) -> str:
     """Return an event as a short marker; MNE selects by the words between the slashes."""
-    match event:
-        case Prediction():
-            return f"{event.stage}/{event.gesture}/{'told' if event.told else 'untold'}"
-        case TouchEnded():
-            return f"touch_ended/{event.gesture}"
-        case SensorEvent():
-            return f"sensor/{event.state}"
-        case RobotEvent():
-            return f"robot/{event.state}"
-        case RobotAction():
-            return f"robot_action/{event.action}"
-        case TouchBegan():
-            return "touch_began"
+    if isinstance(event, Prediction):
+        return f"{event.stage}/{event.gesture}/{'told' if event.told else 'untold'}"
+    says = [getattr(event, name) for name in ("gesture", "state", "action") if hasattr(event, name)]
+    return "/".join([kind_of(event), *says])
 
 
 def _ahead_of(clock: Callable[[], float]) -> float:

@@ -11,6 +11,7 @@ import typing
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -196,11 +197,7 @@ def _play(
     port = closing.enter_context(FakePort(stream, encode, speed=PACE, loop=live is not None))
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
     settings = msgspec.structs.replace(settings, sensor=sensor)
-
-    def show_call(call: Call) -> None:
-        if heard := _heard(call, settings.language):
-            show.note(heard)
-
+    show_call = partial(_show_call, show, settings.language)
     forward: Callable[[Event], None] | None = None
     if qi_installed():
         robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
@@ -267,11 +264,11 @@ def _showing(
     return shown
 
 
-def _heard(call: Call, language: Language) -> str:
-    """Return a call to the stand-in robot as one line, empty for those that its link reports already."""
+def _show_call(show: Show, language: Language, call: Call) -> None:
+    """Tell a call to the stand-in robot in a line, but for those that its link reports already."""
     if call.refused:
-        return term(language, "refuses", what=call.method, why=call.refused)
-    if call.method != "raiseEvent":
-        return ""
-    event = str(call.arguments[0]).rpartition("/")[2]
-    return "" if event == "Detail" else term(language, "hears", event=event, value=call.arguments[1])
+        show.note(term(language, "refuses", what=call.method, why=call.refused))
+    elif call.method == "raiseEvent":
+        event = str(call.arguments[0]).rpartition("/")[2]
+        if event != "Detail":
+            show.note(term(language, "hears", event=event, value=call.arguments[1]))

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 from mcap.writer import Writer
 
-from daemon.events import Event, RobotEvent, encode, epoch_s
+from daemon.events import Event, RobotEvent, encode, epoch_s, kind_of
 from drivers.frame import COLUMNS, ROWS, Counts
 from drivers.recording import Recording, realign, set_up
 
@@ -45,12 +45,12 @@ def write_events(events: Iterable[Event], file: IO[bytes]) -> None:
     """Write each event to /touchd/PAD/TYPE at its own time."""
     with _messages(file) as add:
         for event in events:
-            kind = type(event)
-            tag = str(kind.__struct_config__.tag)
-            topic = f"/touchd/{tag}" if isinstance(event, RobotEvent) else f"/touchd/{event.pad}/{tag}"
+            of = "" if isinstance(event, RobotEvent) else f"/{event.pad}"
+            name = type(event).__name__
             # Without references, which not every reader follows.
-            schema = msgspec.json.schema(kind)["$defs"][kind.__name__]
-            add(topic, f"touchd.{kind.__name__}", schema, round(epoch_s(event.time) * 1e9), encode(event))
+            schema = msgspec.json.schema(type(event))["$defs"][name]
+            time_ns = round(epoch_s(event.time) * 1e9)
+            add(f"/touchd{of}/{kind_of(event)}", f"touchd.{name}", schema, time_ns, encode(event))
 
 
 def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:

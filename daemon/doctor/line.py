@@ -120,13 +120,12 @@ def check_damage(heard: Heard) -> Check:
 
 def check_rate(heard: Heard) -> Check:
     """Report frame rate, jitter, and the accuracy of the pad's clock."""
-    arrival_s = heard.arrival_s()
     if heard.broke_off:
         return Check("rate", "to do", heard.broke_off, "try another cable")
-    if heard.ended_s - arrival_s[-1] > STOPPED_S:
+    if heard.ended_s - heard.frames[-1].host_s > STOPPED_S:
         return Check("rate", "to do", "the frames stopped while they were listened to", "try another cable")
     pace = pace_of(heard.frames)
-    waits_ms = 1000 * np.diff(arrival_s)
+    waits_ms = 1000 * np.diff([frame.host_s for frame in heard.frames])
     figures = {
         "rate_hz": round(pace.rate_hz, 2),
         "jitter_ms": round(pace.jitter_ms, 2),

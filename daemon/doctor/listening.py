@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.frame import CLOCK_MODULUS, Counts, Frame
 from drivers.pad.diagnosis import RECENT_BYTES
@@ -37,10 +36,6 @@ class Heard:
     def counts(self) -> Counts:
         """Return the pressure of all frames, (T, 8, 8) uint16."""
         return np.stack([frame.pressure for frame in self.frames])
-
-    def arrival_s(self) -> NDArray[np.float64]:
-        """Return when each frame arrived, (T,), `time.monotonic()`."""
-        return np.array([frame.host_s for frame in self.frames])
 
 
 def listen(

@@ -134,19 +134,16 @@ def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]
     """Return reasons to repeat a recording, a line each; none when it is sound."""
     found = list(troubles)
     pace = pace_of(capture.frames)
-    lost = pace.lost
     if pace.rate_hz < LEAST_RATE_HZ:
-        return [
-            *found,
-            f"{pace.rate_hz:.1f} frames a second come, and more than {LEAST_RATE_HZ:.0f} are needed",
-        ]
+        found.append(f"{pace.rate_hz:.1f} frames a second come, and more than {LEAST_RATE_HZ:.0f} are needed")
+        return found
     clock = clock_by_ours(capture.frames)
     if abs(clock - 1) > CLOCK_OFF:
         found.append(
             f"the pad's clock runs {clock:.2f} times as fast as this machine's; it must count milliseconds"
         )
-    if lost > MOST_LOST_SHARE * len(capture.frames):
-        found.append(f"{lost} frames were lost on the way: look at cable and plug")
+    if pace.lost > MOST_LOST_SHARE * len(capture.frames):
+        found.append(f"{pace.lost} frames were lost on the way: look at cable and plug")
     if gesture == NO_TOUCH and capture.touched_share > 0:
         found.append("something touched the pad")
     elif gesture != NO_TOUCH and capture.touched_share == 0:

@@ -46,6 +46,10 @@ class Offered:
     said: ReportedTouch | None
 
     @property
+    def answers(self) -> Sequence[Prediction]:
+        return self.said.predictions if self.said else ()
+
+    @property
     def taken_for(self) -> str:
         """The gesture it was settled on."""
         return self.said.ended.gesture if self.said and self.said.ended else UNKNOWN
@@ -68,7 +72,7 @@ def list_touches(offered: Sequence[Offered]) -> Table:
             f"{touch.kept.time[5:10]} {touch.kept.time[11:19]}",
             str(touch.kept.number),
             touch.length_s,
-            *_answers_in_columns(touch.said.predictions if touch.said else ()),
+            *_answers_in_columns(touch.answers),
             Text(touch.taken_for, "bold"),
         )
     return table
@@ -112,7 +116,7 @@ def _answers(offered: Offered) -> Text:
             f"{answer.stage:<9} {answer.elapsed_s:5.1f} s  {_in_words(answer):<15}",
             "bold" if answer.told else "",
         ).append("  told" if answer.told else "", "green")
-        for answer in offered.said.predictions[-MOST_ANSWERS:]
+        for answer in offered.answers[-MOST_ANSWERS:]
     ]
     return Text("\n").join(lines)
 
@@ -134,7 +138,7 @@ def _chart(load: NDArray[np.float64], clock_s: NDArray[np.float64], offered: Off
         "".join("#" if column >= level else " " for column in filled) for level in range(CHART_HEIGHT, 0, -1)
     ]
     marks = [" "] * CHART_WIDTH
-    for answer in offered.said.predictions if offered.said else ():
+    for answer in offered.answers:
         marks[min(round(answer.elapsed_s / end_s * CHART_WIDTH), CHART_WIDTH - 1)] = "^"
     legend = "^ an answer"
     scale = f"0 s{legend:^{CHART_WIDTH - 6 - len(f'{end_s:.1f}')}}{end_s:.1f} s"
