@@ -6,11 +6,11 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daemon.commands.label import label, label_of
 from daemon.commands.settings import add_settings, settings_of
 from daemon.kept.recording_file import prepare
 from daemon.recorder.capture import PadReader
 from daemon.recorder.dialogue import HOW, Dialogue, Terms
+from daemon.recorder.label import label, label_of
 from daemon.recorder.session import Session, name
 from daemon.terminal.ask import Stopped, ask_setting
 from daemon.terminal.width import text_width

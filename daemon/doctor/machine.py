@@ -57,13 +57,11 @@ def check_robot(settings: Settings) -> Check:
         version, took_s = _ask_version(wanted)
     except (RobotError, PathError) as error:
         return Check("robot", "to do", str(error), "see docs/install.md, Wire a robot")
-    except RobotLost as error:
-        advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
+    except (RobotLost, RobotRefused) as error:
+        advice = "is that a robot with NAOqi? check robot.url"
+        if isinstance(error, RobotLost):
+            advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
         return Check("robot", "to do", f"{wanted.url}: {error}", advice)
-    except RobotRefused as error:
-        return Check(
-            "robot", "to do", f"{wanted.url}: {error}", "is that a robot with NAOqi? check robot.url"
-        )
     found = f"NAOqi {version} at {wanted.url}, reached in {1000 * took_s:.0f} ms"
     return Check("robot", "ok", found, "", {"reached_ms": round(1000 * took_s, 1)})
 

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib import metadata
 from typing import Literal
 
@@ -59,6 +60,7 @@ class Dialogue:
     ) -> None:
         self._console = console
         self._say = console.print
+        self._ask = partial(ask, console)
         self._pad = pad
         self._settings = settings
         self._session = session
@@ -83,10 +85,7 @@ class Dialogue:
         """Record until a take is kept or skipped."""
         choice: Choice = "redo"
         while choice == "redo":
-            if (
-                self._waits
-                and ask(self._console, "  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s"
-            ):
+            if self._waits and self._ask("  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s":
                 return
             self._waits = not self._terms.flowing
             try:
@@ -107,7 +106,7 @@ class Dialogue:
                 keep(take.path, [recording], self._provenance(take, capture))
             except RecordingError as error:
                 self._say(f"  not kept yet: {error}", style="yellow")
-                if ask(self._console, "  Enter to try again, s to skip it, q to stop: ", ("", "s")) == "s":
+                if self._ask("  Enter to try again, s to skip it, q to stop: ", ("", "s")) == "s":
                     return
             else:
                 self._say(f"  kept {take.path.name}", style="green")
@@ -155,7 +154,7 @@ class Dialogue:
                 self._say(f"  {complaint}", style="yellow")
             question = "  Enter to do it again, k to keep it all the same, s to skip, q to stop: "
             choices = {"": "redo", "k": "keep", "s": "skip"}
-        return choices[ask(self._console, question, choices)]
+        return choices[self._ask(question, choices)]
 
     def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
         return {

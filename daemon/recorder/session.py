@@ -51,11 +51,16 @@ class Session:
 
     def takes(self) -> list[Take]:
         """Return all recordings of the session in order."""
-        return [
-            Take(gesture, number, self.folder / f"{'_'.join(self.setting)}_{gesture}_{number}{SUFFIX}")
-            for number in range(1, self.rounds + 1)
-            for gesture in self._shuffled(number)
-        ]
+        who = "_".join(self.setting)
+        takes: list[Take] = []
+        for number in range(1, self.rounds + 1):
+            gestures = sorted(self.gestures)
+            random.Random(f"{self.seed} {who} {number}").shuffle(gestures)
+            takes += [
+                Take(gesture, number, self.folder / f"{who}_{gesture}_{number}{SUFFIX}")
+                for gesture in gestures
+            ]
+        return takes
 
     def missing(self) -> list[Take]:
         """Return the recordings still to make; raises RecordingError where a file of one's name is none."""
@@ -68,11 +73,6 @@ class Session:
             if not is_one:
                 raise RecordingError(f"{take.path}: holds no recording; delete it, and record it again")
         return [take for take in self.takes() if take not in there]
-
-    def _shuffled(self, number: int) -> list[str]:
-        gestures = sorted(self.gestures)
-        random.Random(f"{self.seed} {'_'.join(self.setting)} {number}").shuffle(gestures)
-        return gestures
 
 
 def is_name(text: str) -> bool:

@@ -318,7 +318,7 @@ def test_deleted_and_damaged_touches_are_passed_over(
     lines = " ".join(" ".join(listed(lab, monkeypatch, capsys)).split())
     assert "cannot be read as a recording" in lines
     assert "2 of 2: touch 1" in lines
-    monkeypatch.setattr("daemon.commands.label.kept_touches", lambda _: [first, second])
+    monkeypatch.setattr("daemon.recorder.label.kept_touches", lambda _: [first, second])
     first.path.unlink()
     lines = " ".join(" ".join(listed(lab, monkeypatch, capsys)).split())
     assert "No such file or directory" in lines
