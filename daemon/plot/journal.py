@@ -29,8 +29,8 @@ def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
     if not touches:
         raise PlotError(f"{title}: no touch in it yet, so nothing to draw")
     gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
-    figure = new_figure(TITLE_INCHES + TOUCH_INCHES * len(touches))
-    figure.suptitle(f"{title}: the last touches ({len(touches)})", fontsize=11, color=INK)
+    height = TITLE_INCHES + TOUCH_INCHES * len(touches)
+    figure = new_figure(height, f"{title}: the last touches ({len(touches)})")
     answers, lengths = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
     _draw_answers(answers, touches, gestures)
     _draw_lengths(lengths, touches, gestures)
@@ -44,8 +44,7 @@ def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequen
         # Answers after the final one share a column; the last is shown.
         last = {lane_of(answer): answer for answer in touch.predictions}
         for column, answer in last.items():
-            colour = colour_of(answer.gesture, gestures)
-            draw_answer(axes, column, row, answer, colour, wrong=False)
+            draw_answer(axes, column, row, answer, gestures)
     axes.set_xlim(-0.15, len(LANES) - 0.2)
     axes.set_xticks(range(len(LANES)), (*LANES[:-1], f"{LANES[-1]}, the last"), ha="left")
     all_began = [touch.began for touch in touches]

@@ -16,6 +16,8 @@ DOTS_PER_INCH = 130
 FORMATS = (".png", ".svg", ".pdf")
 # One for each mark, and one for what is answered later.
 LANES = ("early", "revised", "final", "later")
+# Names may hold what matplotlib takes for a formula.
+NO_FORMULA: Mapping[str, Any] = {"parse_math": False}
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
 # Okabe and Ito's colours, safe for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
 COLOURS: Mapping[str, str] = {
@@ -45,8 +47,10 @@ def colour_of(gesture: str, gestures: Iterable[str]) -> str:
     return OTHER_COLOURS[others.index(gesture) % len(OTHER_COLOURS)]
 
 
-def new_figure(height_inches: float) -> Figure:
-    return Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")
+def new_figure(height_inches: float, title: str) -> Figure:
+    figure = Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")
+    figure.suptitle(title, fontsize=11, color=INK, **NO_FORMULA)
+    return figure
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -58,14 +62,15 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def draw_answer(
-    axes: Axes, at_s: float, height: float, answer: Prediction, colour: str, *, wrong: bool
+    axes: Axes, x: float, y: float, answer: Prediction, gestures: Iterable[str], *, wrong: bool = False
 ) -> None:
-    """Mark an answer with its gesture; filled when the robot was told."""
+    """Mark an answer with its gesture; filled when the robot was told. gestures: all in the picture."""
+    colour = colour_of(answer.gesture, gestures)
     inside = colour if answer.told else "white"
-    axes.plot([at_s], [height], markeredgecolor=colour, markerfacecolor=inside, clip_on=False, **MARK)
+    axes.plot([x], [y], markeredgecolor=colour, markerfacecolor=inside, clip_on=False, **MARK)
     words = f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN
     ink, slant = ("#c00000", "italic") if wrong else (INK, "normal")
-    axes.annotate(words, (at_s, height), color=ink, fontstyle=slant, annotation_clip=False, **BESIDE)
+    axes.annotate(words, (x, y), color=ink, fontstyle=slant, annotation_clip=False, **BESIDE)
 
 
 def bare(axes: Axes, *keep: str) -> None:

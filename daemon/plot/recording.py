@@ -18,8 +18,8 @@ from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.kept.touches import ReportedTouch, gather
 from daemon.pipeline import Pipeline
 from daemon.plot.plot import (
-    INK,
     LANES,
+    NO_FORMULA,
     PALE,
     QUIET_INK,
     PlotError,
@@ -38,8 +38,6 @@ ROW_S = 24.0
 LONGEST_S = 300.0
 LEGEND = "filled: the robot was told    red: not the gesture that was done    grey: a touch was felt"
 ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
-# Names may hold what matplotlib takes for a formula.
-NO_FORMULA: Mapping[str, Any] = {"parse_math": False}
 LABEL: Mapping[str, Any] = {
     "ha": "center",
     "va": "bottom",
@@ -124,8 +122,7 @@ def draw(felt: Trace, title: str) -> Figure:
     columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, len(gestures)))
     pad_rows = math.ceil(len(gestures) / columns)
     heights = [ROW_INCHES * len(rows), *([PADS_INCHES * pad_rows] if gestures else [])]
-    figure = new_figure(sum(heights) + TITLE_INCHES)
-    figure.suptitle(title, fontsize=11, color=INK, **NO_FORMULA)
+    figure = new_figure(sum(heights) + TITLE_INCHES, title)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
     for row, (begin_s, end_s) in enumerate(rows):
@@ -189,9 +186,8 @@ def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: flo
         for answer in touch.predictions:
             at_s = felt.starts_s[number] + answer.elapsed_s
             if begin_s <= at_s < end_s:
-                colour = colour_of(answer.gesture, gestures)
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
-                draw_answer(axes, at_s, -lane_of(answer), answer, colour, wrong=is_wrong)
+                draw_answer(axes, at_s, -lane_of(answer), answer, gestures, wrong=is_wrong)
     axes.set_ylim(-len(LANES) + 0.4, 0.6)
     axes.set_yticks([-lane for lane in range(len(LANES))], LANES)
     axes.set_xticks([])
