@@ -34,14 +34,6 @@ OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
 
 
-def state_folder() -> Path:
-    """Return the folder for persistent state: systemd's for the service, else the user's."""
-    if service := os.environ.get("STATE_DIRECTORY"):
-        return Path(service)
-    users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-    return written_out(users) / "touchd"
-
-
 class ConfigError(TouchdError):
     """The settings cannot be used; the message is one line that names what is wrong and what to do."""
 
@@ -114,7 +106,12 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     @property
     def file(self) -> Path:
         """The file that path stands for."""
-        return state_folder() / "events.jsonl" if self.path is None else written_out(self.path)
+        if self.path is not None:
+            return written_out(self.path)
+        if service := os.environ.get("STATE_DIRECTORY"):
+            return Path(service) / "events.jsonl"
+        users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+        return written_out(users) / "touchd" / "events.jsonl"
 
 
 class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

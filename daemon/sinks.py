@@ -26,6 +26,7 @@ Item = TypeVar("Item")
 WRITABLE_WAIT_S = 0.1
 # A sink that is always too slow says so once in so long.
 TELL_AGAIN_S = 60.0
+LINE_OF_LOG = logging.Formatter("%(levelname)s %(name)s: %(message)s")
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -203,6 +204,9 @@ class LogSink(LinesSink[str]):
         super().__init__("log", fd, self._line)
         self._told = 0
 
+    def log(self, record: logging.LogRecord) -> None:
+        self.put(LINE_OF_LOG.format(record))
+
     def tell_lost(self, what: str) -> None:
         """Say nothing in the log: the line after a gap does."""
 
@@ -214,14 +218,14 @@ class LogSink(LinesSink[str]):
 
 
 class LogHandler(logging.Handler):
-    """Hands lines of the log to a sink, at once."""
+    """Hands each record of the log on, at once."""
 
-    def __init__(self, sink: LogSink) -> None:
+    def __init__(self, take: Callable[[logging.LogRecord], None]) -> None:
         super().__init__()
-        self._sink = sink
+        self._take = take
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._sink.put(self.format(record))
+        self._take(record)
 
 
 class JournalSink(QueuedSink[Event]):

@@ -17,7 +17,7 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from daemon.config import LiveSettings, SceneSettings, Settings
+from daemon.config import SceneSettings, Settings
 from daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
 from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
 from daemon.playback.rig import SpawnedDaemon
@@ -130,7 +130,13 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
     options = parser().parse_args(arguments)
-    live = None if options.live is None else _available(parse_address(options.live, None))
+    live = None
+    if options.live is not None:
+        live = parse_address(options.live, None)
+        require_library()
+        with listen(live) as listening:
+            # A free port in place of 0.
+            live = msgspec.structs.replace(live, port=listening.getsockname()[1])
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
         settings = Settings(
@@ -157,13 +163,6 @@ def main(arguments: Sequence[str]) -> int:
 
 def _names(gestures: Iterable[str], settings: Settings) -> str:
     return ", ".join(name_of(settings.vocabulary, gesture) for gesture in gestures)
-
-
-def _available(live: LiveSettings) -> LiveSettings:
-    """Return the settings with a free port in place of 0; raises LiveError when there is none."""
-    require_library()
-    with listen(live) as listening:
-        return msgspec.structs.replace(live, port=listening.getsockname()[1])
 
 
 def _show(closing: ExitStack, settings: Settings) -> Show:

@@ -96,25 +96,24 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
         favour_latency()
         page = urls_of(settings.live, settings.live.port)[0] if settings.live and settings.live.port else ""
         if with_view:
-            from daemon.terminal.view import View, ViewHandler
+            from daemon.terminal.view import View
 
             (name, first), *_ = settings.pads.items()
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
             marks, language = first.scene.answer_at_frames, settings.language
             view = View(title, settings.vocabulary, marks, pad=name, language=language)
             closing.enter_context(view)
-            handler: logging.Handler = ViewHandler(view)
+            handler = LogHandler(view.log)
             service.show_on(view)
         else:
             log_sink = LogSink(sys.stderr.fileno())
             log_sink.start()
             closing.callback(log_sink.stop, LOG_STOP_S)
-            handler = LogHandler(log_sink)
+            handler = LogHandler(log_sink.log)
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
             if in_words and page and settings.live and settings.live.host in EVERY_ADDRESS:
                 sys.stderr.write(qr_code(page))
-        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
         root = logging.getLogger()
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)

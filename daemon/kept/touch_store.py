@@ -60,7 +60,8 @@ class TouchStore:
         self._failing = False
         self.lost = 0
         with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
-            self._make_folder()
+            # Like the journal, it is not world-readable.
+            folder.mkdir(FOLDER_MODE, exist_ok=True)
         prepare(folder)
         self._count: int | None = None
 
@@ -68,7 +69,7 @@ class TouchStore:
         """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
         try:
             # A user may have deleted the touches with their folder.
-            self._make_folder()
+            self._folder.mkdir(FOLDER_MODE, exist_ok=True)
             self._count = (self._take_over() if self._count is None else self._count) + 1
             path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
             pieces = cut(touch)
@@ -90,10 +91,6 @@ class TouchStore:
         for partial in self._folder.glob(f"{PARTIAL}*"):
             partial.unlink(missing_ok=True)
         return max((kept.count for kept in kept_touches(self._folder)), default=0)
-
-    def _make_folder(self) -> None:
-        """Make the folder where it is not there; like the journal, it is not world-readable."""
-        self._folder.mkdir(FOLDER_MODE, exist_ok=True)
 
     def _provenance(self, touch: FeltTouch, pieces: TouchPieces) -> dict[str, str]:
         return {

@@ -7,7 +7,6 @@ records the progress, also after a crash.
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from daemon.events import timestamp
 from daemon.kept.recording_file import SUFFIX, keep, prepare
-from daemon.kept.touch_store import KeptFrames, KeptTouch, read_frames
+from daemon.kept.touch_store import KeptTouch, read_frames
 from daemon.recorder.session import Setting
 from drivers.errors import os_errors_as
 from drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
@@ -51,8 +50,12 @@ class LabelFolder:
         if already := self.labelled().get(kept.path.name):
             raise RecordingError(f"{already}: is there already; delete it to label touch {kept.number} anew")
         path = self.path / f"{'_'.join(setting)}_{gesture}_{kept.path.name}"
-        recording = _whole(read_frames(kept)) if gesture == NO_TOUCH else read_frames(kept).touch
-        recording = Recording(*setting, gesture, recording.counts, recording.sensor_ms, recording.framing)
+        frames = read_frames(kept)
+        wanted = (frames.before, frames.touch, frames.after) if gesture == NO_TOUCH else (frames.touch,)
+        parts = [part for part in wanted if part is not None]
+        counts = np.concatenate([part.counts for part in parts])
+        sensor_ms = np.concatenate([part.sensor_ms for part in parts])
+        recording = Recording(*setting, gesture, counts, sensor_ms, frames.touch.framing)
         keep(path, [recording], self._provenance(kept))
         return path
 
@@ -97,10 +100,3 @@ def find(kept: Sequence[KeptTouch], name: str) -> KeptTouch:
             f"{name}: {len(found)} kept touches have it; say which by its time, the last are {times}"
         )
     return found[0]
-
-
-def _whole(frames: KeptFrames) -> Recording:
-    """Return the whole file of a kept touch as one recording."""
-    parts = [part for part in (frames.before, frames.touch, frames.after) if part is not None]
-    counts = np.concatenate([part.counts for part in parts])
-    return replace(frames.touch, counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))

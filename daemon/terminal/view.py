@@ -143,6 +143,10 @@ class View:
         with self._lock:
             self._notes.append((text, is_bad))
 
+    def log(self, record: logging.LogRecord) -> None:
+        """Show a line of the log, since on standard error it would corrupt the view."""
+        self.note(record.getMessage(), record.levelno >= logging.WARNING)
+
     def doing(self, text: str) -> None:
         self._doing = text
 
@@ -382,14 +386,3 @@ class View:
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)
-
-
-class ViewHandler(logging.Handler):
-    """Shows log lines in the view, since on standard error they would corrupt it."""
-
-    def __init__(self, view: View) -> None:
-        super().__init__()
-        self._view = view
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._view.note(record.getMessage(), record.levelno >= logging.WARNING)
