@@ -7,7 +7,7 @@ import numpy as np
 from daemon.config import Settings
 from daemon.doctor.check import Check
 from daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
-from daemon.doctor.listening import Heard, listen
+from daemon.doctor.listening import listen
 from daemon.doctor.machine import check_model, check_robot, check_service
 from daemon.doctor.pad import (
     check_noise,
@@ -17,7 +17,6 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from drivers.pad.port import Line
 from drivers.pad.protocol import parser_of
 
 PRESS_S = 15.0
@@ -55,27 +54,18 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool)
             return
         yield check_damage(heard)
         yield check_rate(heard)
-        yield from _examine_rest(heard, settings)
-        yield _examine_orientation(opened, heard, settings, say, with_press)
-
-
-def _examine_rest(heard: Heard, settings: Settings) -> Iterator[Check]:
-    quiet = check_quiet(heard, settings)
-    yield quiet
-    if quiet.verdict == "ok":
-        yield check_rest(heard, settings)
-        yield check_noise(heard)
-    else:
-        yield Check("rest", "not checked", "rest and noise cannot be told from a touch")
-    yield from check_taxels(heard)
-
-
-def _examine_orientation(opened: Line, heard: Heard, settings: Settings, say: Say, with_press: bool) -> Check:
-    if not with_press:
-        return Check("orientation", "not checked", "touchd doctor --press asks for a corner, and tells")
-    rest = np.median(heard.counts(), axis=0)
-    say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
-    pressed = listen(
-        opened, parser_of(settings.sensor.described), PRESS_S, enough=lambda f: is_pressed(f, rest)
-    )
-    return check_orientation(pressed, rest)
+        quiet = check_quiet(heard, settings)
+        yield quiet
+        if quiet.verdict == "ok":
+            yield check_rest(heard, settings)
+            yield check_noise(heard)
+        else:
+            yield Check("rest", "not checked", "rest and noise cannot be told from a touch")
+        yield from check_taxels(heard)
+        if not with_press:
+            yield Check("orientation", "not checked", "touchd doctor --press asks for a corner, and tells")
+            return
+        rest = np.median(heard.counts(), axis=0)
+        say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
+        parser = parser_of(sensor.described)
+        yield check_orientation(listen(opened, parser, PRESS_S, enough=lambda f: is_pressed(f, rest)), rest)

@@ -60,18 +60,15 @@ def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequen
 
 def _draw_lengths(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
     for row, touch in enumerate(touches):
-        told = touch.ended.gesture if touch.ended else "not over"
-        colour = colour_of(told, gestures) if touch.ended else PALE
-        axes.barh(row, _length_s(touch), height=0.55, color=colour, alpha=0.6)
+        told, colour = "not over", PALE
+        length_s = max((answer.elapsed_s for answer in touch.predictions), default=0.0)
+        if touch.ended is not None:
+            told, length_s = touch.ended.gesture, touch.ended.frames / FRAME_RATE_HZ
+            colour = colour_of(told, gestures)
+        axes.barh(row, length_s, height=0.55, color=colour, alpha=0.6)
         axes.annotate(
             told, (0, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
         )
     axes.set_xlabel("what it was taken for, and its length in seconds", fontsize=8, color=QUIET_INK)
     bare(axes, "left", "bottom")
     axes.tick_params(axis="y", length=0, labelleft=False)
-
-
-def _length_s(touch: ReportedTouch) -> float:
-    if touch.ended is not None:
-        return touch.ended.frames / FRAME_RATE_HZ
-    return max((answer.elapsed_s for answer in touch.predictions), default=0.0)
