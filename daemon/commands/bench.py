@@ -16,13 +16,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.commands.classify import play
 from daemon.commands.run import favour_latency
 from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
 from daemon.events import Event, Prediction, decode, epoch_s
 from daemon.pipeline import Pipeline
 from daemon.playback.rig import SpawnedDaemon
-from daemon.playback.stream import DEMO_RECORDING
+from daemon.playback.stream import DEMO_RECORDING, play
 from daemon.setup.destinations import encoder_for
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort

@@ -2,18 +2,19 @@
 
 import argparse
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 
 from daemon.commands.settings import add_settings, settings_of
-from daemon.events import Event, encode
+from daemon.events import Event, TouchBegan, TouchEnded, encode
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import add_arguments, chosen_stream
-from daemon.playback.tally import Tally
+from daemon.playback.stream import play as play
 from daemon.setup.parts import load_model
+from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.describe import describe
-from drivers.frame import Frame
-from drivers.recording import Stream
+from daemon.terminal.terms import term
+from drivers.recording import NO_TOUCH, Stream
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,9 +48,46 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:
-    """Send a whole stream through a pipeline, as fast as possible. at: takes each frame's number first."""
-    for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-        at(number)
-        pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
-    pipeline.flush()
+class Tally:
+    """Counts touches by recorded and by settled gesture."""
+
+    def __init__(self, stream: Stream, words: Vocabulary, language: Language) -> None:
+        self._language = language
+        self._spans = stream.spans
+        self._words = words
+        self._frame = 0
+        self._recorded = ""
+        self._felt: set[int] = set()
+        self._touches: Counter[tuple[str, str]] = Counter()
+
+    def at(self, frame: int) -> None:
+        """Set the number of the next frame."""
+        self._frame = frame
+
+    def put(self, event: Event) -> None:
+        """Count a touch."""
+        if isinstance(event, TouchBegan):
+            place = next(i for i, span in enumerate(self._spans) if self._frame < span.stop)
+            self._felt.add(place)
+            self._recorded = self._spans[place].gesture
+        elif isinstance(event, TouchEnded):
+            self._touches[self._recorded, event.gesture] += 1
+
+    def summary(self) -> str:
+        """Return a line for each recorded gesture, and how many touches were right."""
+        name = {gesture: name_of(self._words, gesture) for pair in self._touches for gesture in pair}
+        head = term(self._language, "recorded")
+        width = max([len(head), *map(len, name.values())])
+        lines = ["", f"{head:<{width}}  {term(self._language, 'answered')}"]
+        for recorded in sorted({pair[0] for pair in self._touches}):
+            answers = Counter({answer: n for (was, answer), n in self._touches.items() if was == recorded})
+            told = ", ".join(f"{name[answer]} {n}" for answer, n in answers.most_common())
+            lines.append(f"{name[recorded]:<{width}}  {told}")
+        touched = [place for place, span in enumerate(self._spans) if span.gesture != NO_TOUCH]
+        right = sum(n for (recorded, answer), n in self._touches.items() if recorded == answer)
+        touches = sum(self._touches.values())
+        share = f" ({right / touches:.0%})" if touches else ""
+        lines.append(term(self._language, "right", right=right, all=touches) + share)
+        if missed := len(set(touched) - self._felt):
+            lines.append(term(self._language, "missed", missed=missed, all=len(touched)))
+        return "\n".join([*lines, ""])

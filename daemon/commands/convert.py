@@ -12,7 +12,7 @@ import msgspec
 
 from daemon.events import Event
 from daemon.kept.journal import JournalError
-from daemon.kept.touches import events_among, read_lines
+from daemon.kept.touches import read_events
 from drivers.errors import TouchdError
 from drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
 from drivers.whole_file import whole_file
@@ -67,12 +67,11 @@ def _convert_recording(file: Path, out: Path) -> None:
 
 def _convert_journal(file: Path, out: Path) -> None:
     # Read once: a running daemon may write on, and begin another file.
-    lines = list(read_lines(file))
-    events = events_among(lines)
+    events, wrong = read_events(file)
     if not events:
-        raise JournalError(f"{file}, line 1: {lines[0]}" if lines else f"{file}: no events in it")
-    if wrong := len(lines) - len(events):
-        sys.stderr.write(f"{file}: left out {wrong} lines that are no events\n")
+        raise JournalError(f"{file}, line 1: {wrong[0]}" if wrong else f"{file}: no events in it")
+    if wrong:
+        sys.stderr.write(f"{file}: left out {len(wrong)} lines that are no events\n")
     if out.suffix == ".csv":
         columns = list(dict.fromkeys(chain.from_iterable(map(_flat, events))))
         with out.open("x", encoding="utf-8", newline="") as target:

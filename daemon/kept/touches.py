@@ -1,7 +1,7 @@
 """Groups events by touch, from a pipeline or from a journal."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
@@ -46,12 +46,14 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
     return touches
 
 
-def read_lines(path: Path, last_bytes: int | None = None) -> Iterator[Event | EventError]:
-    """Yield what each line of a journal says, or why it is no event, without a last line cut short.
+def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event], list[EventError]]:
+    """Return what a journal says, and why its other lines are no events, without a last line cut short.
 
     last_bytes: read only so much, from the first whole line on. Raises JournalError; FileNotFoundError is its
     cause when there is no file.
     """
+    events: list[Event] = []
+    wrong: list[EventError] = []
     reading = os_errors_as(JournalError, f"journal {path}: cannot be read", "check the path")
     with reading, path.open("rb") as file:
         if last_bytes is not None and os.fstat(file.fileno()).st_size > last_bytes:
@@ -60,20 +62,20 @@ def read_lines(path: Path, last_bytes: int | None = None) -> Iterator[Event | Ev
         while line := file.readline(MAX_LINE_BYTES):
             if line.endswith(b"\n"):
                 try:
-                    yield decode(line)
+                    events.append(decode(line))
                 except EventError as error:
-                    yield error
+                    wrong.append(error)
             elif len(line) == MAX_LINE_BYTES:
-                yield EventError("longer than any event; not a journal")
+                wrong.append(EventError("longer than any event; not a journal"))
+    return events, wrong
 
 
 def read_journal(path: Path) -> list[ReportedTouch]:
     """Return the touches in the last part of a journal; raises JournalError when it is not a journal."""
-    lines = list(read_lines(path, TAIL_BYTES))
-    events = events_among(lines)
-    if lines and not events:
+    events, wrong = read_events(path, TAIL_BYTES)
+    if wrong and not events:
         raise JournalError(
-            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({lines[-1]})"
+            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({wrong[-1]})"
         )
     return gather(events)
 
@@ -88,7 +90,7 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     # Older files are kept where a link leads.
     for file in _newest_first(path.resolve()):
         try:
-            events = events_among(read_lines(file))
+            events, _ = read_events(file)
         except JournalError as error:
             # Rotated away meanwhile, or not there yet.
             if isinstance(error.__cause__, FileNotFoundError):
@@ -99,11 +101,6 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
         if events and max(event.time for event in events) < time:
             break
     return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
-
-
-def events_among(lines: Iterable[Event | EventError]) -> list[Event]:
-    """Return what a journal says, without lines that are no events."""
-    return [line for line in lines if not isinstance(line, EventError)]
 
 
 def _newest_first(path: Path) -> list[Path]:

@@ -1,7 +1,8 @@
-"""Makes a pad's stream of recordings: selects, realigns, and puts notouch around touches."""
+"""Makes a pad's stream of recordings: selects, realigns, puts notouch around touches; and plays it."""
 
 import argparse
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -9,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from drivers.frame import FRAME_RATE_HZ
+from daemon.pipeline import Pipeline
+from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.recording import (
     EVERYTHING,
     NO_TOUCH,
@@ -77,6 +79,14 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
             f"{hours:.0f} hours of recordings and quiet, {MOST_HOURS} at most; choose among them"
         )
     return with_quiet(wanted, [recording for recording in found if recording.gesture == NO_TOUCH])
+
+
+def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:
+    """Send a whole stream through a pipeline, as fast as possible. at: takes each frame's number first."""
+    for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
+        at(number)
+        pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
+    pipeline.flush()
 
 
 def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> Stream:

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from daemon.commands.classify import play
 from daemon.config import Settings
 from daemon.decide import NO_TOUCH
 from daemon.events import UNCERTAIN, Event, TouchBegan
 from daemon.kept.touches import ReportedTouch, gather
 from daemon.pipeline import Pipeline
+from daemon.playback.stream import play
 from daemon.plot.plot import (
     LANES,
     NO_FORMULA,
