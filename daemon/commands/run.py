@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -50,38 +51,16 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the daemon until Ctrl-C or SIGTERM; returns 0."""
+    """Run the daemon until Ctrl-C or SIGTERM, or until the reader of its output is gone; returns 0."""
     options = parser().parse_args(arguments)
-    if options.view and not sys.stdout.isatty():
+    is_terminal = sys.stdout.isatty()
+    if options.view and not is_terminal:
         parser().error("--view needs a terminal")
-
-    def read() -> Settings:
-        settings = load(options.config) if options.config else Settings()
-        if options.port:
-            if settings.sensors:
-                raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
-            settings = only_pad(settings, None, options.port)
-        if options.live is not None:
-            live = parse_address(options.live, settings.live)
-            settings = msgspec.structs.replace(settings, live=live)
-        return settings
-
+    in_words = is_terminal and not options.json
     # A closed terminal sends SIGHUP too, which does not mean "reread".
-    can_reread = options.config is not None and not sys.stdout.isatty()
-    run(
-        read, with_view=options.view, in_words=sys.stdout.isatty() and not options.json, can_reread=can_reread
-    )
-    return 0
-
-
-def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_reread: bool) -> None:
-    """Run the daemon in this process until a signal, or until the reader of its output is gone.
-
-    in_words: events are written for a person. read: returns the settings, now and, where SIGHUP means that
-    (`can_reread`), again.
-    """
+    can_reread = options.config is not None and not is_terminal
     stop, hung_up = threading.Event(), threading.Event()
-    settings = read()
+    settings = _read(options)
     with ExitStack() as closing:
         wanted = {signal.SIGINT: stop, signal.SIGTERM: stop}
         # Where nohup has it ignored, a terminal that closes ends nothing.
@@ -95,7 +74,7 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
         service = Service(settings, Health(notifier))
         favour_latency()
         page = urls_of(settings.live, settings.live.port)[0] if settings.live and settings.live.port else ""
-        if with_view:
+        if options.view:
             from daemon.terminal.view import View
 
             (name, first), *_ = settings.pads.items()
@@ -118,8 +97,22 @@ def run(read: Callable[[], Settings], with_view: bool, in_words: bool, can_rerea
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)
         root.setLevel(settings.log_level.upper())
-        closing.enter_context(rereading(hung_up, Reloader(read, service.reload)))
+        closing.enter_context(rereading(hung_up, Reloader(partial(_read, options), service.reload)))
         service.run(stop)
+    return 0
+
+
+def _read(options: argparse.Namespace) -> Settings:
+    """Return the settings, at the start and at every SIGHUP; raises ConfigError."""
+    settings = load(options.config) if options.config else Settings()
+    if options.port:
+        if settings.sensors:
+            raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
+        settings = only_pad(settings, None, options.port)
+    if options.live is not None:
+        live = parse_address(options.live, settings.live)
+        settings = msgspec.structs.replace(settings, live=live)
+    return settings
 
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:
