@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterable
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 
 import msgspec
@@ -86,7 +85,7 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     Looks through older files (path.1 and so on) too, as far back as needed; passes over half lines and what
     is no event. Raises JournalError when a file is there and cannot be read.
     """
-    parts: list[list[Event]] = []
+    since: list[Event] = []
     # Older files are kept where a link leads.
     for file in _newest_first(path.resolve()):
         try:
@@ -96,11 +95,11 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
             if isinstance(error.__cause__, FileNotFoundError):
                 continue
             raise
-        parts.insert(0, [event for event in events if event.time >= time])
+        since = [event for event in events if event.time >= time] + since
         # The newest, for a computer without a clock of its own begins in 1970.
         if events and max(event.time for event in events) < time:
             break
-    return [touch for touch in gather(chain.from_iterable(parts)) if touch.began.time >= time]
+    return [touch for touch in gather(since) if touch.began.time >= time]
 
 
 def _newest_first(path: Path) -> list[Path]:
