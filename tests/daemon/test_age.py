@@ -1,6 +1,7 @@
 """Whether frames come closely enough: what is told when they do not, and when they do again."""
 
 from collections.abc import Iterable
+from itertools import pairwise
 
 import numpy as np
 
@@ -9,18 +10,10 @@ from drivers.frame import Frame
 
 
 def told(feeling: Feeling, times_ms: Iterable[int], clock_factor: int = 1) -> list[str]:
-    said: list[str | None] = []
-    before_ms = None
-    for ms in times_ms:
-        restarted = before_ms is None or (ms - before_ms) * clock_factor > 50
-        frame = Frame(
-            number=len(said),
-            sensor_ms=ms * clock_factor,
-            host_s=ms / 1000.0,
-            pressure=np.zeros((8, 8), np.uint16),
-        )
-        said.append(feeling.update(frame, restarted))
-        before_ms = ms
+    said = []
+    for number, (before_ms, ms) in enumerate(pairwise([-1000, *times_ms])):
+        frame = Frame(number, ms * clock_factor, ms / 1000.0, np.zeros((8, 8), np.uint16))
+        said.append(feeling.update(frame, restarted=(ms - before_ms) * clock_factor > 50))
     return [what for what in said if what is not None]
 
 

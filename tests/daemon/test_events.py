@@ -14,7 +14,6 @@ from daemon.events import (
     Event,
     EventError,
     PadState,
-    Prediction,
     RobotAction,
     RobotEvent,
     SensorEvent,
@@ -31,59 +30,35 @@ from daemon.kept.journal import MAX_EVENT_BYTES
 from daemon.pad.feel import Feel
 from model.classifier import ModelMetadata
 
-EVENTS: list[tuple[Event, dict[str, object]]] = [
+EVENTS: list[tuple[Event, str]] = [
     (
         TouchBegan(touch=7, time=TIME, sensor_ms=81234),
-        {"type": "touch_began", "touch": 7, "time": TIME, "sensor_ms": 81234, "pad": "pad"},
+        '{"type":"touch_began","touch":7,"time":"TIME","sensor_ms":81234,"pad":"pad"}',
     ),
     (
         PREDICTION,
-        {
-            "type": "prediction",
-            "touch": 7,
-            "stage": "early",
-            "frames": 54,
-            "elapsed_s": 1.0,
-            "gesture": "stroke",
-            "confidence": 0.81,
-            "probabilities": {"pat": 0.19, "stroke": 0.81},
-            "changed": True,
-            "told": True,
-            "degraded": False,
-            "latency_ms": 1.9,
-            "model": "touchd-1",
-            "time": TIME,
-            "pad": "pad",
-            "age_ms": 0.0,
-            "feel": None,
-        },
+        '{"type":"prediction","touch":7,"stage":"early","frames":54,"elapsed_s":1.0,"gesture":"stroke",'
+        '"confidence":0.81,"probabilities":{"pat":0.19,"stroke":0.81},"changed":true,"told":true,'
+        '"degraded":false,"latency_ms":1.9,"model":"touchd-1","time":"TIME","pad":"pad","age_ms":0.0,'
+        '"feel":null}',
     ),
     (
         TouchEnded(touch=7, gesture="stroke", frames=201, reason="released", time=TIME, sensor_ms=84937),
-        {
-            "type": "touch_ended",
-            "touch": 7,
-            "gesture": "stroke",
-            "frames": 201,
-            "reason": "released",
-            "time": TIME,
-            "sensor_ms": 84937,
-            "pad": "pad",
-            "feel": None,
-        },
+        '{"type":"touch_ended","touch":7,"gesture":"stroke","frames":201,"reason":"released",'
+        '"time":"TIME","sensor_ms":84937,"pad":"pad","feel":null}',
     ),
     (
         SensorEvent(state="down", time=TIME, reason="unplugged"),
-        {"type": "sensor", "state": "down", "time": TIME, "reason": "unplugged", "pad": "pad"},
+        '{"type":"sensor","state":"down","time":"TIME","reason":"unplugged","pad":"pad"}',
     ),
-    (RobotEvent(state="up", time=TIME), {"type": "robot", "state": "up", "time": TIME, "reason": ""}),
+    (RobotEvent(state="up", time=TIME), '{"type":"robot","state":"up","time":"TIME","reason":""}'),
 ]
 
 
-@pytest.mark.parametrize(("event", "fields"), EVENTS, ids=[str(fields["type"]) for _, fields in EVENTS])
-def test_an_event_survives_its_line_of_json(event: Event, fields: dict[str, object]) -> None:
+@pytest.mark.parametrize(("event", "text"), EVENTS, ids=[type(event).__name__ for event, _ in EVENTS])
+def test_an_event_survives_its_line_of_json(event: Event, text: str) -> None:
     line = encode(event)
-    assert json.loads(line) == fields
+    assert json.loads(line) == json.loads(text.replace("TIME", TIME))
     assert b"\n" not in line
     assert decode(line) == event
 
@@ -121,12 +96,8 @@ def test_the_events_page_lists_exactly_the_existing_fields() -> None:
     everything = tags | fields | said | actions
     assert everything - set(re.findall(r"`(\w+)`", page)) == set()
     # The first column of the tables lists the names.
-    named = {word for line in page.splitlines() if line.startswith("| `") for word in cell_words(line)}
-    assert named - everything == set()
-
-
-def cell_words(line: str) -> list[str]:
-    return re.findall(r"`([a-z_]+)`", line.split("|")[1])
+    first_column = " ".join(re.findall(r"^\| (`.*?) \|", page, re.M))
+    assert set(re.findall(r"`([a-z_]+)`", first_column)) - everything == set()
 
 
 def metadata(name: str, labels: list[str]) -> ModelMetadata:
@@ -154,7 +125,8 @@ def test_a_short_reason_is_left_as_it_is() -> None:
 
 def test_the_longest_answer_fits_the_journals_limit() -> None:
     longest = metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
-    answer = Prediction(
+    answer = msgspec.structs.replace(
+        PREDICTION,
         touch=2**63,
         stage="uncertain",
         frames=2**31,
@@ -164,10 +136,8 @@ def test_the_longest_answer_fits_the_journals_limit() -> None:
         probabilities=dict.fromkeys(longest.labels, 0.1234),
         changed=False,
         told=False,
-        degraded=False,
         latency_ms=1234567890.123,
         model=longest.name,
-        time=TIME,
     )
     assert len(encode(answer)) < MAX_EVENT_BYTES
     for name, labels in (("n" * 65, ["a"]), ("n", ["l" * 25]), ("n", ["a"] * 13), ("é", ["a"]), ("n", ['"'])):
