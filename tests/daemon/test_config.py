@@ -15,71 +15,57 @@ from model.classifier import SHIPPED_MODEL, Classifier
 EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
 
 
-def refusal(tmp_path: Path, text: str) -> str:
-    path = tmp_path / "touchd.yaml"
+# Its settings that are commented out, taken in.
+UNCOMMENTED = re.sub(r"^( *)#(- )?(\w+:)", r"\1\2\3", EXAMPLE.read_text(), flags=re.M)
+
+
+def loaded(folder: Path, text: str) -> Settings:
+    path = folder / "touchd.yaml"
     path.write_text(text)
+    return load(path)
+
+
+def refusal(folder: Path, text: str) -> str:
     with pytest.raises(ConfigError) as raised:
-        load(path)
-    message = str(raised.value)
-    assert message.startswith(f"{path}: ")
+        loaded(folder, text)
+    path, _, message = str(raised.value).partition(": ")
+    assert path == str(folder / "touchd.yaml")
     assert "\n" not in message
-    return message.removeprefix(f"{path}: ")
+    return message
 
 
 def test_a_renamed_key_is_taken_with_one_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "touchd.yaml"
-    path.write_text("touch: {onset_level: 6.0}\n")
-    assert load(path).touch.onset_threshold == 6.0
+    assert loaded(tmp_path, "touch: {onset_level: 6.0}\n").touch.onset_threshold == 6.0
     (record,) = caplog.records
     assert "touch.onset_level is now called touch.onset_threshold" in record.message
 
 
 def test_an_empty_section_is_warned_of(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = tmp_path / "touchd.yaml"
-    path.write_text("robot: null\nlive:\n  #port: 8054\nlsl: {}\n")
-    assert load(path) == Settings(lsl=LslSettings())
-    assert [record.getMessage() for record in caplog.records] == [
-        "configuration, line 2: live is empty, so not used; {} takes its defaults"
-    ]
+    assert loaded(tmp_path, "robot: null\nlive:\n  #port: 8054\nlsl: {}\n") == Settings(lsl=LslSettings())
+    assert caplog.messages == ["configuration, line 2: live is empty, so not used; {} takes its defaults"]
 
 
 def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:
-    path = tmp_path / "touchd.yaml"
-    path.write_text("# nothing set\n")
-    settings = load(path)
+    settings = loaded(tmp_path, "# nothing set\n")
     assert settings == Settings()
     assert settings.sensor.port == "/dev/touchd-pad"
-    assert settings.robot is None
-    assert settings.journal is None
+    assert (settings.robot, settings.journal) == (None, None)
 
 
 def test_every_line_of_the_example_can_be_used(tmp_path: Path) -> None:
-    text = EXAMPLE.read_text()
     load(EXAMPLE)
-    text = re.sub(r"^robot: null\n", "", text, flags=re.M)
-    text = re.sub(r"^( *)#(- )?(\w+:)", r"\1\2\3", text, flags=re.M)
-    text = re.sub(r"^ *token_env:.*\n", "", text, flags=re.M)
-    path = tmp_path / "touchd.yaml"
-    path.write_text(text)
-    settings = load(path)
+    settings = loaded(tmp_path, re.sub(r"^(robot: null| *token_env:.*)\n", "", UNCOMMENTED, flags=re.M))
     assert settings.robot is not None
     assert settings.robot.token_file == "/etc/touchd/token"
 
 
 def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
-    text = re.sub(
-        r"^( *)#(- )?(\w+:)", r"\1\2\3", EXAMPLE.read_text().split("# null: no robot")[0], flags=re.M
-    )
-    path = tmp_path / "touchd.yaml"
-    path.write_text(text)
-    shown, default = load(path), Settings()
+    shown, default = loaded(tmp_path, UNCOMMENTED.split("# null: no robot")[0]), Settings()
     assert (shown.ring, shown.touch) == (default.ring, default.touch)
     assert shown.sensor.described == default.sensor.described
     assert (shown.sensor.port, shown.sensor.baud) == (default.sensor.port, default.sensor.baud)
-    assert shown.scene.answer_at_frames == default.scene.answer_at_frames
-    assert shown.scene.speak_above == default.scene.speak_above
-    assert shown.scene.revise_margin == default.scene.revise_margin
-    assert shown.scene.stale_s == default.scene.stale_s
+    for name in ("answer_at_frames", "speak_above", "revise_margin", "stale_s"):
+        assert getattr(shown.scene, name) == getattr(default.scene, name)
 
 
 def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
@@ -136,15 +122,9 @@ def test_a_file_in_another_encoding_is_told_with_its_line(tmp_path: Path) -> Non
         ("scene: {gestures: [3]}", "scene.gestures must be text, not 3; put it in quotes"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
         ("robot: {}", "robot.url is missing and has no default"),
-        (
-            "scene: {actions: [{do: [{sai: hello}]}]}",
-            "scene.actions.do.sai is not a setting; did you mean say?",
-        ),
+        ("scene: {actions: [{do: [{sai: a}]}]}", "scene.actions.do.sai is not a setting; did you mean say?"),
         ("scene: {actions: [{stages: [end], do: []}]}", "scene.actions.stages must be early or revised or"),
-        (
-            "scene: {actions: [{do: [{say: '{who}'}]}]}",
-            "may hold {gesture}, {name}, {phrase} and",
-        ),
+        ("scene: {actions: [{do: [{say: '{who}'}]}]}", "may hold {gesture}, {name}, {phrase} and"),
         ("robot: {url: 'tcp://nao:9559', prefix: ALTouch}", "does not begin with AL"),
         ("robot: {url: 'tcp://n:1', token_file: a, token_env: B}", "token_file and token_env are both set"),
         ("journal: {path: x, max_mb: .inf}", "journal.max_mb must be a number <= 10000.0, not inf"),
@@ -155,17 +135,11 @@ def test_a_file_in_another_encoding_is_told_with_its_line(tmp_path: Path) -> Non
         ("scene: {actions: [{stages: [fin], do: [{say: a}]}]}", "ongoing or uncertain, not 'fin'"),
         (
             "scene: {actions: [{above: {peak: x}, do: [{say: a}]}]}",
-            "scene.actions.above.peak must be a number, not 'x'",
+            "actions.above.peak must be a number, not 'x'",
         ),
         ("scene: {actions: [{above: {peek: 3}, do: [{say: a}]}]}", "rhythm_hz, not ['peek']"),
-        (
-            "scene: {actions: [{above: {peak: .nan}, do: [{say: a}]}]}",
-            "scene.actions.above.peak must be a number",
-        ),
-        (
-            "touch: {onset_threshold: 2}",
-            "release_threshold 4.0 is above onset_threshold 2.0; set it to 2.0 or less too",
-        ),
+        ("scene: {actions: [{above: {peak: .nan}, do: [{say: a}]}]}", "actions.above.peak must be a number"),
+        ("touch: {onset_threshold: 2}", "release_threshold 4.0 is above onset_threshold 2.0; set it to 2.0"),
         ("log_level: loud", "log_level must be debug or info or warning or error, not 'loud'"),
         ("model: null\nmodel: x.onnx", "line 2: model is set twice"),
         ("sensor: [", "line 1, column 10: "),
