@@ -92,8 +92,9 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     assert pulled[0][1] == pytest.approx(ago_s, abs=0.2)
 
 
-def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
+def test_ros2_nodes_find_the_topics_and_hear_them(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
+    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.domain import DomainParticipant
 
     from daemon.bridges.ros2 import Image, String
@@ -102,7 +103,9 @@ def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
     participant = DomainParticipant(peer.domain)
     topics = {"gesture": String, "event": String, "pressure": Image}
     readers = {name: reader_of(participant, f"rt/touchd/{PAD}/{name}", kind) for name, kind in topics.items()}
+    offered = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
     bridge = peer.bridge()
+    found: set[tuple[str, str]] = set()
     heard: dict[str, list[object]] = {name: [] for name in topics}
 
     def all_heard() -> bool:
@@ -111,10 +114,16 @@ def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
         time.sleep(0.05)
         for name, reader in readers.items():
             heard[name] += reader.take(10)
-        return all(heard.values())
+        found.update((sample.topic_name, sample.type_name) for sample in offered.take(20))
+        return all(heard.values()) and len(found) == 3
 
     wait_for(all_heard)
     bridge.stop(2.0)
+    assert found == {
+        ("rt/touchd/pad/gesture", "std_msgs::msg::dds_::String_"),
+        ("rt/touchd/pad/event", "std_msgs::msg::dds_::String_"),
+        ("rt/touchd/pad/pressure", "sensor_msgs::msg::dds_::Image_"),
+    }
     assert heard["gesture"][0] == String("stroke")
     assert decode(heard["event"][0].data) == PREDICTION  # type: ignore[attr-defined]
     picture = heard["pressure"][0]
@@ -124,7 +133,7 @@ def test_ros2_nodes_hear_gesture_event_and_picture(tmp_path: Path) -> None:
     assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
 
 
-def test_ros2_waits_for_a_network_and_follows_another(
+def test_ros2_follows_the_network_and_ends_without_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("cyclonedds")
@@ -136,12 +145,14 @@ def test_ros2_waits_for_a_network_and_follows_another(
     monkeypatch.setattr(ros2, "LOOK_S", 0.05)
     peer = Ros2Peer(tmp_path)
     bridge = ros2.Ros2Bridge(Ros2Settings(domain=peer.domain), PAD)
-    join, failures = bridge._join, iter((DDSException(DDSException.DDS_RETCODE_ERROR),))
+    join = bridge._join
+
+    def fail() -> None:
+        raise DDSException(DDSException.DDS_RETCODE_ERROR)
 
     def fail_once() -> None:
-        if (failure := next(failures, None)) is not None:
-            raise failure
-        join()
+        monkeypatch.setattr(bridge, "_join", join)
+        fail()
 
     def heard() -> bool:
         bridge.put(PREDICTION)
@@ -157,37 +168,18 @@ def test_ros2_waits_for_a_network_and_follows_another(
         wait_for(lambda: heard() and "the network has changed" in caplog.text)
         peer.heard.clear()
         wait_for(heard)
+        monkeypatch.setattr(bridge, "_join", fail)
+        monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.8"])
+        wait_for(lambda: heard() and "is away" in caplog.messages[-1])
+        assert [message.partition(" (")[0] for message in caplog.messages] == [
+            "ros2: a network for DDS is away",
+            "ros2: connected to DDS",
+            "ros2: the network has changed; joining anew",
+            "ros2: the network has changed; joining anew",
+            "ros2: a network for DDS is away",
+        ]
         bridge.stop(2.0)
-    assert [record.message.partition(" (")[0] for record in caplog.records] == [
-        "ros2: a network for DDS is away",
-        "ros2: connected to DDS",
-        "ros2: the network has changed; joining anew",
-    ]
-
-
-def test_ros2_without_a_network_ends_without_a_trace(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    pytest.importorskip("cyclonedds")
-    from cyclonedds.core import DDSException
-
-    from daemon.bridges import ros2
-
-    monkeypatch.setattr(ros2, "LOOK_S", 0.05)
-    bridge = Ros2Peer(tmp_path).make()
-    bridge.start()
-    wait_for(bridge._peer_is_there.is_set)
-
-    def fail() -> None:
-        raise DDSException(DDSException.DDS_RETCODE_ERROR)
-
-    monkeypatch.setattr(bridge, "_join", fail)
-    monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
-    time.sleep(0.1)
-    bridge.put(PREDICTION)
-    wait_for(lambda: "is away" in caplog.text)
-    bridge.stop(2.0)
-    assert [record.exc_info for record in caplog.records] == [None]
+    assert {record.exc_info for record in caplog.records} == {None}
 
 
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
@@ -212,30 +204,6 @@ def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
         data=frame(3).pressure.astype("<u2").view(np.uint8).ravel(),
     )
     assert ours.serialize() == bytes(store.serialize_cdr(theirs, "sensor_msgs/msg/Image"))
-
-
-def test_ros2_topics_and_types_have_the_expected_names(tmp_path: Path) -> None:
-    pytest.importorskip("cyclonedds")
-    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
-    from cyclonedds.domain import DomainParticipant
-
-    peer = Ros2Peer(tmp_path)
-    participant = DomainParticipant(peer.domain)
-    reader = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-    bridge = peer.bridge()
-    found: set[tuple[str, str]] = set()
-
-    def all_found() -> bool:
-        found.update((sample.topic_name, sample.type_name) for sample in reader.take(20))
-        return len(found) == 3
-
-    wait_for(all_found)
-    bridge.stop(2.0)
-    assert found == {
-        ("rt/touchd/pad/gesture", "std_msgs::msg::dds_::String_"),
-        ("rt/touchd/pad/event", "std_msgs::msg::dds_::String_"),
-        ("rt/touchd/pad/pressure", "sensor_msgs::msg::dds_::Image_"),
-    }
 
 
 def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """MQTT on a real mosquitto: topics, state and last will, pressure, login, TLS, Home Assistant."""
 
+import itertools
 import json
 import select
 import socket
@@ -65,19 +66,31 @@ def opened(port: int) -> Iterator[Open]:
         yield open_bridge
 
 
-def payloads(messages: list[Any], topic: str) -> list[str]:
+@pytest.fixture
+def messages(port: int) -> Iterator[list[Any]]:
+    """All that the broker gets under touchd."""
+    with subscribed(port, "touchd/#") as messages:
+        yield messages
+
+
+def payloads(messages: list[Any], topic: str = "touchd/pad/event") -> list[str]:
     return [message.payload.decode() for message in messages if message.topic == topic]
 
 
-def test_events_come_under_the_pads_topic_with_qos_1(port: int, opened: Open) -> None:
-    with subscribed(port, "touchd/#") as messages:
-        bridge = opened()
-        events = [UP, touch(1), PREDICTION]
-        for event in events:
-            bridge.put(event)
-        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
-        assert [decode(text) for text in payloads(messages, "touchd/pad/event")] == events
-        assert {message.qos for message in messages if message.topic.endswith("event")} == {1}
+def put(bridge: Bridge, number: int, messages: list[Any]) -> None:
+    """Put touch `number`, and wait until so many events were published."""
+    bridge.put(touch(number))
+    wait_for(lambda: len(payloads(messages)) == number)
+
+
+def test_the_pads_own_events_come_with_qos_1(messages: list[Any], opened: Open) -> None:
+    bridge = opened()
+    events = [UP, touch(1), PREDICTION]
+    for event in [msgspec.structs.replace(PREDICTION, pad="another"), *events]:
+        bridge.put(event)
+    wait_for(lambda: len(payloads(messages)) == 3)
+    assert [decode(text) for text in payloads(messages)] == events
+    assert {message.qos for message in messages if message.topic.endswith("event")} == {1}
 
 
 def test_the_state_is_retained_and_follows_the_pad(port: int, opened: Open) -> None:
@@ -114,7 +127,7 @@ def test_a_daemon_that_is_killed_leaves_its_last_will(port: int) -> None:
 
 
 def test_after_a_broken_path_the_old_connections_will_does_not_stay(port: int, opened: Open) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as door, ExitStack() as closing:
+    with socket.create_server(("127.0.0.1", 0)) as door:
         carried: list[tuple[socket.socket, socket.socket]] = []
 
         def carry(source: socket.socket, sink: socket.socket) -> None:
@@ -142,48 +155,46 @@ def test_after_a_broken_path_the_old_connections_will_does_not_stay(port: int, o
         wait_for(lambda: bool(select.select([brokers_end], [], [], 0)[0]))
         wait_for(lambda: retained(port) == "up")
         bridge.stop(WITHIN_S)
-        for ends in carried:
-            for end in ends:
-                closing.enter_context(end)
+        for end in itertools.chain.from_iterable(carried):
+            end.close()
 
 
-def test_pressure_comes_at_the_stated_rate_and_only_when_asked(port: int, opened: Open) -> None:
-    with subscribed(port, "touchd/#") as messages:
-        bridge = opened(pressure_hz=18.0)
-        bridge.put(touch(1))
-        wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
-        start_s = time.monotonic()
-        for number in range(54):
-            bridge.put_frame(frame(number, start_s + number / 54.0))
-        wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) >= 18)
-        bridge.put(touch(2))
-        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 2)
-        shown = [json.loads(text) for text in payloads(messages, "touchd/pad/pressure")]
-        assert len(shown) == 18
-        first = frame(0)
-        assert shown[0]["pressure"] == first.pressure.tolist()
-        assert shown[1]["sensor_ms"] == 3 * 19
-        bridge = opened()
-        bridge.put(touch(3))
-        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 3)
-        bridge.put_frame(frame(99))
-        bridge.put(touch(4))
-        wait_for(lambda: len(payloads(messages, "touchd/pad/event")) == 4)
-        assert len(payloads(messages, "touchd/pad/pressure")) == 18
+def test_pressure_comes_at_the_stated_rate_and_only_when_asked(messages: list[Any], opened: Open) -> None:
+    bridge = opened(pressure_hz=18.0)
+    put(bridge, 1, messages)
+    start_s = time.monotonic()
+    for number in range(54):
+        bridge.put_frame(frame(number, start_s + number / 54.0))
+    wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) >= 18)
+    put(bridge, 2, messages)
+    shown = [json.loads(text) for text in payloads(messages, "touchd/pad/pressure")]
+    assert len(shown) == 18
+    assert shown[0]["pressure"] == frame(0).pressure.tolist()
+    assert shown[1]["sensor_ms"] == 3 * 19
+    bridge = opened()
+    put(bridge, 3, messages)
+    bridge.put_frame(frame(99))
+    put(bridge, 4, messages)
+    assert len(payloads(messages, "touchd/pad/pressure")) == 18
 
 
-def test_frames_leave_nothing_behind(port: int, opened: Open) -> None:
-    with subscribed(port, "touchd/#") as messages:
-        bridge = opened(pressure_hz=500.0)
-        bridge.put(touch(1))
-        wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
-        start_s = time.monotonic()
-        for number in range(200):
-            bridge.put_frame(frame(number, start_s + number / 500))
-            time.sleep(0.001)
-        wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) > 100)
+def test_frames_leave_nothing_behind(messages: list[Any], opened: Open) -> None:
+    bridge = opened(pressure_hz=500.0)
+    put(bridge, 1, messages)
+    start_s = time.monotonic()
+    for number in range(200):
+        bridge.put_frame(frame(number, start_s + number / 500))
+        time.sleep(0.001)
+    wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) > 100)
     # The numbers of published frames, which events may get again.
     assert len(bridge._acknowledged) < 10
+
+
+def only_robot(folder: Path) -> str:
+    """Return a broker's settings that admit only the user robot with the password s3cret."""
+    users = str(folder / "users")
+    subprocess.run(["mosquitto_passwd", "-b", "-c", users, "robot", "s3cret"], check=True, timeout=10)
+    return f"allow_anonymous false\npassword_file {users}\nuser root\n"
 
 
 def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, opened: Open) -> None:
@@ -194,58 +205,34 @@ def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, opened: Open) 
     certificate.private_key_pem.write_to_path(tmp_path / "key.pem")
     certificate.cert_chain_pems[0].write_to_path(tmp_path / "cert.pem")
     (tmp_path / "password").write_text("s3cret\n")
-    subprocess.run(
-        ["mosquitto_passwd", "-b", "-c", str(tmp_path / "users"), "robot", "s3cret"], check=True, timeout=10
-    )
-    lines = (
-        f"cafile {tmp_path}/ca.pem\ncertfile {tmp_path}/cert.pem\nkeyfile {tmp_path}/key.pem\n"
-        f"allow_anonymous false\npassword_file {tmp_path}/users\nuser root\n"
-    )
+    lines = f"cafile {tmp_path}/ca.pem\ncertfile {tmp_path}/cert.pem\nkeyfile {tmp_path}/key.pem\n"
     port = free_port()
-    with broker(tmp_path, port, lines):
-        login = {"user": "robot", "password": "s3cret", "ca_file": str(tmp_path / "ca.pem")}
-        with subscribed(port, "touchd/#", **login) as messages:
-            bridge = opened(
-                port,
-                host="localhost",
-                tls=True,
-                ca_file=str(tmp_path / "ca.pem"),
-                user="robot",
-                password_file=str(tmp_path / "password"),
-            )
-            bridge.put(touch(1))
-            wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
+    ca_file = str(tmp_path / "ca.pem")
+    with (
+        broker(tmp_path, port, lines + only_robot(tmp_path)),
+        subscribed(port, "touchd/#", user="robot", password="s3cret", ca_file=ca_file) as messages,
+    ):
+        login = {"user": "robot", "password_file": str(tmp_path / "password")}
+        put(opened(port, host="localhost", tls=True, ca_file=ca_file, **login), 1, messages)
 
 
-def test_a_wrong_password_is_logged_in_one_line(
+def test_a_refusal_is_logged_once_and_a_corrected_password_taken(
     tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
-    (tmp_path / "wrong").write_text("guess")
-    port = free_port()
-    with broker(tmp_path, port, "allow_anonymous false\n"):
-        opened(port, user="robot", password_file=str(tmp_path / "wrong"))
-        wait_for(lambda: bool(caplog.records))
-        time.sleep(0.5)
-    (record,) = caplog.records
-    assert "Not authorized" in record.getMessage()
-
-
-def test_a_refusal_is_logged_after_an_outage_and_a_corrected_password_taken(
-    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level("INFO")
     password = tmp_path / "password"
     password.write_text("guess")
     port = free_port()
-    opened(port, user="robot", password_file=str(password))
-    wait_for(lambda: "cannot be reached" in caplog.text)
-    users = tmp_path / "users"
-    subprocess.run(["mosquitto_passwd", "-b", "-c", str(users), "robot", "s3cret"], check=True, timeout=10)
-    with broker(tmp_path, port, f"allow_anonymous false\npassword_file {users}\nuser root\n"):
-        wait_for(lambda: "Not authorized" in caplog.text)
-        password.write_text("s3cret")
-        wait_for(lambda: "connected to" in caplog.text)
-    assert sum("Not authorized" in line for line in caplog.messages) == 1
+    with caplog.at_level("INFO"):
+        opened(port, user="robot", password_file=str(password))
+        wait_for(lambda: "cannot be reached" in caplog.text)
+        with broker(tmp_path, port, only_robot(tmp_path)):
+            wait_for(lambda: "Not authorized" in caplog.text)
+            time.sleep(0.5)
+            password.write_text("s3cret")
+            wait_for(lambda: "connected to" in caplog.text)
+            said = list(caplog.messages)
+    for line, part in zip(said, ("cannot be reached", "Not authorized", "connected to"), strict=True):
+        assert part in line
 
 
 def test_only_a_changed_bridge_is_replaced(port: int) -> None:
@@ -258,16 +245,6 @@ def test_only_a_changed_bridge_is_replaced(port: int) -> None:
     assert not fewer.keys() & announced.keys()
     with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
         made(port, before, user="robot", password_file="/nowhere")
-
-
-def test_another_pads_events_are_not_published(port: int, opened: Open) -> None:
-    with subscribed(port, "touchd/#") as messages:
-        bridge = opened()
-        for pad in ("another", "pad"):
-            bridge.put(msgspec.structs.replace(PREDICTION, pad=pad))
-        wait_for(lambda: bool(payloads(messages, "touchd/pad/event")))
-        bridge.stop(2.0)
-        assert len(payloads(messages, "touchd/pad/event")) == 1
 
 
 def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> None:
@@ -296,7 +273,7 @@ def test_after_a_reload_the_daemon_publishes_what_it_prints(port: int, tmp_path:
         daemon.await_reloads(1)
         printed = daemon.finish()
         wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
-        published = [decode(text) for text in payloads(messages, "touchd/pad/event")]
+        published = [decode(text) for text in payloads(messages)]
     # A new bridge also gets the pad's last state.
     assert isinstance(published[0], SensorEvent)
     assert len(published) > 5
