@@ -27,8 +27,7 @@ from daemon.setup.words import vocabulary
 from daemon.terminal.describe import describe
 from docs.studies.__main__ import STUDIES
 from docs.studies.hand import write_simulated
-from drivers.recording import Recording, Selection, read_recordings, write_recordings
-from drivers.robot.actions import Action, ActionRule
+from drivers.recording import Recording, read_recordings, write_recordings
 from drivers.robot.session import qi_installed
 from model.classifier import Classifier
 
@@ -90,15 +89,45 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
     assert shown.stdout.splitlines()[-1] == "?hi?"
 
 
-def test_an_unknown_command_is_named_and_a_mistyped_one_corrected(refusal: Refusal) -> None:
-    assert "xyz is no command; there are init, run," in refusal("xyz")
-    assert "clasify is no command; did you mean classify?" in refusal("clasify")
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("xyz", "xyz is no command; there are init, run,"),
+        ("clasify", "clasify is no command; did you mean classify?"),
+        (f"init {'x' * 300}", "File name too long; give another path"),
+        ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
+        (f"replay {GESTURES} --participant nobody", "no recording matches"),
+        *((name, f"python -m docs.studies {name}") for name in cli.MOVED),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(refusal: Refusal, words: str, message: str) -> None:
+    assert message in refusal(*words.split())
 
 
-@pytest.mark.parametrize("name", cli.MOVED)
-def test_a_command_for_researchers_says_where_it_is(refusal: Refusal, name: str) -> None:
-    assert name in STUDIES
-    assert f"python -m docs.studies {name}" in refusal(name)
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("run --view", "--view needs a terminal"),
+        ("run --view --json", "not allowed with"),
+        ("replay --speed abc", "'abc' is not a number from "),
+        ("doctor --seconds x", "'x' is not a number from "),
+        ("doctor --seconds 0", "'0' is not a number from "),
+        ("init nowhere/x.yaml --baud 100", "'100' is not a number from "),
+        ("record here --rounds 0", "'0' is not a number from "),
+        ("plot --touches many", "'many' is not a number from "),
+    ],
+)
+def test_an_option_that_cannot_be_is_refused_in_words(
+    capsys: pytest.CaptureFixture[str], words: str, message: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(words.split())
+    assert ended.value.code == 2
+    assert message in capsys.readouterr().err
+
+
+def test_commands_for_researchers_are_studies() -> None:
+    assert set(cli.MOVED) <= set(STUDIES)
 
 
 def test_a_library_that_the_system_lacks_is_named(tmp_path: Path) -> None:
@@ -123,10 +152,6 @@ def test_an_internal_error_is_one_line_and_exit_1(
         cli.main(["fail", "--debug"])
 
 
-def test_a_path_that_cannot_be_looked_at_is_told(tmp_path: Path, refusal: Refusal) -> None:
-    assert "File name too long; give another path" in refusal("init", str(tmp_path / ("x" * 300)))
-
-
 def main(arguments: Sequence[str]) -> int:
     """The command "fail" of the test above."""
     raise KeyError("oops")
@@ -140,6 +165,11 @@ def main(arguments: Sequence[str]) -> int:
         ("journal: {path: ~nosuch/events.jsonl}", "~nosuch/events.jsonl: no such home is known"),
         ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
         ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is no gesture"),
+        ("scene: {gestures: [notouch]}", "scene.gestures: notouch is no gesture"),
+        (
+            "scene: {gestures: [pat], actions: [{gestures: [rub], do: [{say: x}]}]}",
+            "scene.actions: rub is never told, as scene.gestures leaves it out",
+        ),
         ("words: {tikle: {name: a, phrase: b}}", "words: tikle is nothing that is told; name one of"),
         ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
@@ -159,21 +189,6 @@ def test_an_unusable_setting_is_refused_in_one_line(
     assert set(threading.enumerate()) == threads
 
 
-@pytest.mark.parametrize(
-    ("scene", "message"),
-    [
-        (SceneSettings(gestures=("notouch",)), "scene.gestures: notouch is no gesture"),
-        (
-            SceneSettings(gestures=("pat",), actions=(ActionRule(do=(Action(say="a"),), gestures=("rub",)),)),
-            "scene.actions: rub is never told, as scene.gestures leaves it out",
-        ),
-    ],
-)
-def test_gestures_that_are_never_told_are_refused(scene: SceneSettings, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        check_fit(scene, Classifier.load())
-
-
 def test_marks_beyond_the_models_longest_window_are_refused() -> None:
     classifier = Classifier.load()
     short = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, max_length=100))
@@ -181,30 +196,13 @@ def test_marks_beyond_the_models_longest_window_are_refused() -> None:
         check_fit(SceneSettings(), short)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"), [(["--view"], "--view needs a terminal"), (["--view", "--json"], "not allowed with")]
-)
-def test_the_view_needs_a_terminal(options: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["run", *options])
-    assert ended.value.code == 2
-    assert said in capsys.readouterr().err
-
-
-def test_a_missing_recording_is_one_line(refusal: Refusal) -> None:
-    said = refusal("classify", "nowhere.csv")
-    assert "nowhere.csv: cannot be read as a recording (No such file or directory)" in said
-    assert "no recording matches" in refusal("replay", str(GESTURES), "--participant", "nobody")
-
-
 def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -> None:
     # Each row gets four seconds of quiet around it.
     one = Recording("p0", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
     parts = [replace(one, participant=f"p{number % 2}") for number in range(6000)]
     write_recordings(tmp_path / "rows.csv.gz", parts, {})
-    assert "13 hours of recordings and quiet, 12 at most" in refusal(
-        "classify", str(tmp_path / "rows.csv.gz")
-    )
+    said = refusal("classify", str(tmp_path / "rows.csv.gz"))
+    assert "13 hours of recordings and quiet, 12 at most" in said
 
 
 def test_classify_writes_the_events_as_json_lines() -> None:
@@ -217,37 +215,27 @@ def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
     done = ran([*TOUCHD, "classify", GESTURES, "--gesture", "rub", "--gesture", "pat"])
     events = [decode(line) for line in done.stdout.splitlines()]
     began = [event.sensor_ms for event in events if isinstance(event, TouchBegan)]
-    rub, pat = read_recordings(GESTURES, Selection(gestures=("rub", "pat")))
-    quiet_ms = next(iter(began))
-    assert quiet_ms == pytest.approx(2500, abs=300)
-    assert began[1] == pytest.approx(2 * 2500 + 3200, abs=400)
-    assert len(began) == 2
-    assert (rub.gesture, pat.gesture) == ("rub", "pat")
+    assert began == [pytest.approx(2500, abs=300), pytest.approx(2 * 2500 + 3200, abs=400)]
+
+
+def touches_and_quiet() -> tuple[list[Recording], list[Recording]]:
+    parts = read_recordings(DEMO)
+    touches = [part for part in parts if part.gesture != "notouch"]
+    return touches, [part for part in parts if part.gesture == "notouch"]
 
 
 def test_quiet_borrowed_from_another_person_costs_no_touch() -> None:
-    parts = [
-        replace(part, participant="somebody else") if part.gesture != "notouch" else part
-        for part in read_recordings(DEMO)
-    ]
-    alike, borrowed = (
-        with_quiet(
-            [part for part in given if part.gesture != "notouch"],
-            [part for part in given if part.gesture == "notouch"],
-        )
-        for given in (read_recordings(DEMO), parts)
-    )
+    touches, quiet = touches_and_quiet()
+    alike = with_quiet(touches, quiet)
+    borrowed = with_quiet([replace(touch, participant="somebody else") for touch in touches], quiet)
     assert (np.diff(borrowed.sensor_ms) > 0).all()
     np.testing.assert_array_equal(borrowed.counts, alike.counts)
 
 
 def test_a_fast_pads_quiet_lasts_as_long_as_a_slow_ones() -> None:
-    (touch, *_), quiet = (
-        [part for part in read_recordings(DEMO) if (part.gesture == "notouch") == is_quiet]
-        for is_quiet in (False, True)
-    )
+    touches, quiet = touches_and_quiet()
     fast = replace(quiet[0], counts=np.zeros((4000, 8, 8), np.uint16), sensor_ms=2 * np.arange(4000))
-    spans = with_quiet([touch], [fast]).spans
+    spans = with_quiet(touches[:1], [fast]).spans
     assert [span.stop - span.start for span in spans if span.gesture == "notouch"] == [2000, 2000]
 
 

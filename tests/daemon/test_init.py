@@ -142,13 +142,6 @@ def test_the_file_is_written_even_without_a_pad(tmp_path: Path) -> None:
     assert load(path).sensor.described == SensorSettings().described
 
 
-def test_a_baud_rate_that_cannot_be_leaves_no_file(tmp_path: Path) -> None:
-    path = tmp_path / "touchd.yaml"
-    with pytest.raises(SystemExit):
-        main([str(path), "--port", str(tmp_path / "none"), "--baud", "100", "--robot", "none"])
-    assert not path.exists()
-
-
 def test_the_end_of_input_means_no_robot(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     with (
