@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs.call_log import CallLog
-from rigs.expectations import GESTURES, answers, stream_of
-from rigs.programs import ran
+from rigs.expectations import DEMO, GESTURES, answers, stream_of
+from rigs.patient_port import playing
+from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import linked
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
@@ -25,16 +26,13 @@ from daemon.doctor.line import check_rate
 from daemon.doctor.listening import Heard
 from daemon.events import Prediction, TouchEnded
 from daemon.live.address import qr_code, urls_of
-from daemon.playback.stream import DEMO_RECORDING
-from daemon.setup.destinations import encoder_for, open_journal
+from daemon.setup.destinations import open_journal
 from daemon.setup.parts import check_pad, load_model
 from daemon.sinks import RobotSink
 from daemon.terminal.own_name import own_name
 from drivers.extras import how_to_install
-from drivers.fakes.fake_port import FakePort
 from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import Frame
-from drivers.recording import read_recordings, splice
 from drivers.robot.actions import Action, ActionRule
 from drivers.robot.limits import RobotLimits
 
@@ -181,8 +179,7 @@ def test_classify_speaks_to_a_person_in_a_terminal() -> None:
 
 
 def test_run_speaks_to_people_in_terminals_and_json_on_request() -> None:
-    stream, encode = splice(read_recordings(DEMO_RECORDING)), encoder_for(Settings().sensor)
-    with FakePort(stream, encode, speed=8) as port, Terminal("run", "--port", port.path) as terminal:
+    with playing(DEMO, 8.0) as port, Terminal("run", "--port", port.path) as terminal:
         terminal.until("pad up")
         terminal.until("touch 1 ends: pat")
     with Terminal("run", "--json", "--port", "/dev/nowhere") as terminal:
@@ -203,13 +200,9 @@ def test_a_demo_that_is_told_to_end_leaves_nothing_behind(
     tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))
-    with subprocess.Popen(
-        [sys.executable, "-m", "daemon", "demo", "--plain"],
-        stdout=subprocess.PIPE,
-        # A suite that runs under nohup ignores the signal, and so would the demo.
-        preexec_fn=partial(signal.signal, number, signal.SIG_DFL),
-    ) as process:
-        assert process.stdout is not None
+    # A suite that runs under nohup ignores the signal, and so would the demo.
+    heed = partial(signal.signal, number, signal.SIG_DFL)
+    with Program(*TOUCHD, "demo", "--plain", preexec_fn=heed) as process:
         process.stdout.readline()
         assert list(tmp_path.iterdir())
         process.send_signal(number)
