@@ -15,6 +15,8 @@ from daemon.doctor.examine import examine
 from daemon.doctor.machine import check_model, check_robot, check_service
 from drivers.robot.settings import RobotSettings
 
+ACTIVE = "LoadState=loaded\nActiveState=active\n"
+
 
 def test_a_sound_pad_passes_every_check(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
@@ -53,7 +55,7 @@ def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch:
     settings = Settings(sensor=SensorSettings(port=port.path))
     with port, serial.Serial(port.path, exclusive=True):
         other = the("port", examine(settings, 1.0, print))
-        systemd_says("LoadState=loaded\nActiveState=active", tmp_path, monkeypatch)
+        systemd_says(ACTIVE, tmp_path, monkeypatch)
         service = the("port", examine(settings, 1.0, print))
     assert other.verdict == "to do"
     assert "busy" in other.found
@@ -93,13 +95,9 @@ def test_a_robot_user_without_a_token_is_reported() -> None:
     ("answer", "verdict", "found"),
     [
         ("LoadState=not-found", "ok", "no touchd service is installed"),
-        (
-            "LoadState=loaded\nActiveState=active\nStatusText=54.0 frames/s\nNRestarts=0",
-            "ok",
-            "54.0 frames/s",
-        ),
-        ("LoadState=loaded\nActiveState=active\nNRestarts=3", "warning", "restarted 3 times"),
-        ("LoadState=loaded\nActiveState=active\nUnitFileState=disabled", "warning", "not started at boot"),
+        (f"{ACTIVE}StatusText=54.0 frames/s\nNRestarts=0", "ok", "54.0 frames/s"),
+        (f"{ACTIVE}NRestarts=3", "warning", "restarted 3 times"),
+        (f"{ACTIVE}UnitFileState=disabled", "warning", "not started at boot"),
         ("LoadState=loaded\nActiveState=inactive", "warning", "installed, but inactive"),
         ("LoadState=loaded\nActiveState=failed\nResult=exit-code", "to do", "failed (exit-code)"),
         ("", "not checked", "no systemd answers"),

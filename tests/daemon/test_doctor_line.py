@@ -86,20 +86,20 @@ def test_lost_frames_are_counted() -> None:
 
 
 def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
-    def steady(step_ms: float, step_s: float) -> list[Frame]:
-        return [Frame(i, round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
+    def checked(step_ms: float, step_s: float, late_s: float = 0.0) -> Check:
+        frames = [Frame(i, round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
+        frames[-1] = replace(frames[-1], host_s=frames[-1].host_s + late_s)
+        return check_rate(Heard(tuple(frames), 0, b"", frames[-1].host_s, ""))
 
-    frames = steady(18, 0.009)
-    late = [replace(frames[-1], host_s=frames[-1].host_s + 0.3)]
-    clock = check_rate(Heard((*frames[:-1], *late), 0, b"", late[0].host_s, ""))
+    clock = checked(18, 0.009, late_s=0.3)
     assert "its clock runs 2.00 times as fast" in clock.found
     assert "milliseconds" in clock.advice
-    slow = check_rate(Heard(tuple(steady(25, 0.025)), 0, b"", 10.0, ""))
+    slow = checked(25, 0.025)
     assert slow.figures["rate_hz"] == pytest.approx(40, abs=0.5)
     assert slow.verdict == "warning"
     assert "54 Hz" in slow.advice
     # A pad of 50 Hz by its label.
-    assert check_rate(Heard(tuple(steady(20.1, 0.0201)), 0, b"", 8.0, "")).verdict == "ok"
-    useless = check_rate(Heard(tuple(steady(55, 0.055)), 0, b"", 22.0, ""))
+    assert checked(20.1, 0.0201).verdict == "ok"
+    useless = checked(55, 0.055)
     assert useless.verdict == "to do"
     assert "20 are needed" in useless.found

@@ -1,6 +1,5 @@
 """The doctor's checks of the pad itself: rest, noise, broken taxels, orientation."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,6 @@ from rigs.doctor_rig import SETTINGS, heard, pad_of, resting, the
 
 from daemon.config import SensorSettings, Settings
 from daemon.doctor.examine import examine
-from daemon.doctor.listening import Heard
 from daemon.doctor.pad import (
     check_noise,
     check_orientation,
@@ -19,38 +17,26 @@ from daemon.doctor.pad import (
     is_pressed,
 )
 from docs.studies.hand import simulate
-from drivers.frame import Counts
 
 
-@pytest.fixture(scope="module")
-def sound() -> Heard:
-    return heard(resting())
-
-
-def test_a_sound_pad_at_rest_has_only_living_taxels(sound: Heard) -> None:
+def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
+    sound = heard(resting())
     checks = [check_quiet(sound, SETTINGS), check_rest(sound, SETTINGS), check_noise(sound)]
     assert [check.verdict for check in [*checks, *check_taxels(sound)]] == ["ok"] * 4
 
 
-def dead_row(counts: Counts) -> None:
-    counts[:, 3] = 0
-
-
-def stuck_taxel(counts: Counts) -> None:
-    counts[:, 2, 4] = 7
-
-
-def short(counts: Counts) -> None:
-    counts[:, :, :3] = 1023
-
-
 @pytest.mark.parametrize(
-    ("damage", "found"),
-    [(dead_row, "row 4"), (stuck_taxel, "row 3 column 5"), (short, "a quarter of the pad or more")],
+    ("damaged", "stuck_at", "found"),
+    [
+        (np.s_[:, 3], 0, "row 4"),
+        (np.s_[:, 2, 4], 7, "row 3 column 5"),
+        (np.s_[:, :, :3], 1023, "a quarter of the pad or more"),
+    ],
+    ids=["a dead row", "a stuck taxel", "a short"],
 )
-def test_broken_taxels_are_named(damage: Callable[[Counts], None], found: str) -> None:
+def test_broken_taxels_are_named(damaged: tuple[slice | int, ...], stuck_at: int, found: str) -> None:
     counts = resting()
-    damage(counts)
+    counts[damaged] = stuck_at
     troubles = check_taxels(heard(counts))
     assert any(found in trouble.found and trouble.advice for trouble in troubles)
     assert {trouble.verdict for trouble in troubles} == {"to do"}
