@@ -38,22 +38,34 @@ BEGAN_AGAIN = TouchBegan(touch=2, time=NOW, sensor_ms=9)
 PAD_UP = SensorEvent(state="up", time=NOW)
 
 
-def test_a_viewer_gets_every_event_and_frame(served: Served) -> None:
-    with served.look() as viewer:
+@pytest.fixture
+def viewer(served: Served) -> Iterator[ClientConnection]:
+    """A viewer of the page that has got the state."""
+    with served.look(max_queue=None) as viewer:
         assert json.loads(viewer.recv(timeout=WITHIN_S))["type"] == "state"
-        served.sink.put(BEGAN)
-        wanted = served.put_frame()
-        assert frames_among(viewer, wanted) == [encode(BEGAN).decode(), wanted]
+        yield viewer
 
 
-def test_a_late_viewer_gets_the_current_state(served: Served) -> None:
-    with served.look() as early:
-        await_message(early, "state")
-        for event in (PAD_UP, BEGAN, ENDED, BEGAN_AGAIN):
-            served.sink.put(event)
-        frames_among(early, served.put_frame())
-        with served.look() as late:
-            state = json.loads(late.recv(timeout=WITHIN_S))
+def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
+    """Return the next message of a kind."""
+    while True:
+        message = viewer.recv(timeout=WITHIN_S)
+        if isinstance(message, str) and (told := json.loads(message))["type"] == kind:
+            return dict(told)
+
+
+def test_a_viewer_gets_every_event_and_frame(served: Served, viewer: ClientConnection) -> None:
+    served.sink.put(BEGAN)
+    wanted = served.put_frame()
+    assert frames_among(viewer, wanted) == [encode(BEGAN).decode(), wanted]
+
+
+def test_a_late_viewer_gets_the_current_state(served: Served, viewer: ClientConnection) -> None:
+    for event in (PAD_UP, BEGAN, ENDED, BEGAN_AGAIN):
+        served.sink.put(event)
+    frames_among(viewer, served.put_frame())
+    with served.look() as late:
+        state = json.loads(late.recv(timeout=WITHIN_S))
     touches = [(touch["began"]["touch"], touch["ended"] is not None) for touch in state["touches"]]
     assert touches == [(1, True), (2, False)]
     assert state["sensor"]["state"] == "up"
@@ -72,41 +84,29 @@ def test_the_memory_for_late_viewers_is_bounded() -> None:
     assert {len(felt.predictions) for felt in touches} == {PREDICTIONS}
 
 
-def test_an_event_is_shown_even_without_a_frame(served: Served) -> None:
-    with served.look() as viewer:
-        served.sink.put(SensorEvent(state="down", time=NOW, reason="unplugged"))
-        message = await_message(viewer, "sensor")
-        assert message["reason"] == "unplugged"
+def test_an_event_is_shown_even_without_a_frame(served: Served, viewer: ClientConnection) -> None:
+    served.sink.put(SensorEvent(state="down", time=NOW, reason="unplugged"))
+    assert await_message(viewer, "sensor")["reason"] == "unplugged"
 
 
-def test_rate_and_drops_are_sent_repeatedly(served: Served) -> None:
-    with served.look() as viewer:
-        await_message(viewer, "status")
-        frames_among(viewer, served.put_frame())
-        status = await_message(viewer, "status")
-        assert status["rate_hz"] > 0
-        assert (status["dropped"], status["viewers"]) == (0, 1)
+def test_rate_and_drops_are_sent_repeatedly(served: Served, viewer: ClientConnection) -> None:
+    await_message(viewer, "status")
+    frames_among(viewer, served.put_frame())
+    status = await_message(viewer, "status")
+    assert status["rate_hz"] > 0
+    assert (status["dropped"], status["viewers"]) == (0, 1)
 
 
-def await_message(viewer: ClientConnection, kind: str) -> dict[str, object]:
-    """Return the next message of a kind."""
-    while True:
-        message = viewer.recv(timeout=WITHIN_S)
-        if isinstance(message, str) and (told := json.loads(message))["type"] == kind:
-            return dict(told)
-
-
-def test_a_stalled_viewer_does_not_affect_the_others(served: Served) -> None:
+def test_a_stalled_viewer_does_not_affect_the_others(served: Served, viewer: ClientConnection) -> None:
     narrow = socket.socket()
     narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     narrow.connect(("127.0.0.1", served.port))
-    with served.look() as quick, served.look(sock=narrow, max_queue=1) as slow:
-        quick.recv(timeout=WITHIN_S)
+    with served.look(sock=narrow, max_queue=1) as slow:
         for _ in range(2000):
-            frames_among(quick, served.put_frame())
+            frames_among(viewer, served.put_frame())
         served.sink.put(BEGAN)
         newest = served.put_frame()
-        frames_among(quick, newest)
+        frames_among(viewer, newest)
         assert served.sink.dropped == 0
 
         backlog: list[str | bytes] = []
@@ -148,47 +148,35 @@ def hung(server: LiveServer) -> Iterator[None]:
         goes_on.set()
 
 
-def test_a_hanging_page_thread_delays_no_event() -> None:
-    listening = socket.create_server(("127.0.0.1", 0))
-    server = LiveServer(listening, LiveSettings(), {"pad": (Settings(), load_model(Settings()))})
-    server.start()
-    with hung(server):
+def test_a_hanging_page_thread_delays_no_event(served: Served) -> None:
+    with hung(served.sink):
         for _ in range(CAPACITY + 7):
-            server.put(PAD_UP)
-        dropped = server.dropped
-    server.stop(1.0)
-    assert dropped == 7
-
-
-def test_a_flood_of_frames_costs_a_later_viewer_no_state(served: Served) -> None:
-    with served.look() as viewer:
-        await_message(viewer, "state")
-        with hung(served.sink):
             served.sink.put(PAD_UP)
-            for _ in range(CAPACITY + 7):
-                served.put_frame()
+        assert served.sink.dropped == 7
+
+
+def test_a_flood_of_frames_costs_a_later_viewer_no_state(served: Served, viewer: ClientConnection) -> None:
+    with hung(served.sink):
+        served.sink.put(PAD_UP)
+        for _ in range(CAPACITY + 7):
+            served.put_frame()
     with served.look() as later:
         assert await_message(later, "state")["sensor"]["state"] == "up"
 
 
-def test_stopping_does_not_wait_for_viewers(served: Served) -> None:
-    server = served.sink
-    with served.look() as viewer:
-        await_message(viewer, "state")
-        with hung(server):
-            for _ in range(CAPACITY):
-                served.put_frame()
-            server.stop(0.0)
-        assert [message for message in viewer if isinstance(message, bytes)] == []
+def test_stopping_does_not_wait_for_viewers(served: Served, viewer: ClientConnection) -> None:
+    with hung(served.sink):
+        for _ in range(CAPACITY):
+            served.put_frame()
+        served.sink.stop(0.0)
+    assert [message for message in viewer if isinstance(message, bytes)] == []
 
 
-def test_the_scene_can_change_while_it_is_shown(served: Served) -> None:
-    with served.look() as viewer:
-        await_message(viewer, "state")
-        scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
-        settings = msgspec.structs.replace(served.settings, scene=scene)
-        served.sink.put(scenes_of(settings, served.models))
-        assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
+def test_the_scene_can_change_while_it_is_shown(served: Served, viewer: ClientConnection) -> None:
+    scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
+    settings = msgspec.structs.replace(served.settings, scene=scene)
+    served.sink.put(scenes_of(settings, served.models))
+    assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
 
 
 def test_settings_that_cannot_be_served_change_nothing(served: Served) -> None:
