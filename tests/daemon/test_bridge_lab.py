@@ -133,7 +133,7 @@ def test_ros2_nodes_find_the_topics_and_hear_them(tmp_path: Path) -> None:
     assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
 
 
-def test_ros2_follows_the_network_and_ends_without_one(
+def test_ros2_waits_for_a_network_and_ends_without_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("cyclonedds")
