@@ -45,7 +45,7 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
     for number in range(27):
         before_s, now_s, after_s = pylsl.local_clock(), time.monotonic(), pylsl.local_clock()
         # Send frames up to a quarter of a second after they arrived.
-        late_s = 0.01 * (number % 27)
+        late_s = 0.01 * number
         arrived.append((before_s - late_s, after_s - late_s))
         bridge.put_frame(frame(number, now_s - late_s))
         time.sleep(1 / 54)
@@ -54,11 +54,8 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
     bridge.stop(2.0)
     assert (info.channel_count(), info.nominal_srate()) == (64, 54.0)
     np.testing.assert_array_equal(pulled[5][0], frame(5).pressure.ravel())
-    errors_s = [
-        max(stamped - last, first - stamped)
-        for (_, stamped), (first, last) in zip(pulled, arrived, strict=True)
-    ]
-    assert max(errors_s) < 0.002
+    for (_, stamped_s), (first_s, last_s) in zip(pulled, arrived, strict=True):
+        assert first_s - 0.002 < stamped_s < last_s + 0.002
 
 
 def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:

@@ -86,6 +86,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
         ("--version <&-", 0, ""),
         ("--help >/dev/full", 2, "standard output: cannot be written (No space left on device)"),
         ("--help | true", 0, ""),
+        (f"classify {GESTURES} | true", 0, ""),
     ],
 )
 def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, said: str) -> None:
