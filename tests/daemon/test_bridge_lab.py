@@ -214,19 +214,12 @@ def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     wait_for(lambda: len(peer.operations) == 6)
     bridge.stop(2.0)
     peer.stop()
+    topics = [f"/touchd/pad/{name}" for name in ("gesture", "event", "pressure")]
     assert [(operation["op"], operation["topic"]) for operation in peer.operations] == [
-        ("advertise", "/touchd/pad/gesture"),
-        ("advertise", "/touchd/pad/event"),
-        ("advertise", "/touchd/pad/pressure"),
-        ("publish", "/touchd/pad/gesture"),
-        ("publish", "/touchd/pad/event"),
-        ("publish", "/touchd/pad/pressure"),
+        (kind, topic) for kind in ("advertise", "publish") for topic in topics
     ]
-    assert [operation["type"] for operation in peer.operations[:3]] == [
-        "std_msgs/String",
-        "std_msgs/String",
-        "sensor_msgs/Image",
-    ]
+    types = [operation["type"] for operation in peer.operations[:3]]
+    assert types == ["std_msgs/String", "std_msgs/String", "sensor_msgs/Image"]
     assert peer.operations[3]["msg"] == {"data": "stroke"}
     assert decode(peer.operations[4]["msg"]["data"]) == PREDICTION
     pixels = base64.b64decode(peer.operations[5]["msg"]["data"])
