@@ -119,8 +119,7 @@ def test_the_example_configuration_runs_without_the_service(
 ) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    settings = load(EXAMPLE)
-    journal = open_journal(settings.journal)
+    journal = open_journal(load(EXAMPLE).journal)
     assert journal is not None
     journal.append(b'{"type":""}')
     journal.close()

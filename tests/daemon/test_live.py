@@ -14,7 +14,7 @@ import msgspec
 import pytest
 from rigs.expectations import LENGTHS, expected, outline, stream_of
 from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
-from rigs.made_events import PREDICTION
+from rigs.made_events import PREDICTION, TIME
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED, Daemon, totals
 from rigs.sockets import LISTENS, LOOPBACK, sockets
@@ -31,11 +31,10 @@ from daemon.setup.destinations import encoder_for, open_live_page, scenes_of
 from daemon.setup.parts import load_model
 from drivers.fakes.fake_port import FakePort
 
-NOW = "2026-11-20T10:00:00.000Z"
-BEGAN = TouchBegan(touch=1, time=NOW, sensor_ms=7)
-ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=NOW)
-BEGAN_AGAIN = TouchBegan(touch=2, time=NOW, sensor_ms=9)
-PAD_UP = SensorEvent(state="up", time=NOW)
+BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=7)
+ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=TIME)
+BEGAN_AGAIN = TouchBegan(touch=2, time=TIME, sensor_ms=9)
+PAD_UP = SensorEvent(state="up", time=TIME)
 
 
 @pytest.fixture
@@ -76,7 +75,7 @@ def test_a_late_viewer_gets_the_current_state(served: Served, viewer: ClientConn
 def test_the_memory_for_late_viewers_is_bounded() -> None:
     memory = Memory((Settings(), load_model(Settings())))
     for touch in range(1, 3 * TOUCHES):
-        memory.put(TouchBegan(touch=touch, time=NOW, sensor_ms=0))
+        memory.put(TouchBegan(touch=touch, time=TIME, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):
             memory.put(msgspec.structs.replace(PREDICTION, touch=touch))
     touches = memory.state("", "pad", ("pad",)).touches
@@ -85,7 +84,7 @@ def test_the_memory_for_late_viewers_is_bounded() -> None:
 
 
 def test_an_event_is_shown_even_without_a_frame(served: Served, viewer: ClientConnection) -> None:
-    served.sink.put(SensorEvent(state="down", time=NOW, reason="unplugged"))
+    served.sink.put(SensorEvent(state="down", time=TIME, reason="unplugged"))
     assert await_message(viewer, "sensor")["reason"] == "unplugged"
 
 
@@ -190,10 +189,8 @@ def test_settings_that_cannot_be_served_change_nothing(served: Served) -> None:
 def test_visitors_are_answered_while_another_page_waits_to_take_over(served: Served) -> None:
     waiting = open_live_page(served.settings, served.models, served.sink)
     assert waiting is not None
-    try:
-        assert [served.ask("/").status for _ in range(20)] == [200] * 20
-    finally:
-        before, served.sink = served.sink, waiting
+    assert [served.ask("/").status for _ in range(20)] == [200] * 20
+    before, served.sink = served.sink, waiting
     before.stop(1.0)
     waiting.start()
     assert served.ask("/").status == 200

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import serving
-from rigs.made_events import PREDICTION
+from rigs.made_events import PREDICTION, TIME
 from rigs.patient_port import playing
 from rigs.running_daemon import Daemon
 from rigs.sockets import free_port
@@ -35,7 +35,6 @@ pytestmark = [
         CHROMIUM is None or DRIVER is None, reason="chromium and chromium-driver are not installed"
     ),
 ]
-NOW = "2026-11-20T10:00:00.000Z"
 SPEED = 6.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.
 SCRIPT = (
@@ -380,16 +379,16 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
     with serving(language="de") as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
         wait_for(lambda: text_of(chrome, "#gesture") == "Berühre das Kissen")
-        served.sink.put(SensorEvent(state="down", time=NOW))
+        served.sink.put(SensorEvent(state="down", time=TIME))
         served.put_frame()
         wait_for(lambda: text_of(chrome, "#gesture") == "Das Kissen ist nicht da")
-        served.sink.put(SensorEvent(state="up", time=NOW))
-        served.sink.put(TouchBegan(touch=1, time=NOW, sensor_ms=0))
+        served.sink.put(SensorEvent(state="up", time=TIME))
+        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
         shares = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
         served.sink.put(
             replace(PREDICTION, touch=1, stage="final", gesture="pat", confidence=0.45, probabilities=shares)
         )
-        served.sink.put(RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=NOW))
+        served.sink.put(RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=TIME))
         served.put_frame()
         wait_for(lambda: text_of(chrome, "#says") == "„Das war <b>Tätscheln</b>.“")
         assert text_of(chrome, "#gesture") == "Tätscheln"
@@ -400,7 +399,7 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
 
 def test_another_pad_can_be_selected(chrome: Chrome) -> None:
     pads = {"head": PadSettings(port="a"), "arm": PadSettings(port="b")}
-    prediction = replace(PREDICTION, touch=1, time=NOW)
+    prediction = replace(PREDICTION, touch=1)
 
     def choices() -> list[tuple[str, str]]:
         found = chrome.find_elements(By.CSS_SELECTOR, "#pads button")
@@ -411,10 +410,10 @@ def test_another_pad_can_be_selected(chrome: Chrome) -> None:
         wait_for(lambda: choices() == [("head", "true"), ("arm", "false")])
         rest, pressed = np.zeros((8, 8), np.uint16), np.full((8, 8), 500, np.uint16)
         for pad, gesture in (("head", "pat"), ("arm", "stroke")):
-            served.sink.put(SensorEvent(state="up", time=NOW, pad=pad))
+            served.sink.put(SensorEvent(state="up", time=TIME, pad=pad))
             for _ in range(60):
                 served.put_frame(rest, pad)
-            served.sink.put(TouchBegan(touch=1, time=NOW, sensor_ms=18 * 60, pad=pad))
+            served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=18 * 60, pad=pad))
             served.sink.put(replace(prediction, gesture=gesture, pad=pad))
         served.put_frame(pressed, "arm")
         wait_for(lambda: choices() == [("head: pat", "true"), ("arm: stroke", "false")])
