@@ -5,7 +5,6 @@ import json
 import select
 import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -109,21 +108,11 @@ def retained(port: int) -> str:
         return str(messages[0].payload.decode()) if messages[0].retain else ""
 
 
-DIE = """
-import os, sys, time
-from daemon.bridges.mqtt import MqttBridge
-from daemon.bridges.settings import MqttSettings
-bridge = MqttBridge(MqttSettings(host="127.0.0.1", port=int(sys.argv[1])), "pad")
-bridge.start()
-bridge._peer_is_there.wait()
-time.sleep(0.2)
-os.kill(os.getpid(), 9)
-"""
-
-
-def test_a_daemon_that_is_killed_leaves_its_last_will(port: int) -> None:
-    subprocess.run([sys.executable, "-c", DIE, str(port)], check=False, timeout=20)
-    wait_for(lambda: retained(port) == "lost")
+def test_a_daemon_that_is_killed_leaves_its_last_will(port: int, tmp_path: Path) -> None:
+    with Daemon(tmp_path, mqtt=MqttSettings(host="127.0.0.1", port=port)) as daemon:
+        wait_for(lambda: retained(port) == "up")
+        daemon.process.kill()
+        wait_for(lambda: retained(port) == "lost")
 
 
 def test_after_a_broken_path_the_old_connections_will_does_not_stay(port: int, opened: Open) -> None:
