@@ -43,7 +43,7 @@ def pictures_of(rows: int, columns: int, count: int = 300) -> NDArray[np.uint16]
 
 
 def parser_for(rows: int) -> FabricGrid:
-    return FabricGrid(rows, rows, crop=(rows - 8) // 2)
+    return FabricGrid(rows=rows, columns=rows, crop=(rows - 8) // 2)
 
 
 def steps_ms(frames: list[Frame]) -> NDArray[np.int64]:

@@ -24,7 +24,7 @@ from drivers.pad.format import PRESETS, PadFormat, layout_of
 from drivers.pad.network import GONE_S
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import WAIT_S, FrameQueue, Sensor
+from drivers.pad.sensor import WAIT_S
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"]]
 STREAM = stream_of(400)
@@ -192,24 +192,20 @@ def test_a_pad_may_have_an_ipv6_address() -> None:
 
 
 def test_datagrams_that_may_wait_are_all_taken_at_once() -> None:
-    queue = FrameQueue()
-    with udp_pad() as (address, give):
-        sensor = Sensor(address, 9600, FabricGrid(), queue)
-        sensor.may_wait = True
-        sensor.start()
+    with udp_pad() as (address, give), sensing(address, may_wait=True) as queue:
         numbers = iter(range(400))
         wait_for(lambda: give(PACKETS[next(numbers)]) or len(queue))
         begun_s, first = time.monotonic(), next(numbers)
         send(give, range(first, first + 50))
         wait_for(lambda: len(queue) > 50)
         assert time.monotonic() - begun_s < 1.0
-        sensor.stop()
 
 
 def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
-    taken = pytest.raises(SensorError, match="Address already in use")
-    with udp_pad() as (address, _), open_port(address, 9600), taken:
+    taken = pytest.raises(SensorError, match=r"is busy: another program .*Address already in use")
+    with udp_pad() as (address, _), open_port(address, 9600), taken as refused:
         open_port(address, 9600)
+    assert refused.value.kind == "busy"
 
 
 def test_a_flooding_pad_is_read_more_slowly() -> None:
@@ -259,14 +255,13 @@ def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
 
 
 def test_a_polled_pads_frames_never_wait() -> None:
-    queue, described = FrameQueue(), msgspec.structs.replace(POLLED[1], clock=True, header="aa55")
-    with polled_on_a_pty(described) as (path, pad):
-        sensor = Sensor(path, 9600, parser_of(described), queue)
-        sensor.may_wait = True
-        sensor.start()
+    described = msgspec.structs.replace(POLLED[1], clock=True, header="aa55")
+    with (
+        polled_on_a_pty(described) as (path, pad),
+        sensing(path, parser_of(described), may_wait=True) as queue,
+    ):
         next_frames(queue, 30)
-        sensor.stop()
-    assert pad.asked_s[29] - pad.asked_s[0] < 30 * WAIT_S / 2
+        assert pad.asked_s[29] - pad.asked_s[0] < 30 * WAIT_S / 2
 
 
 def test_a_late_reply_is_not_taken_for_another() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.line_faults import Faults, FaultyPort
 from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
@@ -51,30 +52,32 @@ def test_every_intact_frame_of_a_lossy_line_arrives_once(faults: Faults, lost: l
         assert_played(next_frames(queue, len(intact)), stream, intact)
 
 
+def delays_s(frames: list[Frame], port: FakePort) -> NDArray[np.float64]:
+    """Return how long after a frame's last byte was sent it arrived."""
+    return np.array([frame.host_s for frame in frames]) - port.sent_s[-len(frames) :]
+
+
 def test_a_frames_time_is_the_arrival_of_its_last_byte() -> None:
-    stream = stream_of(40)
-    with FakePort(stream, encode_fabric_grid, speed=2.0) as port, sensing(port.path) as queue:
+    with FakePort(stream_of(40), encode_fabric_grid, speed=2.0) as port, sensing(port.path) as queue:
         frames = next_frames(queue, 40)
-    delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s
-    assert delay_s.min() > 0.0
-    assert np.median(delay_s) < 0.01
+    assert delays_s(frames, port).min() > 0.0
+    assert np.median(delays_s(frames, port)) < 0.01
 
 
 def test_frames_that_may_wait_arrive_together_and_complete() -> None:
-    stream, queue = stream_of(40), FrameQueue()
-    with FakePort(stream, encode_fabric_grid) as port:
-        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
-        sensor.may_wait = True
-        sensor.start()
-        came = []
+    stream, came = stream_of(40), []
+    with FakePort(stream, encode_fabric_grid) as port, sensing(port.path, may_wait=True) as queue:
         while not port.wait(0.001):
             came.append(len(queue))
-        sensor.stop()
-    frames = [item for item in queue.take_all() if isinstance(item, Frame)]
+        frames = next_frames(queue, 40)
     assert_played(frames, stream, range(40))
-    delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s
-    assert np.median(delay_s) < 0.1
+    assert np.median(delays_s(frames, port)) < 0.1
     assert len(set(came)) <= 40 / 2
+
+
+def playing(counts: Counts) -> FakePort:
+    """A port that sends these counts."""
+    return FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid)
 
 
 def test_a_pad_that_keeps_still_wakes_nobody_until_it_is_touched() -> None:
@@ -82,11 +85,7 @@ def test_a_pad_that_keeps_still_wakes_nobody_until_it_is_touched() -> None:
     counts = np.random.default_rng(0).integers(20, 24, (still + touched, 8, 8)).astype(np.uint16)
     counts[still:, 3, 4] += 30
     arrived = Signal()
-    queue = FrameQueue(filled=arrived)
-    with FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid) as port:
-        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
-        sensor.loop_may_sleep = True
-        sensor.start()
+    with playing(counts) as port, sensing(port.path, filled=arrived, loop_may_sleep=True) as queue:
         assert arrived.wait(WITHIN_S)
         assert isinstance(queue.get_nowait(), SensorState)
         assert arrived.wait(WITHIN_S)
@@ -94,7 +93,6 @@ def test_a_pad_that_keeps_still_wakes_nobody_until_it_is_touched() -> None:
         # One frame shows no touch yet, so those after it come at once too, though nothing moves any more.
         queue.take_all()
         assert all(arrived.wait(MOVED_S / 2) for _ in range(3))
-        sensor.stop()
 
 
 @pytest.mark.parametrize(("counts_a_frame", "is_felt"), [(1.0, True), (0.2, False)], ids=["hand", "drift"])
@@ -102,32 +100,24 @@ def test_a_slow_hand_wakes_the_loop_and_a_drift_does_not(counts_a_frame: float, 
     scans = np.zeros((80, 8, 8), np.uint16)
     scans[:, 3, 4] = np.arange(80) * counts_a_frame
     arrived = Signal()
-    queue = FrameQueue(filled=arrived)
-    with FakePort(Stream(scans, ideal_clock_ms(len(scans)), ()), encode_fabric_grid) as port:
-        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
-        sensor.loop_may_sleep = True
-        sensor.start()
+    with playing(scans) as port, sensing(port.path, filled=arrived, loop_may_sleep=True) as queue:
         # The first state and the first frame.
         next_frames(queue, 1)
         while arrived.wait(0.0):
             pass
         assert port.wait(WITHIN_S)
         assert arrived.wait(0.0) == is_felt
-        sensor.stop()
 
 
 def test_frames_stamped_on_arrival_never_wait() -> None:
-    stream, queue = stream_of(40), FrameQueue()
     described = PRESETS["velostat"]
-    with FakePort(stream, lambda counts, _: encode_frame(described, counts, None)) as port:
-        sensor = Sensor(port.path, BAUD, parser_of(described), queue)
-        sensor.may_wait = True
-        sensor.start()
+    with (
+        FakePort(stream_of(40), lambda counts, _: encode_frame(described, counts, None)) as port,
+        sensing(port.path, parser_of(described), may_wait=True) as queue,
+    ):
         assert port.wait(WITHIN_S)
-        sensor.stop()
-    frames = [item for item in queue.take_all() if isinstance(item, Frame)]
-    delay_s = np.array([frame.host_s for frame in frames]) - port.sent_s[-len(frames) :]
-    assert np.median(delay_s) < 0.01
+        frames = [item for item in queue.take_all() if isinstance(item, Frame)]
+    assert np.median(delays_s(frames, port)) < 0.01
 
 
 def test_frames_after_a_stall_keep_their_true_arrival() -> None:
@@ -145,7 +135,7 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
         frames = next_frames(queue, 30)
     assert_played(frames, stream, range(30))
     assert frames[9].host_s < stalled_s <= frames[10].host_s
-    assert np.median([frame.host_s for frame in frames[10:]] - port.sent_s[10:]) < 0.01
+    assert np.median(delays_s(frames[10:], port)) < 0.01
 
 
 def test_any_pyserial_address_works() -> None:

@@ -1,5 +1,7 @@
 """Parsers and encoders of the lab's pads."""
 
+from typing import Any
+
 import msgspec
 
 from drivers.frame import Counts
@@ -8,32 +10,23 @@ from drivers.pad.format import PRESETS, PadFormat, encode_frame
 from drivers.pad.text import TextFrames
 
 
-def _described(preset: str, rows: int, columns: int, crop: int, invert: bool) -> PadFormat:
-    return msgspec.structs.replace(PRESETS[preset], rows=rows, columns=columns, crop=crop, invert=invert)
+def _fabric_grid(changes: dict[str, Any]) -> PadFormat:
+    return msgspec.structs.replace(PRESETS["fabric-grid"], **changes)
 
 
 class FabricGrid(BinaryFrames):
-    def __init__(self, rows: int = 10, columns: int = 10, crop: int = 1, invert: bool = True) -> None:
-        super().__init__(_described("fabric-grid", rows, columns, crop, invert))
+    def __init__(self, **changes: Any) -> None:
+        super().__init__(_fabric_grid(changes))
 
 
 class CsvLines(TextFrames):
-    def __init__(self, rows: int = 10, columns: int = 10, crop: int = 1, invert: bool = True) -> None:
-        super().__init__(_described("csv", rows, columns, crop, invert))
+    def __init__(self) -> None:
+        super().__init__(PRESETS["csv"])
 
 
-def encode_fabric_grid(
-    counts: Counts, sensor_ms: int, rows: int = 10, columns: int = 10, crop: int = 1, invert: bool = True
-) -> bytes:
-    return encode_frame(_described("fabric-grid", rows, columns, crop, invert), counts, sensor_ms)
+def encode_fabric_grid(counts: Counts, sensor_ms: int, **changes: Any) -> bytes:
+    return encode_frame(_fabric_grid(changes), counts, sensor_ms)
 
 
-def encode_csv_line(
-    counts: Counts,
-    sensor_ms: int | None,
-    rows: int = 10,
-    columns: int = 10,
-    crop: int = 1,
-    invert: bool = True,
-) -> bytes:
-    return encode_frame(_described("csv", rows, columns, crop, invert), counts, sensor_ms)
+def encode_csv_line(counts: Counts, sensor_ms: int | None) -> bytes:
+    return encode_frame(PRESETS["csv"], counts, sensor_ms)

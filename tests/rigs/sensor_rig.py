@@ -14,6 +14,7 @@ from drivers.frame import Counts, Frame
 from drivers.pad.format import PadFormat, encode_frame
 from drivers.pad.parser import FrameParser
 from drivers.pad.sensor import FrameQueue, Sensor, SensorState
+from drivers.queue import Signal
 from drivers.recording import Span, Stream, ideal_clock_ms
 
 BAUD = 512000
@@ -27,14 +28,20 @@ def stream_of(frames: int = 4000) -> Stream:
 
 @contextmanager
 def sensing(
-    port: str, protocol: FrameParser | None = None, silence_s: float = 0.5, longest_retry_s: float = 0.2
+    port: str,
+    protocol: FrameParser | None = None,
+    *,
+    filled: Signal | None = None,
+    may_wait: bool = False,
+    loop_may_sleep: bool = False,
+    **options: float,
 ) -> Iterator[FrameQueue]:
     """Yield a running sensor's queue; afterwards no thread or descriptor of it is left."""
     before = set(os.listdir("/proc/self/fd"))
-    queue = FrameQueue(100_000)
-    sensor = Sensor(
-        port, BAUD, protocol or FabricGrid(), queue, longest_retry_s=longest_retry_s, silence_s=silence_s
-    )
+    queue = FrameQueue(100_000, filled)
+    pauses_s = {"longest_retry_s": 0.2, "silence_s": 0.5} | options
+    sensor = Sensor(port, BAUD, protocol or FabricGrid(), queue, **pauses_s)
+    sensor.may_wait, sensor.loop_may_sleep = may_wait, loop_may_sleep
     sensor.start()
     try:
         yield queue
