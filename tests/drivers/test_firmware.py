@@ -25,10 +25,6 @@ from drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 requires_compiler = pytest.mark.skipif(
     compiler_missing(), reason="no AVR toolchain: apt install gcc-avr avr-libc arduino-core-avr make"
 )
-requires_board = pytest.mark.skipif(
-    simulator_missing(),
-    reason="no AVR simulator: apt install gcc-avr avr-libc arduino-core-avr make gcc libsimavr-dev",
-)
 
 TEENSY = Path(__file__).parents[1] / "rigs" / "simulated_teensy"
 PERIOD_MS = 1000 / FRAME_RATE_HZ
@@ -73,6 +69,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def board(folder: Path) -> MakeBoard:
     """A Mega with the sketch on it, compiled with these settings."""
+    if simulator_missing():
+        pytest.skip("no AVR simulator: apt install gcc-avr avr-libc arduino-core-avr make gcc libsimavr-dev")
     program = build_board(folder)
 
     def board(size: int = 10, baud: int = 512_000) -> Board:
@@ -81,31 +79,26 @@ def board(folder: Path) -> MakeBoard:
     return board
 
 
+@pytest.fixture(scope="module", params=[8, 10])
+def size(request: pytest.FixtureRequest) -> int:
+    """Rows and columns of a pad."""
+    return int(request.param)
+
+
 @pytest.fixture(scope="module")
-def run_of(board: MakeBoard) -> Callable[[int], Run]:
+def run(board: MakeBoard, size: int) -> Run:
     """Two seconds of a pad of that size, one picture a scan."""
-    runs: dict[int, Run] = {}
-
-    def run_of(size: int) -> Run:
-        if size not in runs:
-            runs[size] = board(size).run(pictures_of(size, size), 2.0)
-        return runs[size]
-
-    return run_of
+    return board(size).run(pictures_of(size, size), 2.0)
 
 
 @requires_compiler
-@pytest.mark.parametrize("size", [8, 10])
 def test_the_sketch_compiles_for_the_mega_without_a_warning(folder: Path, size: int) -> None:
     build(folder, size, size)
     assert (folder / "fabric_grid.hex").stat().st_size > 0
 
 
-@requires_board
-@pytest.mark.parametrize("size", [8, 10])
-def test_the_pins_values_arrive_without_a_lost_frame(run_of: Callable[[int], Run], size: int) -> None:
-    run, pictures = run_of(size), pictures_of(size, size)
-    parser = parser_for(size)
+def test_the_pins_values_arrive_without_a_lost_frame(run: Run, size: int) -> None:
+    pictures, parser = pictures_of(size, size), parser_for(size)
     frames = parser.feed(run.sent, 0.0)
     assert len(frames) >= 2.0 * FRAME_RATE_HZ - 3
     assert len(run.began_ms) - len(frames) <= 1
@@ -115,27 +108,19 @@ def test_the_pins_values_arrive_without_a_lost_frame(run_of: Callable[[int], Run
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - picture[inner, inner])
 
 
-@requires_board
-@pytest.mark.parametrize("size", [8, 10])
-def test_the_border_taxels_are_sent_in_place(run_of: Callable[[int], Run], size: int) -> None:
-    raw = run_of(size).raw(size, size)
+def test_the_border_taxels_are_sent_in_place(run: Run, size: int) -> None:
+    raw = run.raw(size, size)
     np.testing.assert_array_equal(raw, pictures_of(size, size)[: len(raw)])
 
 
-@requires_board
-@pytest.mark.parametrize("size", [8, 10])
-def test_frames_come_at_54_hz_by_both_clocks(run_of: Callable[[int], Run], size: int) -> None:
-    run = run_of(size)
+def test_frames_come_at_54_hz_by_both_clocks(run: Run, size: int) -> None:
     frames = parser_for(size).feed(run.sent, 0.0)
     assert 1000 / steps_ms(frames).mean() == pytest.approx(FRAME_RATE_HZ, rel=0.005)
     assert 1000 / np.diff(run.began_ms).mean() == pytest.approx(FRAME_RATE_HZ, rel=1e-5)
     np.testing.assert_allclose(np.diff(run.began_ms), PERIOD_MS, atol=0.05)
 
 
-@requires_board
-@pytest.mark.parametrize("size", [8, 10])
-def test_a_scan_is_sent_before_the_next_is_due(run_of: Callable[[int], Run], size: int) -> None:
-    run = run_of(size)
+def test_a_scan_is_sent_before_the_next_is_due(run: Run, size: int) -> None:
     assert run.until_sent_ms < 0.7 * PERIOD_MS
     readme = (FIRMWARE / "README.md").read_text()
     said = re.search(rf"\| {size}.{size} \| ([\d.]+) ms \| ([\d.]+) ms \|", readme)
@@ -144,12 +129,10 @@ def test_a_scan_is_sent_before_the_next_is_due(run_of: Callable[[int], Run], siz
     assert float(said[2]) == pytest.approx(run.until_sent_ms, abs=0.1)
 
 
-@requires_board
-def test_a_row_has_settled_before_it_is_read(run_of: Callable[[int], Run]) -> None:
-    assert run_of(10).least_settling_us >= 50
+def test_a_row_has_settled_before_it_is_read(run: Run) -> None:
+    assert run.least_settling_us >= 50
 
 
-@requires_board
 def test_our_driver_reads_the_board_on_a_serial_port(board: MakeBoard) -> None:
     pictures = pictures_of(10, 10)
     with port_of(lambda output: board().start(pictures, 5.0, output)) as path, sensing(path) as queue:
@@ -161,7 +144,6 @@ def test_our_driver_reads_the_board_on_a_serial_port(board: MakeBoard) -> None:
     assert set(steps_ms(frames)) <= {17, 18, 19, 20}
 
 
-@requires_board
 def test_a_slow_line_skips_scans_and_keeps_the_clock(board: MakeBoard) -> None:
     pictures = pictures_of(10, 10)
     run = board(baud=57_600).run(pictures, 2.0)
@@ -175,15 +157,11 @@ def test_a_slow_line_skips_scans_and_keeps_the_clock(board: MakeBoard) -> None:
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - picture[1:9, 1:9])
 
 
-@requires_board
-def test_512000_and_500000_baud_are_the_same_to_a_mega(
-    board: MakeBoard, run_of: Callable[[int], Run]
-) -> None:
-    run = board(baud=500_000).run(pictures_of(10, 10), 0.1)
-    assert run.until_sent_ms == run_of(10).until_sent_ms
+def test_512000_and_500000_baud_are_the_same_to_a_mega(board: MakeBoard) -> None:
+    runs = [board(baud=baud).run(pictures_of(10, 10), 0.1) for baud in (512_000, 500_000)]
+    assert runs[0].until_sent_ms == runs[1].until_sent_ms
 
 
-@requires_board
 def test_a_pad_of_resistors_reads_as_the_circuit_predicts(board: MakeBoard) -> None:
     volts = column_volts(pad((3, 4), (6, 2)))
     raw = (volts / SUPPLY_V * MAX_COUNT).astype(np.uint16)
@@ -193,7 +171,6 @@ def test_a_pad_of_resistors_reads_as_the_circuit_predicts(board: MakeBoard) -> N
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
-@pytest.mark.parametrize("size", [8, 10])
 def test_on_a_teensy_touchd_feels_the_same(folder: Path, size: int) -> None:
     program = folder / f"teensy-{size}"
     flags = ["-Wall", "-Wextra", "-Werror", "-DTEENSYDUINO=159", f"-DROWS={size}", f"-DCOLUMNS={size}"]
@@ -208,7 +185,6 @@ def test_on_a_teensy_touchd_feels_the_same(folder: Path, size: int) -> None:
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - (100 * row + 10 * column + scan % 10))
 
 
-@requires_board
 @pytest.mark.slow
 def test_the_doctor_finds_the_board_in_order(board: MakeBoard, capsys: pytest.CaptureFixture[str]) -> None:
     at_rest = np.random.default_rng(1).integers(1018, 1022, (500, 10, 10)).astype(np.uint16)
