@@ -1,7 +1,6 @@
 """Faults of the robot: the daemon continues and the link recovers; on real qi."""
 
 import logging
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -13,17 +12,8 @@ from typing import IO, Any
 import pytest
 from by_hand.robot_figures import STATES, in_state, publishes
 from rigs.call_log import CallLog
-from rigs.robots import (
-    GESTURE,
-    IMPATIENT,
-    LOGIN,
-    SAY,
-    STATUS,
-    Robot,
-    States,
-    linked,
-    message,
-)
+from rigs.programs import Program
+from rigs.robots import GESTURE, IMPATIENT, LOGIN, SAY, STATUS, Robot, States, hears, linked, message
 from rigs.wait import AT_ONCE_S, wait_for
 
 from drivers.fakes.stub_robot import StubRobot
@@ -41,8 +31,7 @@ def test_a_robot_that_comes_later_is_found() -> None:
             assert "refused" in states.wait_for("down")
             robot.start()
             states.wait_for("down", "up")
-            link.publish(message("pat"))
-            robot.calls.wait_for_raise(GESTURE, "pat")
+            hears(robot, link)
 
 
 def test_a_kill_during_a_call_is_survived() -> None:
@@ -55,8 +44,7 @@ def test_a_kill_during_a_call_is_survived() -> None:
         states.wait_for("up", "down", timeout_s=10)
         robot.start()
         states.wait_for("up", "down", "up")
-        link.publish(message("pat"))
-        robot.calls.wait_for_raise(GESTURE, "pat")
+        hears(robot, link)
         # A call in progress may have been carried out, so it is not repeated.
         assert robot.calls.raised(GESTURE) == ["pat"]
         assert link.counts["failed"] == 1
@@ -76,18 +64,7 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
         assert "no answer within" in states.wait_for("up", "down")
         robot.resume()
         states.wait_for("up", "down", "up")
-        link.publish(message("pat"))
-        robot.calls.wait_for_raise(GESTURE, "pat")
-
-
-def test_a_slow_robot_gets_everything_in_order() -> None:
-    with Robot(call_s=0.03) as robot, linked(robot) as (link, states):
-        gestures = [f"gesture {number}" for number in range(5)]
-        for touch, gesture in enumerate(gestures):
-            link.publish(message(gesture, touch))
-        robot.calls.wait_for_raise(GESTURE, gestures[-1])
-        assert robot.calls.raised(GESTURE) == gestures
-        states.wait_for("up")
+        hears(robot, link)
 
 
 def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
@@ -95,8 +72,7 @@ def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
         with linked(robot, call_s=0.2) as (_, states):
             assert "no answer within 0.2 s" in states.wait_for("down")
         with linked(robot, call_s=5.0) as (link, states):
-            link.publish(message("pat"))
-            robot.calls.wait_for_raise(GESTURE, "pat")
+            hears(robot, link)
             states.wait_for("up")
 
 
@@ -137,8 +113,7 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
             time.sleep(0.6)
             robot.start()
             states.wait_for("down", "up")
-            link.publish(message("fresh"))
-            robot.calls.wait_for_raise(GESTURE, "fresh")
+            hears(robot, link, "fresh")
             assert robot.calls.raised(GESTURE) == ["fresh"]
             assert (link.counts["queued"], link.counts["stale"]) == (2, 1)
 
@@ -165,10 +140,7 @@ time.sleep(60)
 @contextmanager
 def speaker(robot: Robot) -> Iterator[IO[str]]:
     """A process of the robot's that holds its speech; yields the lines that it writes."""
-    with subprocess.Popen(
-        [sys.executable, "-c", SPEAKER, robot.url], stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
+    with Program(sys.executable, "-c", SPEAKER, robot.url) as process:
         try:
             assert process.stdout.readline() == "ready\n"
             yield process.stdout
@@ -177,10 +149,7 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
 
 
 def test_a_service_that_ends_and_comes_back_is_spoken_to_again(caplog: pytest.LogCaptureFixture) -> None:
-    with (
-        Robot(without=["ALTextToSpeech"]) as robot,
-        linked(robot, actions=(SAY,)) as (link, states),
-    ):
+    with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, actions=(SAY,)) as (link, states):
         states.wait_for("up")
         actions = link._actions
         assert actions is not None
@@ -215,8 +184,7 @@ def test_the_heartbeat_does_without_the_service_it_asks() -> None:
     with Robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
         time.sleep(0.1)
-        link.publish(message())
-        robot.calls.wait_for_raise(GESTURE, "stroke")
+        hears(robot, link, "stroke")
         states.wait_for("up")
 
 
@@ -231,8 +199,7 @@ def test_the_right_login_connects_and_never_shows_the_token(
         with linked(robot, user="nao", token_file=str(token), trust_network=True, actions=(SAY,)) as told:
             link, states = told
             states.wait_for("up")
-            link.publish(message("tickle"))
-            robot.calls.wait_for_raise(GESTURE, "tickle")
+            hears(robot, link, "tickle")
             robot.calls.wait_for(lambda call: call.method == "say")
             assert LOGIN.token not in repr([LOGIN, vars(link), states.told, caplog.text])
 

@@ -90,6 +90,12 @@ def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessa
     return RobotMessage(gesture=gesture, touch=touch, **(values | other))
 
 
+def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
+    """Assert that a robot hears of a gesture that is published now."""
+    link.publish(message(gesture))
+    robot.calls.wait_for_raise(GESTURE, gesture)
+
+
 class States:
     """The states that a link has reported."""
 
