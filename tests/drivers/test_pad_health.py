@@ -2,8 +2,9 @@
 
 import logging
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,8 @@ from drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings
 
 RATE_HZ = 54
 DEAD_ROW = "row 7 of the pad stands still: a broken wire?"
-Damage = Callable[[Counts], None]
+# Frames, rows and columns.
+A_TAXEL, ROW_7, SATURATED = np.s_[:, 2, 4], np.s_[:, 6], np.s_[:, 2:6, 2:7]
 
 
 def sound_pad(seconds: int) -> Counts:
@@ -36,108 +38,97 @@ def frames_of(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[Fra
     return [Frame(0, ms, ms / 1000, pressure) for ms, pressure in zip(clock_ms, counts, strict=True)]
 
 
-def findings_in(frames: list[Frame]) -> list[tuple[float, Finding]]:
+def findings_in(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[tuple[float, Finding]]:
     """Return each finding with its second on the pad's clock."""
-    health = PadHealth()
+    health, frames = PadHealth(), frames_of(counts, clock_ms)
     return [(frame.sensor_ms / 1000, found) for frame in frames if (found := health.update(frame))]
 
 
-def logged(frames: list[Frame], caplog: pytest.LogCaptureFixture) -> list[tuple[int, str, str]]:
+def kinds_in(counts: Counts) -> list[tuple[str, bool]]:
+    """Return what begins (True) and ends."""
+    return [(found.kind, found.began) for _, found in findings_in(counts)]
+
+
+def logged(counts: Counts, caplog: pytest.LogCaptureFixture) -> list[tuple[int, str, str]]:
     """Return each log line's second, level and message."""
     caplog.set_level(logging.INFO)
     watch, lines = PadWatch(), list[tuple[int, str, str]]()
-    for frame in frames:
+    for frame in frames_of(counts):
         caplog.clear()
         watch.update(frame)
         lines += [(frame.sensor_ms // 1000, record.levelname, record.message) for record in caplog.records]
     return lines
 
 
-def stuck_taxel(counts: Counts) -> None:
-    counts[:, 2, 4] = 300
-
-
-def dead_row(counts: Counts) -> None:
-    counts[:, 6] = 0
-
-
-def dead_column(counts: Counts) -> None:
-    counts[:, :, 0] = 0
-
-
-def frozen(counts: Counts) -> None:
-    counts[:] = counts[0]
-
-
-def saturated(counts: Counts) -> None:
-    counts[:, 2:6, 2:7] = 1023
+def said(finding: str) -> list[tuple[str, str]]:
+    """Return the levels and messages of a finding that begins and ends."""
+    return [("WARNING", finding), ("INFO", f"no longer: {finding}")]
 
 
 def pad_with_dead_row(seconds: int, *broken: tuple[int, int]) -> Counts:
     """A pad whose seventh row is dead in each of these spans of seconds."""
     counts = sound_pad(seconds)
     for begin_s, end_s in broken:
-        dead_row(counts[begin_s * RATE_HZ : end_s * RATE_HZ])
+        counts[begin_s * RATE_HZ : end_s * RATE_HZ][ROW_7] = 0
     return counts
 
 
 @pytest.mark.parametrize(
-    ("damage", "kind", "what"),
+    ("where", "stuck_at", "kind", "what"),
     [
-        (stuck_taxel, "stuck taxel", "the taxel at row 3 column 5 stands still"),
-        (dead_row, "dead line", "row 7 of the pad stands still: a broken wire?"),
-        (dead_column, "dead line", "column 1 of the pad stands still: a broken wire?"),
-        (frozen, "frozen", "frames arrive but no value changes"),
-        (saturated, "saturated", "a quarter of the pad or more is at its limit"),
+        (A_TAXEL, 300, "stuck taxel", "the taxel at row 3 column 5 stands still"),
+        (ROW_7, 0, "dead line", "row 7 of the pad stands still: a broken wire?"),
+        (np.s_[:, :, 0], 0, "dead line", "column 1 of the pad stands still: a broken wire?"),
+        (np.s_[:], sound_pad(1)[0], "frozen", "frames arrive but no value changes"),
+        (SATURATED, 1023, "saturated", "a quarter of the pad or more is at its limit"),
     ],
+    ids=["taxel", "row", "column", "frozen", "saturated"],
 )
 def test_a_broken_pad_and_its_repair_are_reported_once(
-    damage: Damage, kind: str, what: str, caplog: pytest.LogCaptureFixture
+    where: Any, stuck_at: Any, kind: str, what: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     counts = sound_pad(30)
-    damage(counts[5 * RATE_HZ : 20 * RATE_HZ])
-    frames = frames_of(counts)
-    (begun_s, begin), (ended_s, end) = findings_in(frames)
+    counts[5 * RATE_HZ : 20 * RATE_HZ][where] = stuck_at
+    (begun_s, begin), (ended_s, end) = findings_in(counts)
     assert (begin.kind, begin.began, end.kind, end.began) == (kind, True, kind, False)
     assert begin.what.startswith(what)
     assert 5 < begun_s < 18
     assert 20 < ended_s < 25
-    lines = [line[1:] for line in logged(frames, caplog)]
-    assert lines == [("WARNING", begin.what), ("INFO", f"no longer: {begin.what}")]
+    assert [line[1:] for line in logged(counts, caplog)] == said(begin.what)
 
 
 def test_a_heavy_still_hand_is_no_fault() -> None:
     counts = sound_pad(20)
     counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
-    assert findings_in(frames_of(counts)) == []
+    assert findings_in(counts) == []
 
 
 def test_a_hand_that_covers_the_pad_for_45_s_is_no_drift() -> None:
     counts = sound_pad(240)
     counts[100 * RATE_HZ : 145 * RATE_HZ] += 30
-    assert findings_in(frames_of(counts)) == []
+    assert findings_in(counts) == []
 
 
 def test_a_load_at_the_limit_two_thirds_of_the_time_is_no_fault() -> None:
     counts = sound_pad(30)
     for first in range(0, 30 * RATE_HZ, 9):
-        saturated(counts[first : first + 6])
-    assert findings_in(frames_of(counts)) == []
+        counts[first : first + 6][SATURATED] = 1023
+    assert findings_in(counts) == []
 
 
 def test_a_load_that_wavers_at_the_limit_is_one_finding() -> None:
     counts = sound_pad(40)
-    saturated(counts[5 * RATE_HZ : 15 * RATE_HZ])
+    counts[5 * RATE_HZ : 15 * RATE_HZ][SATURATED] = 1023
     for first in range(15 * RATE_HZ, 40 * RATE_HZ, 10):
-        saturated(counts[first : first + 7])
-    assert [(found.kind, found.began) for _, found in findings_in(frames_of(counts))] == [("saturated", True)]
+        counts[first : first + 7][SATURATED] = 1023
+    assert kinds_in(counts) == [("saturated", True)]
 
 
 def test_a_firm_fingertip_at_the_limit_is_no_fault() -> None:
     counts = sound_pad(20)
     fingertip = counts[5 * RATE_HZ :, 2:5, 2:5]
     fingertip[:] = np.random.default_rng(1).integers(1000, 1024, fingertip.shape)
-    assert findings_in(frames_of(counts)) == []
+    assert findings_in(counts) == []
 
 
 def test_a_stuck_taxel_that_twitches_now_and_then_is_one_finding() -> None:
@@ -146,21 +137,20 @@ def test_a_stuck_taxel_that_twitches_now_and_then_is_one_finding() -> None:
     # In a twentieth of the frames, for ten seconds at a time.
     for first in range(30 * RATE_HZ, 90 * RATE_HZ, 20 * RATE_HZ):
         counts[first : first + 10 * RATE_HZ : 40, 3, 3] = 101
-    found = [(finding.kind, finding.began) for _, finding in findings_in(frames_of(counts))]
-    assert found == [("stuck taxel", True)]
+    assert kinds_in(counts) == [("stuck taxel", True)]
 
 
 def test_an_intermittent_contact_does_not_flood_the_log() -> None:
     counts = sound_pad(60)
     for second in range(5, 60, 2):
-        stuck_taxel(counts[second * RATE_HZ : (second + 1) * RATE_HZ])
-    assert len(findings_in(frames_of(counts))) <= 1
+        counts[second * RATE_HZ : (second + 1) * RATE_HZ][A_TAXEL] = 300
+    assert len(findings_in(counts)) <= 1
 
 
 def test_several_broken_taxels_are_one_finding() -> None:
     counts = sound_pad(20)
     counts[:, [0, 2, 3, 5, 7], [1, 1, 6, 5, 0]] = 0
-    ((_, finding),) = findings_in(frames_of(counts))
+    ((_, finding),) = findings_in(counts)
     assert finding.what == (
         "the taxel at row 1 column 2, row 3 column 2, row 4 column 7, row 6 column 6 and 1 more stands still"
     )
@@ -169,19 +159,17 @@ def test_several_broken_taxels_are_one_finding() -> None:
 def test_a_pad_that_is_silent_at_rest_is_not_broken() -> None:
     counts = np.zeros((60 * RATE_HZ, 8, 8), np.uint16)
     counts[20 * RATE_HZ : 25 * RATE_HZ, 2:5, 2:5] = 200 + sound_pad(5)[:, 2:5, 2:5]
-    assert findings_in(frames_of(counts)) == []
+    assert findings_in(counts) == []
 
 
 def test_a_creeping_rest_and_its_return_are_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     counts = sound_pad(300)
     creep = np.concatenate([np.zeros(80), np.linspace(0, 40, 100), np.zeros(120)])
     counts += np.repeat(creep, RATE_HZ).astype(np.uint16)[:, None, None]
-    frames = frames_of(counts)
-    (begun_s, begin), (ended_s, end) = findings_in(frames)
+    (begun_s, begin), (ended_s, end) = findings_in(counts)
     assert (begin.kind, begin.began, end.began) == ("drift", True, False)
     assert 80 < begun_s < 180 < ended_s < 270
-    lines = [line[1:] for line in logged(frames, caplog)]
-    assert lines == [("WARNING", begin.what), ("INFO", f"no longer: {begin.what}")]
+    assert [line[1:] for line in logged(counts, caplog)] == said(begin.what)
     assert "the level at rest rose by" in begin.what
 
 
@@ -189,13 +177,12 @@ def test_a_creeping_rest_and_its_return_are_reported_once(caplog: pytest.LogCapt
 def test_a_rest_that_has_risen_is_one_finding_while_it_wavers(levels: tuple[int, ...]) -> None:
     counts = sound_pad(400)
     counts += np.repeat(np.array(levels, np.uint16), 100 * RATE_HZ)[:, None, None]
-    found = [(finding.kind, finding.began) for _, finding in findings_in(frames_of(counts))]
-    assert found == [("drift", True)]
+    assert kinds_in(counts) == [("drift", True)]
 
 
 def test_a_restarting_clock_does_no_harm() -> None:
     clock_ms = [*(ideal_clock_ms(540, 2**32 - 3000) % 2**32).tolist(), *ideal_clock_ms(540).tolist()]
-    assert findings_in(frames_of(sound_pad(20), clock_ms)) == []
+    assert findings_in(sound_pad(20), clock_ms) == []
 
 
 def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
@@ -203,21 +190,17 @@ def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
     with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
         events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
     lines = [line for line in log.splitlines() if "pad.watch" in line]
-    assert lines == [
-        f"WARNING drivers.pad.watch: {DEAD_ROW}",
-        f"INFO drivers.pad.watch: no longer: {DEAD_ROW}",
-    ]
+    assert lines == [f"{level} drivers.pad.watch: {what}" for level, what in said(DEAD_ROW)]
     assert {type(event) for event in events} <= {SensorEvent}
 
 
 def test_a_loose_wire_is_reported_once_in_ten_minutes(caplog: pytest.LogCaptureFixture) -> None:
     counts = pad_with_dead_row(300, *((begin_s, begin_s + 12) for begin_s in range(5, 280, 30)))
-    lines = [line[1:] for line in logged(frames_of(counts), caplog)]
-    assert lines == [("WARNING", DEAD_ROW), ("INFO", f"no longer: {DEAD_ROW}")]
+    assert [line[1:] for line in logged(counts, caplog)] == said(DEAD_ROW)
 
 
 def test_a_wire_that_breaks_again_is_reported_again(caplog: pytest.LogCaptureFixture) -> None:
-    first, again = logged(frames_of(pad_with_dead_row(150, (5, 20), (40, 150))), caplog)[::2]
+    first, again = logged(pad_with_dead_row(150, (5, 20), (40, 150)), caplog)[::2]
     assert (first[1:], again[1:]) == (("WARNING", DEAD_ROW), ("WARNING", DEAD_ROW))
     assert 40 + LASTS_S < again[0] < 40 + LASTS_S + 15 < SAME_TROUBLE_S
 
@@ -228,4 +211,4 @@ def test_ten_minutes_of_real_touches_have_no_finding() -> None:
     recordings = [realign(recording) for recording in read_recordings(path, Selection(participants=("T9",)))]
     counts = splice(recordings).counts
     assert len(counts) > 10 * 60 * RATE_HZ
-    assert findings_in(frames_of(counts)) == []
+    assert findings_in(counts) == []
