@@ -65,15 +65,8 @@ class Board:
         """Run it for `seconds` of its own time; it sends to the file descriptor `output`."""
         path = self.folder / "pictures"
         path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
-        grid = [str(self.rows), str(self.columns)]
-        command = [
-            str(self.program),
-            str(self.sketch),
-            str(path),
-            *grid,
-            str(seconds),
-            *(["paced"] if paced else []),
-        ]
+        numbers = [str(number) for number in (self.rows, self.columns, seconds)]
+        command = [self.program, self.sketch, path, *numbers, *(["paced"] if paced else [])]
         return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
 
     def run(self, pictures: NDArray[np.uint16], seconds: float) -> "Run":
@@ -84,13 +77,7 @@ class Board:
             assert board.returncode == 0, said
             sent.seek(0)
             figures = json.loads(said.splitlines()[-1])
-            return Run(
-                sent.read(),
-                np.array(figures["began_ms"]),
-                figures["scan_ms"],
-                figures["until_sent_ms"],
-                figures["least_settling_us"],
-            )
+            return Run(sent=sent.read(), **figures | {"began_ms": np.array(figures["began_ms"])})
 
 
 @dataclass(frozen=True)

@@ -27,31 +27,14 @@ def column_volts(
     """Return each column pin's settled voltage while each row is low, (rows, columns).
 
     taxels_ohm: (rows, columns), the fabric at each crossing. others_high: the rows that are not read are
-    driven high; otherwise they are left open. Solved by Kirchhoff's current law at every strip.
+    driven high; otherwise they are left open.
     """
-    rows, columns = taxels_ohm.shape
-    volts = np.empty((rows, columns))
-    for low in range(rows):
-        conductance, current = _strips(1 / taxels_ohm, pull_up_ohm)
-        for row in range(rows):
-            if row == low or others_high:
-                conductance[row, row] += 1 / ROW_OHM
-                current[row] = 0.0 if row == low else SUPPLY_V / ROW_OHM
-        volts[low] = np.linalg.solve(conductance, current)[rows:]
-    return volts
+    return _strip_volts(taxels_ohm, others_high, pull_up_ohm)[:, len(taxels_ohm) :]
 
 
 def row_milliamperes(taxels_ohm: NDArray[np.float64]) -> float:
     """Return the largest current into a row's pin while it is low and all others are high."""
-    rows, _ = taxels_ohm.shape
-    largest = 0.0
-    for low in range(rows):
-        conductance, current = _strips(1 / taxels_ohm, PULL_UP_OHM)
-        conductance[range(rows), range(rows)] += 1 / ROW_OHM
-        current[:rows] = SUPPLY_V / ROW_OHM
-        current[low] = 0.0
-        largest = max(largest, np.linalg.solve(conductance, current)[low] / ROW_OHM * 1000)
-    return largest
+    return float(_strip_volts(taxels_ohm, True, PULL_UP_OHM).diagonal().max()) / ROW_OHM * 1000
 
 
 def pressure(volts: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -59,17 +42,27 @@ def pressure(volts: NDArray[np.float64]) -> NDArray[np.float64]:
     return MAX_COUNT - volts / SUPPLY_V * MAX_COUNT
 
 
-def _strips(
-    taxels: NDArray[np.float64], pull_up_ohm: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The pad and its pull-ups: conductances between strips, rows then columns, and currents into them."""
+def _strip_volts(
+    taxels_ohm: NDArray[np.float64], others_high: bool, pull_up_ohm: float
+) -> NDArray[np.float64]:
+    """Return the voltage of each strip, rows then columns, while each row is low, (rows, rows + columns).
+
+    Solved by Kirchhoff's current law at every strip.
+    """
+    taxels = 1 / taxels_ohm
     rows, columns = taxels.shape
-    conductance = np.zeros((rows + columns, rows + columns))
-    conductance[:rows, rows:] = -taxels
-    conductance[rows:, :rows] = -taxels.T
-    conductance[range(rows), range(rows)] = taxels.sum(axis=1)
-    across = range(rows, rows + columns)
-    conductance[across, across] = taxels.sum(axis=0) + 1 / pull_up_ohm
-    current = np.zeros(rows + columns)
-    current[rows:] = SUPPLY_V / pull_up_ohm
-    return conductance, current
+    volts = np.empty((rows, rows + columns))
+    for low in range(rows):
+        # Conductances between strips, and currents into them.
+        conductance = np.zeros((rows + columns, rows + columns))
+        conductance[:rows, rows:] = -taxels
+        conductance[rows:, :rows] = -taxels.T
+        own = np.concatenate([taxels.sum(axis=1), taxels.sum(axis=0) + 1 / pull_up_ohm])
+        current = np.concatenate([np.zeros(rows), np.full(columns, SUPPLY_V / pull_up_ohm)])
+        for row in range(rows):
+            if row == low or others_high:
+                own[row] += 1 / ROW_OHM
+                current[row] = 0.0 if row == low else SUPPLY_V / ROW_OHM
+        np.fill_diagonal(conductance, own)
+        volts[low] = np.linalg.solve(conductance, current)
+    return volts
