@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -81,9 +82,8 @@ def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
 def test_a_bridge_retries_a_lost_peer_quickly(tmp_path: Path, paused: Paused) -> None:
     pytest.importorskip("websockets")
     pauses = paused("daemon.bridges.bridge")
-    peer = RosbridgePeer(tmp_path)
-    bridge = peer.bridge()
-    try:
+    with closing(RosbridgePeer(tmp_path)) as peer:
+        bridge = peer.bridge()
         wait_for(lambda: pauses[-1:] > [0.2])
         peer.start()
         bridge.put(touch(1))
@@ -91,5 +91,3 @@ def test_a_bridge_retries_a_lost_peer_quickly(tmp_path: Path, paused: Paused) ->
         pauses.clear()
         peer.stop()
         assert first(pauses) <= 0.1
-    finally:
-        bridge.stop(2.0)

@@ -26,6 +26,7 @@ SMALL = NetworkSettings(
 )
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 TEMPERATURES = {54: 1.5, 81: 1.2, 144: 0.6}
+INTERPOLATED = {1: 1.5, 54: 1.5, 63: 1.4, 81: 1.2, 102: 1.0, 144: 0.6, 200: 0.6}
 LENGTHS = (1, 2, 17, 54, 60, 143)
 
 
@@ -121,44 +122,33 @@ def test_dropout_drops_whole_features_and_keeps_the_mean() -> None:
     assert torch.equal(FeatureDropout(0.25).eval()(torch.ones(2, 3, 4)), torch.ones(2, 3, 4))
 
 
-class TestCalibration:
-    """The temperature that the logits are divided by."""
-
-    @staticmethod
-    @torch.no_grad()
-    def temperature_at(frames: int, temperatures: dict[int, float]) -> float:
-        """Read the temperature off the probabilities: log p is logits / temperature, up to a constant."""
-        calibrated = CalibratedTGC(random_network(), temperatures).double().eval()
-        window = batch(hand(frames))
-        logits = calibrated.network(window)[0]
-        logs = calibrated(window)[0].log()
-        return float((logits[0] - logits[1]) / (logs[0] - logs[1]))
-
-    @pytest.mark.parametrize(
-        ("frames", "temperature"),
-        [(1, 1.5), (54, 1.5), (63, 1.4), (81, 1.2), (102, 1.0), (144, 0.6), (200, 0.6)],
-    )
-    def test_it_is_interpolated_between_the_calibrated_lengths(self, frames: int, temperature: float) -> None:
-        assert self.temperature_at(frames, TEMPERATURES) == pytest.approx(temperature, abs=1e-5)
-
-    def test_one_calibrated_length_serves_all(self) -> None:
-        for frames in (10, 144, 200):
-            assert self.temperature_at(frames, {144: 0.8}) == pytest.approx(0.8, abs=1e-6)
+@torch.no_grad()
+@pytest.mark.parametrize(
+    ("frames", "temperatures", "expected"),
+    [
+        *((frames, TEMPERATURES, expected) for frames, expected in INTERPOLATED.items()),
+        *((frames, {144: 0.8}, 0.8) for frames in (10, 144, 200)),
+    ],
+)
+def test_the_temperature_is_interpolated_between_the_calibrated_lengths(
+    frames: int, temperatures: dict[int, float], expected: float
+) -> None:
+    calibrated = CalibratedTGC(random_network(), temperatures).double().eval()
+    window = batch(hand(frames))
+    logits, logs = calibrated.network(window)[0], calibrated(window)[0].log()
+    # log p is logits / temperature, up to a constant.
+    temperature = float((logits[0] - logits[1]) / (logs[0] - logs[1]))
+    assert temperature == pytest.approx(expected, abs=1e-5)
 
 
 def metadata() -> ModelMetadata:
-    return ModelMetadata(
+    return msgspec.structs.replace(
+        Classifier.load().metadata,
         name="small",
         labels=LABELS,
-        frame_rate_hz=54.0,
-        framing="live",
         lengths=tuple(TEMPERATURES),
         max_length=432,
         temperatures={str(length): value for length, value in TEMPERATURES.items()},
-        training={"seed": 0},
-        code_version="0",
-        data_sha256="0",
-        scores={},
     )
 
 
