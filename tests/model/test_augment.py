@@ -1,5 +1,6 @@
 """Augmentations and disturbances stay within a pad's range and do what their names say."""
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -20,8 +21,7 @@ PRESSED = torch.full((32, 54, 8, 8), 100.0)
 
 def varied(**settings: float) -> torch.Tensor:
     """Apply one kind of variation to an even pressure."""
-    own = AugmentationSettings(**{**{name: getattr(OFF, name) for name in OFF.__struct_fields__}, **settings})
-    return vary(PRESSED, own, torch.Generator().manual_seed(0))
+    return vary(PRESSED, msgspec.structs.replace(OFF, **settings), torch.Generator().manual_seed(0))
 
 
 def test_with_everything_off_counts_stay_as_they_are() -> None:
