@@ -10,7 +10,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -52,10 +52,14 @@ class Peer(ABC):
     def __init__(self) -> None:
         self.heard: list[str] = []
         self._bridges: list[Bridge] = []
-        self._is_there = False
+        self._is_there = ExitStack()
 
     @abstractmethod
     def make(self) -> Bridge: ...
+
+    @abstractmethod
+    def listening(self) -> AbstractContextManager[object]:
+        """Be there, and subscribe."""
 
     def bridge(self) -> Bridge:
         """Return a started bridge to this peer."""
@@ -66,14 +70,11 @@ class Peer(ABC):
 
     def start(self) -> None:
         """Start, and subscribe."""
-        self._start()
-        self._is_there = True
+        self._is_there.enter_context(self.listening())
 
     def stop(self) -> None:
         """Stop; may be repeated."""
-        if self._is_there:
-            self._is_there = False
-            self._stop()
+        self._is_there.close()
 
     def close(self) -> None:
         """Stop the bridges and the peer."""
@@ -81,14 +82,21 @@ class Peer(ABC):
             bridge.stop(2.0)
         self.stop()
 
-    @abstractmethod
-    def _start(self) -> None: ...
-
-    @abstractmethod
-    def _stop(self) -> None: ...
-
     def await_heard(self, count: int) -> None:
         wait_for(lambda: len(self.heard) >= count)
+
+
+@contextmanager
+def in_thread(listen: Callable[[threading.Event], None]) -> Iterator[None]:
+    """Listen in a thread, until the event that it is given is set."""
+    ending = threading.Event()
+    thread = threading.Thread(target=listen, args=(ending,))
+    thread.start()
+    try:
+        yield
+    finally:
+        ending.set()
+        thread.join()
 
 
 @contextmanager
@@ -160,21 +168,17 @@ class MqttPeer(Peer):
 
         return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD)
 
-    def _start(self) -> None:
+    @contextmanager
+    def listening(self) -> Iterator[None]:
         lines = f"allow_anonymous true\npersistence true\npersistence_location {self._folder}/\nuser root\n"
-        self._closing = ExitStack()
-        self._closing.enter_context(broker(self._folder, self.port, lines))
-        self._closing.enter_context(
-            subscribed(
-                self.port,
-                f"touchd/{PAD}/event",
-                lambda message: self.heard.append(message.payload.decode()),
-                session="peer",
-            )
-        )
+        with (
+            broker(self._folder, self.port, lines),
+            subscribed(self.port, f"touchd/{PAD}/event", self._hear, session="peer"),
+        ):
+            yield
 
-    def _stop(self) -> None:
-        self._closing.close()
+    def _hear(self, message: Any) -> None:
+        self.heard.append(message.payload.decode())
 
 
 class RosbridgePeer(Peer):
@@ -191,20 +195,20 @@ class RosbridgePeer(Peer):
         settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
         return RosbridgeBridge(settings, PAD)
 
-    def _start(self) -> None:
+    @contextmanager
+    def listening(self) -> Iterator[None]:
         from websockets.sync.server import serve
 
-        self._server = serve(self._listen, "127.0.0.1", self.port)
-        self._thread = threading.Thread(target=self._server.serve_forever)
         self._connections: list[Any] = []
-        self._thread.start()
-
-    def _stop(self) -> None:
-        self._server.shutdown()
-        for connection in self._connections:
-            with suppress(OSError):
-                connection.socket.shutdown(socket.SHUT_RDWR)
-        self._thread.join()
+        with serve(self._listen, "127.0.0.1", self.port) as server:
+            thread = threading.Thread(target=server.serve_forever)
+            thread.start()
+            yield
+            server.shutdown()
+            for connection in self._connections:
+                with suppress(OSError):
+                    connection.socket.shutdown(socket.SHUT_RDWR)
+            thread.join()
 
     def _listen(self, connection: Any) -> None:
         self._connections.append(connection)
@@ -227,18 +231,12 @@ class LslPeer(Peer):
 
         return LslBridge(LslSettings(name=self.name), PAD)
 
-    def _start(self) -> None:
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
+    def listening(self) -> AbstractContextManager[None]:
+        return in_thread(self._listen)
 
-    def _stop(self) -> None:
-        self._ending.set()
-        self._thread.join()
-
-    def _listen(self) -> None:
-        inlet = inlet_of(f"{self.name}-{PAD}-markers", self._ending)
-        while not self._ending.is_set():
+    def _listen(self, ending: threading.Event) -> None:
+        inlet = inlet_of(f"{self.name}-{PAD}-markers", ending)
+        while not ending.is_set():
             sample, _ = inlet.pull_sample(timeout=0.05)
             if sample is not None:
                 self.heard.append(sample[0])
@@ -269,26 +267,21 @@ class Ros2Peer(Peer):
 
         return Ros2Bridge(Ros2Settings(domain=self.domain), PAD)
 
-    def _start(self) -> None:
+    @contextmanager
+    def listening(self) -> Iterator[None]:
         from cyclonedds.domain import DomainParticipant
 
         from daemon.bridges.ros2 import String
 
-        self._ending = threading.Event()
-        self._participant = DomainParticipant(self.domain)
-        self._reader = reader_of(self._participant, f"rt/touchd/{PAD}/event", String)
-        self._thread = threading.Thread(target=self._listen)
-        self._thread.start()
+        reader = reader_of(DomainParticipant(self.domain), f"rt/touchd/{PAD}/event", String)
 
-    def _stop(self) -> None:
-        self._ending.set()
-        self._thread.join()
-        del self._reader, self._participant
+        def listen(ending: threading.Event) -> None:
+            while not ending.is_set():
+                self.heard += [sample.data for sample in reader.take(100) if hasattr(sample, "data")]
+                time.sleep(0.01)
 
-    def _listen(self) -> None:
-        while not self._ending.is_set():
-            self.heard += [sample.data for sample in self._reader.take(100) if hasattr(sample, "data")]
-            time.sleep(0.01)
+        with in_thread(listen):
+            yield
 
 
 def reader_of(participant: Any, topic: str, kind: Any) -> Any:
