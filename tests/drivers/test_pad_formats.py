@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rigs.wire import counts_of
 
-from drivers.frame import Counts, Frame
+from drivers.frame import Frame
 from drivers.pad.diagnosis import as_yaml, propose
 from drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, encode_frame, encode_values, layout_of
 from drivers.pad.parser import FrameParser
@@ -26,32 +27,25 @@ MORE = {
     "rows to a flag": PadFormat(framing="rows", rows=16, columns=12, end="flag"),
     "32x32": PadFormat(header="aaabac", clock=True, rows=32, columns=32, full_scale=4095),
     "4x4": PadFormat(header="aaabac", clock=True, rows=4, columns=4),
+    "sum without a clock": PadFormat(header="aaabac", rows=8, columns=8, checksum="values"),
 }
 FORMATS = PRESETS | MORE
 every_format = pytest.mark.parametrize("described", FORMATS.values(), ids=FORMATS)
 sending = {name: each for name, each in FORMATS.items() if not each.poll}
 every_stream = pytest.mark.parametrize("described", sending.values(), ids=sending)
-binary = {name: each for name, each in sending.items() if each.framing == "binary"}
-
-
 FEW = settings(deadline=None, max_examples=20)
 
 
 @cache
-def felt(number: int) -> Counts:
-    return np.random.default_rng(number).integers(0, 1024, (8, 8)).astype(np.uint16)
-
-
-@cache
 def laid(described: PadFormat, number: int) -> bytes:
-    """Return the pressure that this format's grid can carry of `felt(number)`."""
+    """Return the pressure that this format's grid can carry of `counts_of(number)`."""
     layout = layout_of(described)
-    return layout.pressure(layout.values(felt(number)).ravel()).tobytes()
+    return layout.pressure(layout.values(counts_of(number)).ravel()).tobytes()
 
 
 @cache
 def sent(described: PadFormat, number: int) -> bytes:
-    return encode_frame(described, felt(number), 5000 + 19 * number)
+    return encode_frame(described, counts_of(number), 5000 + 19 * number)
 
 
 def stream(described: PadFormat, numbers: Sequence[int]) -> bytes:
@@ -98,7 +92,7 @@ def test_a_frame_cut_off_costs_itself_and_is_counted(described: PadFormat, kept:
     broken = whole[: max(1, round(kept * len(whole)))]
     # A printed line without its end would merge with the next.
     if described.framing != "binary":
-        broken += encode_frame(described, felt(0), None)[-1 - len(described.end) :]
+        broken += encode_frame(described, counts_of(0), None)[-1 - len(described.end) :]
         broken = broken if described.framing == "line" else broken + b"\n" + described.end.encode() + b"\n"
     data = stream(described, [0, 1]) + broken + b"".join(sent(described, n) for n in (3, 4, 5))
     came = {frame.pressure.tobytes() for frame in feed(parser, data, range(0, len(data), 97))}
@@ -153,7 +147,7 @@ def test_values_above_full_scale_are_refused(described: PadFormat) -> None:
     frame = encode_frame(upright, np.full((8, 8), 1023, np.uint16), 5)
     if described.poll:
         parser.ask(0.0)
-    marks = b"" if described.framing == "binary" else encode_frame(described, felt(0), None)
+    marks = b"" if described.framing == "binary" else encode_frame(described, counts_of(0), None)
     assert parser.feed(marks + bytes.fromhex(described.footer) + frame * 2, 1.0) == []
     assert parser.counts.bad >= 1
 
@@ -166,7 +160,7 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     frames: list[Frame] = []
     for number in range(6):
         parser.ask(number / 54)
-        reply = encode_frame(described, felt(number), None)
+        reply = encode_frame(described, counts_of(number), None)
         if number == 2:
             reply = reply[:-1]
         if number == 4:
@@ -182,16 +176,10 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     assert parser.ask_in_s(1.3) == 0.0
 
 
-def test_a_pad_without_a_clock_may_sum_its_values() -> None:
-    described = PadFormat(header="aaabac", rows=8, columns=8, checksum="values")
-    data = b"".join(encode_frame(described, felt(number), 19 * number) for number in range(3))
-    assert_are(described, parser_of(described).feed(data, 1.0), range(3))
-
-
 def test_no_frame_is_made_up_of_two() -> None:
     described = PadFormat(header="aa55aa55", cell="u8", rows=8, columns=8, full_scale=255)
     parser = parser_of(described)
-    cut_off = encode_frame(described, felt(0), None)[:40]
+    cut_off = encode_frame(described, counts_of(0), None)[:40]
     assert_are(described, parser.feed(cut_off + stream(described, [1, 2]), 1.0), [1, 2])
     assert parser.counts.bad == 1
 
@@ -200,7 +188,7 @@ def test_a_polled_pads_damaged_reply_is_refused_and_counted() -> None:
     described = msgspec.structs.replace(PRESETS["itas"], checksum="sum8")
     parser = parser_of(described)
     parser.ask(0.0)
-    reply = encode_frame(described, felt(0), None)
+    reply = encode_frame(described, counts_of(0), None)
     assert parser.feed(bytes([reply[0] ^ 1]) + reply[1:], 0.0) == []
     assert parser.counts.bad_checksum == parser.counts.bad == 1
 
