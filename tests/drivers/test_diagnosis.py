@@ -19,12 +19,9 @@ RANDOM = np.random.default_rng(0).bytes(4000)
 
 def binary(rows: int, columns: int) -> bytes:
     """Frames of a pad of any size, cut at both ends."""
-    raw = np.random.default_rng(1).integers(0, 1024, rows * columns).astype("<u2")
-    frames = [
-        b"\xff\xff\xff\xff" + ms.to_bytes(4, "little") + raw.tobytes() + bytes([(int(raw.sum()) + ms) % 256])
-        for ms in range(1000, 1400, 19)
-    ]
-    return b"".join(frames)[100:-60]
+    raw = np.random.default_rng(1).integers(0, 1024, (rows, columns)).astype(np.uint16)
+    sent = pad("fabric-grid", rows, columns)
+    return b"".join(encode_values(sent, raw, ms) for ms in range(1000, 1400, 19))[100:-60]
 
 
 def printed(numbers: int) -> bytes:
