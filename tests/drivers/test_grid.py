@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rigs.formats import encode_fabric_grid
-from rigs.sensor_rig import next_frames, sensing
+from rigs.sensor_rig import next_frames, sensing, stream_of
 
 from docs.studies.hand import simulate
 from drivers.fakes.fake_port import FakePort
@@ -39,17 +39,13 @@ def push(ring: Ring, counts: Counts, sensor_ms: Iterable[int]) -> list[GridFrame
     return laid
 
 
-def random_counts(frames: int) -> Counts:
-    return np.random.default_rng(1).integers(0, 1024, (frames, 8, 8)).astype(np.uint16)
-
-
 def new_ring(capacity: int = 600) -> Ring:
     return Ring(RingSettings(), capacity)
 
 
 @pytest.mark.parametrize(("rate_hz", "jitter_ms"), [(54.0, 0.0), (53.5, 0.5), (54.5, 0.5)])
 def test_a_pad_at_or_near_54_hz_passes_unchanged(rate_hz: float, jitter_ms: float) -> None:
-    ring, counts = new_ring(), random_counts(500)
+    ring, counts = new_ring(), stream_of(500).counts
     moved_ms = np.random.default_rng(2).uniform(-jitter_ms, jitter_ms, 500)
     laid = push(ring, counts, np.rint(np.arange(500) * 1000 / rate_hz + moved_ms + 1).astype(int))
     assert [frame.index for frame in laid] == list(range(500))
@@ -89,7 +85,7 @@ def test_a_grid_frame_comes_with_the_frame_completing_it() -> None:
 
 @pytest.mark.parametrize("lost", [[50], [50, 51, 52]])
 def test_lost_frames_are_bridged_and_marked(lost: list[int]) -> None:
-    counts, clock = random_counts(100), ideal_clock_ms(100)
+    counts, clock = stream_of(100).counts, ideal_clock_ms(100)
     kept = np.delete(np.arange(100), lost)
     ring = new_ring()
     laid = push(ring, counts[kept], clock[kept])
@@ -110,13 +106,13 @@ def test_lost_frames_are_bridged_and_marked(lost: list[int]) -> None:
     ids=["gap too long to bridge", "reboot"],
 )
 def test_a_clock_that_jumps_starts_the_grid_anew(clock_ms: Sequence[int]) -> None:
-    laid = push(new_ring(), random_counts(len(clock_ms)), clock_ms)
+    laid = push(new_ring(), stream_of(len(clock_ms)).counts, clock_ms)
     assert [frame.index for frame in laid] == list(range(len(clock_ms)))
     assert [frame.index for frame in laid if frame.restarted] == [0, 50]
 
 
 def test_the_wrap_of_the_32_bit_clock_is_not_noticed() -> None:
-    ring, counts = new_ring(), random_counts(200)
+    ring, counts = new_ring(), stream_of(200).counts
     laid = push(ring, counts, ideal_clock_ms(200, first_ms=2**32 - 1000))
     assert sum(frame.restarted for frame in laid) == 1
     np.testing.assert_array_equal(ring.window(200, 200), counts)
@@ -124,7 +120,7 @@ def test_the_wrap_of_the_32_bit_clock_is_not_noticed() -> None:
 
 
 def test_duplicates_and_late_frames_leave_no_trace() -> None:
-    counts, clock = random_counts(100), list(ideal_clock_ms(100))
+    counts, clock = stream_of(100).counts, list(ideal_clock_ms(100))
     order = list(range(100))
     order.insert(40, 39)
     order.insert(70, 66)
@@ -135,7 +131,7 @@ def test_duplicates_and_late_frames_leave_no_trace() -> None:
 
 
 def test_after_a_reset_the_next_frame_starts_anew() -> None:
-    ring, counts = new_ring(), random_counts(40)
+    ring, counts = new_ring(), stream_of(40).counts
     push(ring, counts[:20], ideal_clock_ms(20))
     ring.reset()
     laid = push(ring, counts[20:], ideal_clock_ms(40)[20:])
@@ -143,7 +139,7 @@ def test_after_a_reset_the_next_frame_starts_anew() -> None:
 
 
 def test_the_ring_refuses_frames_it_no_longer_has() -> None:
-    ring, counts = new_ring(capacity=50), random_counts(500)
+    ring, counts = new_ring(capacity=50), stream_of(500).counts
     push(ring, counts, ideal_clock_ms(500))
     np.testing.assert_array_equal(ring.window(500, 50), counts[450:])
     with pytest.raises(ValueError, match="it has 450 to 500"):
@@ -168,7 +164,7 @@ def test_port_and_file_give_the_model_the_same_frames(tmp_path: Path, rate_hz: f
     rng = np.random.default_rng(5)
     at_ms = np.delete(np.arange(200), [80, 81, 120]) * 1000 / rate_hz
     clock_ms = np.rint(5000 + at_ms + rng.uniform(-1, 1, len(at_ms))).astype(np.int64)
-    counts = random_counts(len(clock_ms))
+    counts = stream_of(len(clock_ms)).counts
     write_recordings(
         tmp_path / "a.csv", [Recording("A", "none", "none", "pat", counts, clock_ms, "live")], {}
     )

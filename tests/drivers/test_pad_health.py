@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rigs.haart_folder import needs_haart
+from rigs.made_pad import MadePad, nothing
 from rigs.patient_port import playing
 from rigs.running_daemon import run_daemon
 
@@ -26,11 +27,7 @@ A_TAXEL, ROW_7, SATURATED = np.s_[:, 2, 4], np.s_[:, 6], np.s_[:, 2:6, 2:7]
 
 
 def sound_pad(seconds: int) -> Counts:
-    """A pad at rest like HAART's: a few counts of offset and noise per taxel."""
-    rng = np.random.default_rng(5)
-    rest = rng.uniform(1.0, 6.0, (8, 8))
-    counts = np.rint(rest + rng.normal(0.0, 1.2, (seconds * RATE_HZ, 8, 8)))
-    return np.clip(counts, 0, 1023).astype(np.uint16)
+    return MadePad(5).counts(nothing(seconds))
 
 
 def frames_of(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[Frame]:

@@ -74,7 +74,7 @@ def test_a_robot_that_refuses_is_not_stormed() -> None:
     assert tried[3] - tried[0] >= 0.35
 
 
-def test_a_robot_switched_off_is_noticed_and_then_told_the_status() -> None:
+def test_a_robot_switched_off_is_noticed_and_later_told_the_status() -> None:
     with Robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (link, states):
         states.wait_for("up")
         link.set_status("down")
