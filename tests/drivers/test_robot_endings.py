@@ -43,12 +43,8 @@ EXIT_STATES = (
 
 def _exits_cleanly(state: str) -> str:
     """Run a program that ends while its link is in a state; return how it failed, "" if it ended cleanly."""
-    script = Path(__file__).parents[1] / "rigs" / "robot_exit.py"
-    environment = os.environ | {"ROBOT_TOKEN": LOGIN.token}
-    done = ran(
-        [sys.executable, str(script), state],
-        env=environment | {"PYTHONPATH": str(script.parents[1])},
-    )
+    environment = {"ROBOT_TOKEN": LOGIN.token, "PYTHONPATH": str(Path(__file__).parents[1])}
+    done = ran([sys.executable, "-m", "rigs.robot_exit", state], env=os.environ | environment)
     return "" if (done.returncode, done.stdout, done.stderr) == (0, "", "") else f"{state}: {done}"
 
 
