@@ -49,6 +49,8 @@ def test_a_pad_at_or_near_54_hz_passes_unchanged(rate_hz: float, jitter_ms: floa
     moved_ms = np.random.default_rng(2).uniform(-jitter_ms, jitter_ms, 500)
     laid = push(ring, counts, np.rint(np.arange(500) * 1000 / rate_hz + moved_ms + 1).astype(int))
     assert [frame.index for frame in laid] == list(range(500))
+    # Each comes with the frame that completes it.
+    assert [frame.host_s for frame in laid] == [number / 54 for number in range(500)]
     np.testing.assert_array_equal(ring.window(500, 500), counts)
     assert not any(frame.bridged for frame in laid)
     assert [frame.restarted for frame in laid] == [True] + [False] * 499
@@ -74,13 +76,6 @@ def test_a_pad_at_another_rate_gives_ideal_windows(rate_hz: int, jitter_ms: floa
     drift_ms = grid_ms - np.arange(len(laid)) * PERIOD_MS
     assert np.ptp(drift_ms[2:]) <= PERIOD_MS
     assert not any(frame.bridged for frame in laid)
-
-
-def test_a_grid_frame_comes_with_the_frame_completing_it() -> None:
-    ring = new_ring()
-    for number, ms in enumerate(ideal_clock_ms(100)):
-        (laid,) = ring.push(Frame(number, int(ms), 5.0 + number, np.zeros((8, 8), np.uint16)))
-        assert laid.host_s == 5.0 + number
 
 
 @pytest.mark.parametrize("lost", [[50], [50, 51, 52]])
