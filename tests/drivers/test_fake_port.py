@@ -124,8 +124,8 @@ def test_when_it_stops_the_reader_sees_the_device_go() -> None:
     assert not Path(port.path).exists()
 
 
-def test_it_stops_at_once_whether_unread_blocked_or_playing() -> None:
-    unread = FakePort(stream_of(5), encode_fabric_grid)
+def test_it_stops_at_once_in_every_state_and_leaves_nothing() -> None:
+    unread, not_started = (FakePort(stream_of(5), encode_fabric_grid) for _ in range(2))
     blocked = FakePort(stream_of(600), encode_fabric_grid, speed=None)
     playing = FakePort(stream_of(600), encode_fabric_grid)
     for port in (unread, blocked, playing):
@@ -134,17 +134,12 @@ def test_it_stops_at_once_whether_unread_blocked_or_playing() -> None:
         reader.read(1)
         wait_for(lambda: bool(np.isfinite(blocked.sent_s).sum() > 50))
         begun_s = time.monotonic()
-        for port in (unread, blocked, playing):
+        for port in (unread, not_started, blocked, playing):
+            assert Path(port.path).exists()
             port.stop()
             port.stop()
+            assert not Path(port.path).exists()
         assert time.monotonic() - begun_s < AT_ONCE_S
-
-
-def test_a_port_never_started_leaves_nothing_either() -> None:
-    port = FakePort(stream_of(5), encode_fabric_grid)
-    assert Path(port.path).exists()
-    port.stop()
-    assert not Path(port.path).exists()
 
 
 def test_a_clock_that_starts_anew_does_not_change_the_pace() -> None:
