@@ -35,11 +35,12 @@ def robot(running_robot: Robot) -> Iterator[Robot]:
     calls.clear()
 
 
-def test_an_answer_is_raised_as_a_gesture_and_its_detail(robot: Robot) -> None:
-    with linked(robot) as (link, _):
+def test_an_answer_is_raised_as_gesture_and_detail_under_a_prefix(robot: Robot) -> None:
+    with linked(robot, prefix="Pad") as (link, _):
         link.publish(message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
-        robot.calls.wait_for_raise(GESTURE, "stroke")
-        assert robot.calls.raised(DETAIL) == [["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]]
+        robot.calls.wait_for_raise("Pad/Gesture", "stroke")
+        detail = ["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]
+        assert robot.calls.raised("Pad/Detail") == [detail]
 
 
 def test_a_slow_robot_gets_every_detail_before_its_gesture() -> None:
@@ -80,12 +81,6 @@ def test_stopping_removes_the_gesture_from_memory(robot: Robot) -> None:
         link.publish(message())
         robot.calls.wait_for_raise(GESTURE, "stroke")
     robot.calls.wait_for(lambda call: call.method == "removeData")
-
-
-def test_the_events_can_have_another_prefix(robot: Robot) -> None:
-    with linked(robot, prefix="Pad") as (link, _):
-        link.publish(message("rub"))
-        robot.calls.wait_for_raise("Pad/Gesture", "rub")
 
 
 def test_everything_told_fits_the_robots_four_bytes(robot: Robot) -> None:
