@@ -99,7 +99,7 @@ def material(pretrained: Pretrained) -> Features:
 
 
 @pytest.fixture(scope="module")
-def adapted_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The file and output of `touchd train --extra` for two people and five gestures, one of them new."""
     home = tmp_path_factory.mktemp("lab")
     lab, output = keep(home / "lab", simulated(("Ann", "Bo"), 2)), home / "lab.onnx"
@@ -110,8 +110,13 @@ def adapted_file(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return output, "".join(printed)
 
 
-def test_the_file_knows_the_labs_gestures_and_origin_but_no_person(adapted_file: tuple[Path, str]) -> None:
-    metadata = Classifier.load(adapted_file[0]).metadata
+@pytest.fixture
+def adapted_file(trained: tuple[Path, str]) -> Path:
+    return trained[0]
+
+
+def test_the_file_knows_the_labs_gestures_and_origin_but_no_person(adapted_file: Path) -> None:
+    metadata = Classifier.load(adapted_file).metadata
     assert metadata.labels == ("hug", "notouch", "pat", "scratch", "stroke")
     assert metadata.name == "lab"
     origin = metadata.training["adapted"]
@@ -119,9 +124,9 @@ def test_the_file_knows_the_labs_gestures_and_origin_but_no_person(adapted_file:
     assert (origin["participants"], origin["recordings"]) == (2, 20)
     assert metadata.scores["adapted"]["left_out"] == "participants"
     assert [row["frames"] for row in metadata.scores["adapted"]["lengths"]] == [54, 81, 144]
-    content = adapted_file[0].read_bytes()
+    content = adapted_file.read_bytes()
     assert b'"Ann"' not in content
-    assert str(adapted_file[0].parent).encode() not in content
+    assert str(adapted_file.parent).encode() not in content
 
 
 @pytest.mark.parametrize("file", ["Labor Müller (2).onnx", "ö.onnx", f"{'long' * 40}.onnx"])
@@ -129,8 +134,8 @@ def test_a_file_may_be_named_as_people_like(file: str) -> None:
     assert msgspec.convert(model_name(Path(file)), Name)
 
 
-def test_the_report_shows_each_gesture_within_80_columns(adapted_file: tuple[Path, str]) -> None:
-    printed = adapted_file[1].split("\n\nWritten:")[0]
+def test_the_report_shows_each_gesture_within_80_columns(trained: tuple[Path, str]) -> None:
+    printed = trained[1].split("\n\nWritten:")[0]
     assert "20 recordings of 5 gestures by 2 participants" in printed
     assert "New to the model: hug" in printed
     assert all(any(line.startswith(gesture) for line in printed.splitlines()) for gesture in DONE)
@@ -140,13 +145,13 @@ def test_the_report_shows_each_gesture_within_80_columns(adapted_file: tuple[Pat
 
 
 def test_touchd_classify_answers_with_the_new_gesture(
-    adapted_file: tuple[Path, str], tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
+    adapted_file: Path, tmp_path: Path, capfdbinary: pytest.CaptureFixture[bytes]
 ) -> None:
     unseen = tmp_path / "unseen.csv.gz"
     write_recordings(unseen, simulated(("Cy",), 1, ("notouch", "hug", "pat")), {})
     config = tmp_path / "touchd.yaml"
     config.write_text(
-        f"model: {adapted_file[0]}\n"
+        f"model: {adapted_file}\n"
         "scene: {gestures: [hug, pat], actions: [{gestures: [hug], do: [{say: x}]}]}\n"
     )
     assert cli.main(["classify", str(unseen), "-c", str(config)]) == 0
@@ -158,35 +163,31 @@ def test_touchd_classify_answers_with_the_new_gesture(
     assert ended == ["hug", "pat"]
 
 
-def test_the_doctor_finds_that_the_model_fits(
-    adapted_file: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_doctor_finds_that_the_model_fits(adapted_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # On a busy machine the doctor would rightly warn.
     monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
-    check = check_model(Settings(model=str(adapted_file[0])))
+    check = check_model(Settings(model=str(adapted_file)))
     assert check.verdict == "ok"
 
 
 def test_a_dropped_gesture_is_refused_in_the_scene(
-    adapted_file: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    adapted_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "touchd.yaml"
-    config.write_text(f"model: {adapted_file[0]}\nscene: {{gestures: [tickle]}}\n")
+    config.write_text(f"model: {adapted_file}\nscene: {{gestures: [tickle]}}\n")
     assert cli.main(["run", "-c", str(config)]) == 2
     assert (
         "tickle is no gesture of the model lab; it knows hug, pat, scratch, stroke" in capsys.readouterr().err
     )
 
 
-def test_an_existing_file_is_not_overwritten(
-    adapted_file: tuple[Path, str], capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = adapted_file[0].read_bytes()
-    lab = adapted_file[0].with_name("lab")
-    assert cli.main(["train", "--extra", str(lab), "--output", str(adapted_file[0])]) == 2
+def test_an_existing_file_is_not_overwritten(adapted_file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = adapted_file.read_bytes()
+    lab = adapted_file.with_name("lab")
+    assert cli.main(["train", "--extra", str(lab), "--output", str(adapted_file)]) == 2
     assert "is never written over" in capsys.readouterr().err
-    assert adapted_file[0].read_bytes() == before
-    assert sorted(path.name for path in adapted_file[0].parent.iterdir()) == ["lab", "lab.onnx"]
+    assert adapted_file.read_bytes() == before
+    assert sorted(path.name for path in adapted_file.parent.iterdir()) == ["lab", "lab.onnx"]
 
 
 # --- training ---
