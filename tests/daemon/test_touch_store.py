@@ -6,7 +6,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +25,7 @@ from daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
 from daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
 from daemon.setup.destinations import description_of, open_touch_stores
-from drivers.frame import Counts, Frame
+from drivers.frame import Frame
 from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
 from drivers.whole_file import PARTIAL
 
@@ -38,7 +37,8 @@ class StoreBench:
     """A pipeline fed by a made pad at 54 Hz, with a touch sink as in the daemon."""
 
     def __init__(self, store: TouchStore, clock_ms: float = 0.0) -> None:
-        self.keep(store)
+        self.store = store
+        self.keep()
         self.pad = MadePad()
         self.sent: list[Frame] = []
         self.clock_ms = clock_ms
@@ -50,41 +50,39 @@ class StoreBench:
 
     def feel(self, *pressures: Scans) -> None:
         for counts in self.pad.counts(np.concatenate(pressures)):
-            self._feel(counts)
+            frame = Frame(len(self.sent), round(self.clock_ms) % 2**32, 100.0, counts)
+            self.sent.append(frame)
+            self.clock_ms += PERIOD_MS
+            self.now_s += PERIOD_MS / 1000
+            self.sink.take(frame)
+            self.pipeline.on_frame(frame)
 
-    def keep(self, store: TouchStore, before: TouchSink | None = None) -> None:
-        self.sink, self._folder = TouchSink({"pad": store}, before), store._folder
+    def keep(self, before: TouchSink | None = None) -> None:
+        self.sink = TouchSink({"pad": self.store}, before)
         self.sink.start()
+
+    def reload(self) -> None:
+        self.sink.stop(WITHIN_S)
+        self.keep(self.sink)
 
     def end(self) -> list[KeptTouch]:
         """Stop; return the kept touches."""
         self.pipeline.flush()
         self.sink.stop(WITHIN_S)
-        return kept_touches(self._folder)
+        return kept_touches(self.store._folder)
 
-    def _feel(self, counts: Counts) -> None:
-        frame = Frame(len(self.sent), round(self.clock_ms) % 2**32, 100.0, counts)
-        self.sent.append(frame)
-        self.clock_ms += PERIOD_MS
-        self.now_s += PERIOD_MS / 1000
-        self.sink.take(frame)
-        self.pipeline.on_frame(frame)
+    def began(self) -> list[TouchBegan]:
+        return [event for event in self.events if isinstance(event, TouchBegan)]
+
+    def ended(self) -> list[TouchEnded]:
+        return [event for event in self.events if isinstance(event, TouchEnded)]
+
+    def frames(self, first_ms: int, last_ms: int) -> list[Frame]:
+        return [frame for frame in self.sent if first_ms <= frame.sensor_ms <= last_ms]
 
     def _emit(self, event: Event) -> None:
         self.events.append(event)
         self.sink.put(event)
-
-
-def began(events: Sequence[Event]) -> list[TouchBegan]:
-    return [event for event in events if isinstance(event, TouchBegan)]
-
-
-def ended(events: Sequence[Event]) -> list[TouchEnded]:
-    return [event for event in events if isinstance(event, TouchEnded)]
-
-
-def frames_of(bench: StoreBench, first_ms: int, last_ms: int) -> list[Frame]:
-    return [frame for frame in bench.sent if first_ms <= frame.sensor_ms <= last_ms]
 
 
 @pytest.fixture
@@ -92,30 +90,29 @@ def store(tmp_path: Path) -> TouchStore:
     return TouchStore(tmp_path / "touches", 20, "a made pad")
 
 
-def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore) -> None:
-    bench = StoreBench(store)
+@pytest.fixture
+def bench(store: TouchStore) -> StoreBench:
+    return StoreBench(store)
+
+
+def test_a_kept_touch_is_what_the_pad_sent(bench: StoreBench) -> None:
     bench.feel(pat(2.0), nothing(2.0))
-    (kept,) = bench.end()
-    (start,), (end,) = began(bench.events), ended(bench.events)
+    (kept,), (start,), (end,) = bench.end(), bench.began(), bench.ended()
     assert (kept.time, kept.number) == (start.time, start.touch)
     assert start.sensor_ms == 1500
-    assert end.sensor_ms is not None
-    assert len(frames_of(bench, start.sensor_ms, end.sensor_ms)) == end.frames
+    assert len(bench.frames(start.sensor_ms, end.sensor_ms)) == end.frames
     frames = read_frames(kept)
-    assert frames.before is not None
-    assert frames.after is not None
     for recording, expected in (
-        (frames.before, frames_of(bench, start.sensor_ms - 1000, start.sensor_ms - 1)),
-        (frames.touch, frames_of(bench, start.sensor_ms, end.sensor_ms)),
-        (frames.after, frames_of(bench, end.sensor_ms + 1, end.sensor_ms + 815)),
+        (frames.before, bench.frames(start.sensor_ms - 1000, start.sensor_ms - 1)),
+        (frames.touch, bench.frames(start.sensor_ms, end.sensor_ms)),
+        (frames.after, bench.frames(end.sensor_ms + 1, end.sensor_ms + 815)),
     ):
         assert recording.sensor_ms.tolist() == [frame.sensor_ms for frame in expected]
         np.testing.assert_array_equal(recording.counts, np.stack([frame.pressure for frame in expected]))
     assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
 
 
-def test_a_file_has_provenance_and_no_persons_name(store: TouchStore) -> None:
-    bench = StoreBench(store)
+def test_a_file_has_provenance_and_no_persons_name(bench: StoreBench) -> None:
     bench.feel(palm(1.2), nothing(2.0))
     (kept,) = bench.end()
     told = read_provenance(kept.path)
@@ -129,25 +126,20 @@ def test_a_file_has_provenance_and_no_persons_name(store: TouchStore) -> None:
     assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
 
-def test_rest_before_a_touch_excludes_the_previous_touch(store: TouchStore) -> None:
-    bench = StoreBench(store)
+def test_rest_before_a_touch_excludes_the_previous_touch(bench: StoreBench) -> None:
     bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
-    first, second = bench.end()
-    before = read_frames(second).before
-    assert before is not None
-    assert 40 <= len(before.counts) <= 46
-    assert before.counts.max() < 12
-    assert before.sensor_ms[0] > read_frames(first).touch.sensor_ms[-1]
+    first, second = map(read_frames, bench.end())
+    assert 40 <= len(second.before.counts) <= 46
+    assert second.before.counts.max() < 12
+    assert second.before.sensor_ms[0] > first.touch.sensor_ms[-1]
 
 
-def test_frames_after_an_unreleased_touch_are_not_quiet(store: TouchStore) -> None:
-    bench = StoreBench(store)
+def test_frames_after_an_unreleased_touch_are_not_quiet(bench: StoreBench) -> None:
     bench.feel(palm(1.2))
     bench.clock_ms += 400
     bench.feel(palm(0.5))
-    kept = bench.end()
-    assert [end.reason for end in ended(bench.events)] == ["gap", "stopped"]
-    first, second = map(read_frames, (touch for touch in kept))
+    first, second = map(read_frames, bench.end())
+    assert [end.reason for end in bench.ended()] == ["gap", "stopped"]
     assert first.after is None
     assert len(first.touch.counts) == 65
     assert second.before is None or second.before.counts.max() < 12
@@ -159,7 +151,7 @@ def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore) -> None:
     (kept,) = bench.end()
     steps_ms = np.concatenate([np.diff(part.sensor_ms) for part in read_recordings(kept.path)])
     assert set(steps_ms.tolist()) == {18, 19}
-    assert len(read_frames(kept).touch.counts) == ended(bench.events)[0].frames
+    assert len(read_frames(kept).touch.counts) == bench.ended()[0].frames
 
 
 def test_frames_before_a_restart_are_not_kept(store: TouchStore) -> None:
@@ -167,15 +159,12 @@ def test_frames_before_a_restart_are_not_kept(store: TouchStore) -> None:
     bench.feel(palm(1.2), nothing(1.5))
     bench.clock_ms = 0
     bench.feel(nothing(0.7), palm(1.2), nothing(1.5))
-    _, after = bench.end()
-    frames = read_frames(after)
-    assert frames.before is not None
+    _, frames = map(read_frames, bench.end())
     assert frames.before.sensor_ms[0] == 0
-    assert frames.touch.sensor_ms[0] == began(bench.events)[1].sensor_ms
+    assert frames.touch.sensor_ms[0] == bench.began()[1].sensor_ms
 
 
-def test_a_touch_that_never_ends_takes_a_minute_at_most(store: TouchStore) -> None:
-    bench = StoreBench(store)
+def test_a_touch_that_never_ends_takes_a_minute_at_most(bench: StoreBench) -> None:
     bench.feel(palm(70.0), nothing(1.0))
     (kept,) = bench.end()
     parts = read_recordings(kept.path)
@@ -197,41 +186,30 @@ def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_pat
     sink.stop(WITHIN_S)
     (kept,) = kept_touches(tmp_path / "touches")
     frames = read_frames(kept)
-    assert frames.before is not None
     assert frames.before.sensor_ms[[0, -1]].tolist() == [2200, 3198]
     assert frames.touch.sensor_ms[[0, -1]].tolist() == [3200, 5900]
 
 
-def test_a_touch_begun_before_keeping_is_not_kept(store: TouchStore, tmp_path: Path) -> None:
-    bench = StoreBench(store)
+def test_a_touch_begun_before_keeping_is_not_kept(bench: StoreBench) -> None:
     bench.feel(palm(0.5))
     bench.sink.stop(WITHIN_S)
-    bench.keep(store)
+    bench.keep()
     bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.0))
-    bench.end()
-    assert len(ended(bench.events)) == 2
-    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
+    assert [kept.number for kept in bench.end()] == [2]
+    assert len(bench.ended()) == 2
 
 
-def test_a_touch_during_which_the_settings_change_is_kept_whole(store: TouchStore) -> None:
-    bench = StoreBench(store)
+@pytest.mark.parametrize("said", [None, "disturbed", "degraded", "up"])
+def test_a_touch_is_kept_whole_though_settings_change_or_states_come(
+    bench: StoreBench, said: PadState | None
+) -> None:
     bench.feel(palm(0.5))
-    bench.sink.stop(WITHIN_S)
-    bench.keep(store, bench.sink)
+    if said is None:
+        bench.reload()
+    else:
+        bench.sink.put(SensorEvent(state=said, time=timestamp(bench.now_s)))
     bench.feel(palm(0.5), nothing(1.5))
-    (kept,) = bench.end()
-    (end,) = ended(bench.events)
-    assert len(read_frames(kept).touch.counts) == end.frames
-
-
-@pytest.mark.parametrize("state", ["disturbed", "degraded", "up"])
-def test_a_pad_that_stays_keeps_its_frames_whatever_is_said_of_it(store: TouchStore, state: PadState) -> None:
-    bench = StoreBench(store)
-    bench.feel(palm(0.5))
-    bench.sink.put(SensorEvent(state=state, time=timestamp(bench.now_s)))
-    bench.feel(palm(0.5), nothing(1.5))
-    (kept,) = bench.end()
-    (end,) = ended(bench.events)
+    (kept,), (end,) = bench.end(), bench.ended()
     assert len(read_frames(kept).touch.counts) == end.frames
 
 
@@ -282,11 +260,10 @@ def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
     bench = StoreBench(store)
     for _ in range(TouchSink.capacity + 4):
         bench.feel(palm(0.3), nothing(1.1))
-    assert len(ended(bench.events)) == TouchSink.capacity + 4
+    assert len(bench.ended()) == TouchSink.capacity + 4
     assert 3 <= bench.sink.dropped <= 4
     store.goes_on.set()
-    bench.end()
-    assert len(kept_touches(tmp_path)) == TouchSink.capacity + 4 - bench.sink.dropped
+    assert len(bench.end()) == TouchSink.capacity + 4 - bench.sink.dropped
     assert "touchd-touches" not in {thread.name for thread in threading.enumerate()}
 
 
@@ -412,8 +389,7 @@ def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> Non
         sensor=SensorSettings(port="/dev/pad"),
         journal=JournalSettings(path=str(tmp_path / "events.jsonl"), keep_touches=2),
     )
-    store = open_touch_stores(settings).get("pad")
-    assert store is not None
+    store = open_touch_stores(settings)["pad"]
     store.add(felt(1))
     (kept,) = kept_touches(tmp_path / "events.jsonl.touches")
     assert read_provenance(kept.path)["sensor"].endswith("at 512000 baud on /dev/pad")
