@@ -5,7 +5,7 @@ import logging
 import shutil
 import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from rigs.robots import Robot
 from rigs.running_daemon import SPEED, Daemon
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.bridges.settings import MqttSettings
 from daemon.config import JournalSettings, PadSettings, SceneSettings, SensorSettings, Settings
 from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode
@@ -46,31 +45,32 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
         yield daemon
 
 
+def reload(daemon: Daemon, text: str = "", **changes: Any) -> str:
+    """Have it read a configuration, or its own with changes; return what it says changed, or why not."""
+    count = len(daemon.reloads()) + 1
+    if text:
+        daemon.write(text)
+    else:
+        daemon.configure(**changes)
+    daemon.await_reloads(count)
+    return daemon.reloads()[-1].rpartition("changed: ")[2]
+
+
+WRONG = {
+    "scene: {speak_abov: 0.5}": "scene.speak_abov is not a setting",
+    "scene: {gestures: [tap]}": "tap is no gesture",
+    "journal: {path: /nowhere/events.jsonl}": "cannot be written",
+    "robot: {url: nao}": "not an address",
+    "mqtt: {user: nao, password_file: /nowhere}": "mqtt.password_file: /nowhere cannot be read",
+}
+
+
 def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
-    daemon.write("scene: {speak_abov: 0.5}")
-    daemon.await_reloads(1)
-    daemon.configure(scene=SceneSettings(gestures=("tap",)))
-    daemon.await_reloads(2)
-    daemon.configure(journal=JournalSettings(path="/nowhere/events.jsonl"))
-    daemon.await_reloads(3)
-    daemon.configure(robot=RobotSettings(url="nao"))
-    daemon.await_reloads(4)
-    daemon.configure(mqtt=MqttSettings(user="nao", password_file="/nowhere"))
-    daemon.await_reloads(5)
-    assert outline(daemon.finish()) == expected(LENGTHS)
-    for line, why in zip(
-        daemon.reloads(),
-        [
-            "scene.speak_abov is not a setting",
-            "tap is no gesture",
-            "cannot be written",
-            "not an address",
-            "mqtt.password_file: /nowhere cannot be read",
-        ],
-        strict=True,
-    ):
+    for text, why in WRONG.items():
+        line = reload(daemon, text)
         assert line.startswith("WARNING daemon.setup.reread: the new configuration is refused")
         assert why in line
+    assert outline(daemon.finish()) == expected(LENGTHS)
 
 
 def test_a_reload_that_changes_nothing_waits_for_no_touch() -> None:
@@ -82,39 +82,29 @@ def test_a_reload_that_changes_nothing_waits_for_no_touch() -> None:
 def test_a_model_that_is_replaced_under_its_name_is_read_at_a_reload(daemon: Daemon, tmp_path: Path) -> None:
     model = tmp_path / "lab.onnx"
     shutil.copyfile(SHIPPED_MODEL, model)
-    daemon.configure(model=str(model))
-    daemon.await_reloads(1)
-    daemon.configure(model=str(model))
-    daemon.await_reloads(2)
+    assert [reload(daemon, model=str(model)) for _ in range(2)] == ["model", "nothing"]
     shutil.copyfile(SHIPPED_MODEL, tmp_path / "new")
     (tmp_path / "new").replace(model)
-    daemon.configure(model=str(model))
-    daemon.await_reloads(3)
-    assert [line.rpartition("changed: ")[2] for line in daemon.reloads()] == ["model", "nothing", "model"]
+    assert reload(daemon, model=str(model)) == "model"
     assert outline(daemon.finish()) == expected(LENGTHS)
 
 
 def test_a_reload_loses_no_frame_and_no_number(daemon: Daemon, tmp_path: Path) -> None:
-    first, second = tmp_path / "first.jsonl", tmp_path / "second.jsonl"
-    daemon.configure(journal=JournalSettings(path=str(first)))
-    daemon.await_reloads(1)
+    first, second = (JournalSettings(path=str(tmp_path / name)) for name in ("first", "second"))
+    assert reload(daemon, journal=first) == "journal"
     daemon.await_event(TouchEnded)
-    daemon.configure(journal=JournalSettings(path=str(second)), scene=SceneSettings(speak_above=1.0))
-    daemon.await_reloads(2)
+    assert reload(daemon, journal=second, scene=SceneSettings(speak_above=1.0)) == "scene, journal"
     events = daemon.finish()
-    assert [line.rpartition("changed: ")[2] for line in daemon.reloads()] == ["journal", "scene, journal"]
-    assert [event.touch for event in events if isinstance(event, TouchBegan)] == list(
-        range(1, 1 + sum(line["type"] == "touch_began" for line in expected(LENGTHS)))
-    )
-    kept = [decode(line) for file in (first, second) for line in file.read_bytes().splitlines()]
-    assert kept == events[-len(kept) :]
-    assert second.stat().st_size > 0
-    later = [
-        event for event in map(decode, second.read_bytes().splitlines()) if isinstance(event, Prediction)
+    assert [event.touch for event in events if isinstance(event, TouchBegan)] == [
+        line["touch"] for line in expected(LENGTHS) if line["type"] == "touch_began"
     ]
-    assert {event.told for event in later if event.stage in ("early", "revised") and event.touch > 2} == {
-        False
-    }
+    before, later = (
+        [decode(line) for line in kept.file.read_bytes().splitlines()] for kept in (first, second)
+    )
+    assert before + later == events[-len(before + later) :]
+    assert later
+    answers = [event for event in later if isinstance(event, Prediction) and event.touch > 2]
+    assert {event.told for event in answers if event.stage in ("early", "revised")} == {False}
 
 
 def test_a_reload_can_change_the_port(daemon: Daemon) -> None:
@@ -180,9 +170,7 @@ def test_a_pads_other_port_is_read_while_a_hand_lies_on_another_pad() -> None:
             wait_for(lambda: heard.of(TouchBegan, "head"))
             reloading = threading.Thread(target=service.reload, args=(ports(other_arm),))
             reloading.start()
-            wait_for(
-                lambda: any(other_arm.path in event.reason for event in heard.of(SensorEvent, "arm"))  # type: ignore[union-attr]
-            )
+            wait_for(lambda: any(other_arm.path in event.reason for event in heard.of(SensorEvent, "arm")))
             assert not heard.of(TouchEnded, "head")
         reloading.join()
 
@@ -197,7 +185,7 @@ def test_a_pad_that_comes_back_goes_on_counting_its_touches() -> None:
             service.reload(one)
             service.reload(two)
             wait_for(lambda: len(heard.of(TouchEnded, "arm")) == 2)
-            assert [event.touch for event in heard.of(TouchBegan, "arm")] == [1, 2]  # type: ignore[union-attr]
+            assert [event.touch for event in heard.of(TouchBegan, "arm")] == [1, 2]
 
 
 def test_what_a_reload_replaces_is_freed() -> None:
@@ -269,12 +257,29 @@ def test_new_settings_apply_from_the_next_touch() -> None:
     assert [event.touch for event in events if isinstance(event, TouchEnded)] == list(range(1, 7))
 
 
-def scene_changed() -> list[str]:
-    return ["scene"]
+class Held:
+    """Something that a reload does, which lasts until `goes_on` is set."""
+
+    def __init__(self) -> None:
+        self.begun, self.goes_on = threading.Event(), threading.Event()
+        self.given: list[Settings | None] = []
+        self.ended = 0
+
+    def __call__(self, settings: Settings | None = None) -> list[str]:
+        self.given.append(settings)
+        self.begun.set()
+        self.goes_on.wait(WITHIN_S)
+        self.ended += 1
+        return ["language"]
 
 
-def fails() -> list[str]:
-    raise ZeroDivisionError
+@pytest.fixture
+def held() -> Held:
+    return Held()
+
+
+def reload_threads() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name == "touchd-reload"]
 
 
 def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
@@ -282,9 +287,10 @@ def await_message(caplog: pytest.LogCaptureFixture, text: str) -> None:
 
 
 def test_an_internal_error_does_not_disable_the_next_reload(caplog: pytest.LogCaptureFixture) -> None:
-    results = iter([fails, scene_changed])
+    divisors = iter([0, 1])
     asked = threading.Event()
-    with caplog.at_level("INFO"), rereading(asked, Reloader(Settings, lambda _: next(results)())):
+    reloader = Reloader(Settings, lambda _: ["scene"] * (1 // next(divisors)))
+    with caplog.at_level("INFO"), rereading(asked, reloader):
         asked.set()
         await_message(caplog, "ZeroDivisionError")
         asked.set()
@@ -292,102 +298,71 @@ def test_an_internal_error_does_not_disable_the_next_reload(caplog: pytest.LogCa
     assert "touchd-reread" not in [thread.name for thread in threading.enumerate()]
 
 
-def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCaptureFixture) -> None:
-    hangs, goes_on = threading.Event(), threading.Event()
-
-    def hang() -> None:
-        hangs.set()
-        goes_on.wait(WITHIN_S)
-
-    reads: Iterator[Callable[[], object]] = iter([hang, lambda: None])
+def test_a_reload_that_hangs_does_not_disable_the_next(caplog: pytest.LogCaptureFixture, held: Held) -> None:
+    reads = iter([held, list])
 
     def read() -> Settings:
         next(reads)()
         return Settings()
 
     asked = threading.Event()
-    with caplog.at_level("INFO"), rereading(asked, Reloader(read, lambda _: scene_changed())):
+    with caplog.at_level("INFO"), rereading(asked, Reloader(read, lambda _: ["scene"])):
         asked.set()
-        assert hangs.wait(WITHIN_S)
+        assert held.begun.wait(WITHIN_S)
         asked.set()
         await_message(caplog, "configuration read again")
-        goes_on.set()
-        for thread in threading.enumerate():
-            if thread.name == "touchd-reload":
-                thread.join(WITHIN_S)
+        held.goes_on.set()
+        for thread in reload_threads():
+            thread.join(WITHIN_S)
     # The older reload changes nothing when it continues.
     assert caplog.text.count("configuration read again") == 1
 
 
 def test_of_two_reloads_during_a_long_touch_the_later_one_stays(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, held: Held
 ) -> None:
     monkeypatch.setattr(reread, "PATIENCE_S", 0.05)
     languages = iter(["de", "en"])
-    begun, touch_ends = threading.Event(), threading.Event()
-    used: list[Settings] = []
-
-    def use(settings: Settings) -> list[str]:
-        used.append(settings)
-        begun.set()
-        touch_ends.wait(WITHIN_S)
-        return ["language"]
-
     asked = threading.Event()
-    reloader = Reloader(lambda: Settings(language=next(languages)), use)
-    with caplog.at_level("INFO"), rereading(asked, reloader):
+    with (
+        caplog.at_level("INFO"),
+        rereading(asked, Reloader(lambda: Settings(language=next(languages)), held)),
+    ):
         asked.set()
-        assert begun.wait(WITHIN_S)
+        assert held.begun.wait(WITHIN_S)
         asked.set()
         await_message(caplog, "this one comes next")
-        touch_ends.set()
-        wait_for(lambda: len(used) == 2)
-    assert [settings.language for settings in used] == ["de", "en"]
+        held.goes_on.set()
+        wait_for(lambda: len(held.given) == 2)
+    assert [settings.language for settings in held.given] == ["de", "en"]
 
 
-def test_reloads_that_a_later_one_replaces_do_not_pile_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_reloads_that_a_later_one_replaces_do_not_pile_up(
+    monkeypatch: pytest.MonkeyPatch, held: Held
+) -> None:
     monkeypatch.setattr(reread, "LOOK_S", 0.05)
-    begun, touch_ends = threading.Event(), threading.Event()
-    used: list[int] = []
-
-    def use(_: Settings) -> list[str]:
-        used.append(len(used))
-        begun.set()
-        touch_ends.wait(WITHIN_S)
-        return []
-
-    reloader = Reloader(Settings, use)
+    reloader = Reloader(Settings, held)
     for _ in range(50):
         reloader.start()
-        assert begun.wait(WITHIN_S)
-    wait_for(lambda: sum(thread.name == "touchd-reload" for thread in threading.enumerate()) == 2)
-    touch_ends.set()
-    wait_for(lambda: not any(thread.name == "touchd-reload" for thread in threading.enumerate()))
-    assert len(used) == 2
+        assert held.begun.wait(WITHIN_S)
+    wait_for(lambda: len(reload_threads()) == 2)
+    held.goes_on.set()
+    wait_for(lambda: not reload_threads())
+    assert len(held.given) == 2
 
 
-def test_the_end_waits_for_a_reload_under_way_and_begins_none() -> None:
-    begun, loaded = threading.Event(), threading.Event()
-    used: list[int] = []
-
-    def use(_: Settings) -> list[str]:
-        used.append(len(used))
-        begun.set()
-        loaded.wait(WITHIN_S)
-        used.append(len(used))
-        return []
-
+def test_the_end_waits_for_a_reload_under_way_and_begins_none(held: Held) -> None:
     asked = threading.Event()
-    reloader = Reloader(Settings, use)
+    reloader = Reloader(Settings, held)
     with rereading(asked, reloader):
         asked.set()
-        assert begun.wait(WITHIN_S)
+        assert held.begun.wait(WITHIN_S)
         reloader.start()
-        threading.Timer(0.2, loaded.set).start()
+        threading.Timer(0.2, held.goes_on.set).start()
     # Python may end now: nothing is inside a library that would abort.
-    assert used == [0, 1]
-    wait_for(lambda: not any(thread.name == "touchd-reload" for thread in threading.enumerate()))
-    assert used == [0, 1]
+    assert (len(held.given), held.ended) == (1, 1)
+    wait_for(lambda: not reload_threads())
+    assert (len(held.given), held.ended) == (1, 1)
 
 
 def test_a_reload_after_the_end_starts_nothing(tmp_path: Path) -> None:
