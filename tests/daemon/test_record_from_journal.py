@@ -1,6 +1,7 @@
 """`touchd record --from-journal`: kept touches are labelled and saved as recordings, each once."""
 
 import io
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -17,16 +18,25 @@ from rigs.wait import WITHIN_S, wait_for
 from daemon import cli
 from daemon.config import JournalSettings, SensorSettings, Settings
 from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
-from daemon.kept.journal import Journal
 from daemon.kept.touch_frames import FeltTouch
 from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from daemon.kept.touches import read_since
 from daemon.playback.stream import with_quiet
 from daemon.recorder.labelling import RIGHT
-from daemon.setup.parts import load_model
-from drivers.recording import Stream, read_provenance, read_recordings
+from drivers.recording import Recording, read_provenance, read_recordings
+from model.classifier import Classifier
 
 SPEED = 20.0
+
+
+def lines_of(touch: FeltTouch, gesture: str = "pat") -> bytes:
+    """Return what the journal says of a touch that was classified as `gesture`."""
+    number, when = touch.began.touch, touch.began.time
+    answer = msgspec.structs.replace(
+        PREDICTION, touch=number, gesture=gesture, probabilities={gesture: 0.81}, time=when
+    )
+    ended = TouchEnded(touch=number, gesture=gesture, frames=201, reason="released", time=when)
+    return b"".join(encode(event) + b"\n" for event in (touch.began, answer, ended))
 
 
 class Lab:
@@ -36,10 +46,9 @@ class Lab:
         self.journal = folder / "events.jsonl"
         self.folder = folder / "lab"
         self.store = TouchStore(folder_of(self.journal), 100, "a made pad")
-        self._lines = Journal(self.journal, max_bytes=100_000, keep=3)
 
     def touched(self, number: int, gesture: str = "pat", after_s: float = 0.0) -> FeltTouch:
-        """Journal and keep a touch that was classified as `gesture`."""
+        """Journal and keep a touch."""
         touch = felt(number, after_s=after_s)
         self.journalled(touch, gesture)
         self.store.add(touch)
@@ -47,16 +56,8 @@ class Lab:
 
     def journalled(self, touch: FeltTouch, gesture: str = "pat") -> None:
         """Journal a touch whose frames are not kept."""
-        number, when = touch.began.touch, touch.began.time
-        answer = msgspec.structs.replace(
-            PREDICTION, touch=number, gesture=gesture, probabilities={gesture: 0.81}, time=when
-        )
-        ended = TouchEnded(touch=number, gesture=gesture, frames=201, reason="released", time=when)
-        for event in (touch.began, answer, ended):
-            self._lines.append(encode(event))
-
-    def close(self) -> None:
-        self._lines.close()
+        with self.journal.open("ab") as file:
+            file.write(lines_of(touch, gesture))
 
     def arguments(self, *more: str) -> list[str]:
         return ["record", str(self.folder), "--from-journal", str(self.journal), *more]
@@ -69,6 +70,10 @@ class Lab:
     def files(self) -> list[str]:
         return sorted(path.name for path in self.folder.glob("*.csv.gz"))
 
+    def numbers(self, since: str = "") -> list[int]:
+        """Return which touches the journal tells of."""
+        return [touch.began.touch for touch in read_since(self.journal, since)]
+
 
 def test_a_touch_that_is_given_up_meanwhile_does_not_end_the_labelling(lab: Lab) -> None:
     for number, gesture in ((1, "pat"), (2, "rub")):
@@ -76,20 +81,17 @@ def test_a_touch_that_is_given_up_meanwhile_does_not_end_the_labelling(lab: Lab)
     with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
         terminal.until("1 of 2: touch 2")
         terminal.until("quit: ")
-        for path in lab.journal.with_name(f"{lab.journal.name}.touches").glob("*-2.csv.gz"):
-            path.unlink()
+        kept_touches(folder_of(lab.journal))[-1].path.unlink()
         terminal.answer("7", "not kept: ", "2 of 2: touch 1", "quit: ")
         terminal.answer("7", "kept anna_foam_fur_tickle_")
         terminal.answer("q")
 
 
 def test_a_journal_that_began_before_the_clock_was_set_hides_no_older_one(lab: Lab) -> None:
-    older, newer = ([touch.began, touch.ended] for touch in (felt(1), felt(2)))
     early = TouchBegan(touch=9, time="1970-01-01T00:00:07.000Z", sensor_ms=0)
-    lab.journal.with_name(f"{lab.journal.name}.1").write_bytes(b"\n".join(map(encode, older)) + b"\n")
-    lab.journal.write_bytes(b"\n".join(map(encode, [early, *newer])) + b"\n")
-    read = read_since(lab.journal, older[0].time)
-    assert [touch.began.touch for touch in read] == [1, 2]
+    lab.journal.with_name(f"{lab.journal.name}.1").write_bytes(lines_of(felt(1)))
+    lab.journal.write_bytes(encode(early) + b"\n" + lines_of(felt(2)))
+    assert lab.numbers(felt(1).began.time) == [1, 2]
 
 
 @pytest.fixture
@@ -265,115 +267,94 @@ def test_without_anybody_to_answer_it_lists_and_ends(
     assert lab.files() == []
 
 
-def listed(lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Return the output of a session in which every touch is left for later."""
-    monkeypatch.setattr("sys.stdin", io.StringIO("l\n" * 100))
-    assert cli.main(lab.arguments(*SAY_WHO)) == 0
-    return capsys.readouterr().out.splitlines()
-
-
-def test_a_touch_without_journal_lines_is_still_offered(
+@pytest.fixture
+def listed(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+) -> Callable[[], str]:
+    """Returns the output, in one line, of a session in which every touch is left for later."""
+
+    def listed() -> str:
+        monkeypatch.setattr("sys.stdin", io.StringIO("l\n" * 100))
+        assert cli.main(lab.arguments(*SAY_WHO)) == 0
+        return " ".join(capsys.readouterr().out.split())
+
+    return listed
+
+
+def test_a_touch_without_journal_lines_is_still_offered(lab: Lab, listed: Callable[[], str]) -> None:
     lab.store.add(felt(1))
     lab.touched(2)
-    lines = listed(lab, monkeypatch, capsys)
-    assert any("touch 1, taken for ?" in line for line in lines)
-    assert any("the journal no longer tells of it" in line for line in lines)
+    said = listed()
+    assert "touch 1, taken for ?" in said
+    assert "the journal no longer tells of it" in said
     lab.journal.unlink()
-    assert any("touch 2, taken for ?" in line for line in listed(lab, monkeypatch, capsys))
+    assert "touch 2, taken for ?" in listed()
 
 
 def test_a_rotated_damaged_journal_is_read_as_far_as_possible(lab: Lab) -> None:
-    touches = [felt(number) for number in range(1, 6)]
-    lab.journalled(touches[4])
-    newest = lab.journal.read_bytes()
-    lab.close()
-    older = []
-    for number in (2, 3):
-        lab.journal.write_bytes(b"")
-        other = Lab(lab.journal.parent)
-        other.journalled(touches[number])
-        other.close()
-        older.append(lab.journal.read_bytes())
-    lab.journal.write_bytes(b'{"type":"pred\n' + newest + b'\xff\x00 no event\n{"type":"touch_beg')
-    lab.journal.with_name("events.jsonl.1").write_bytes(older[1] + b"x" * 100_000 + b"\n")
-    lab.journal.with_name("events.jsonl.2").write_bytes(older[0])
-    read = read_since(lab.journal, touches[3].began.time)
+    third, fourth, fifth = (lines_of(felt(number)) for number in (3, 4, 5))
+    lab.journal.write_bytes(b'{"type":"pred\n' + fifth + b'\xff\x00 no event\n{"type":"touch_beg')
+    lab.journal.with_name("events.jsonl.1").write_bytes(fourth + b"x" * 100_000 + b"\n")
+    lab.journal.with_name("events.jsonl.2").write_bytes(third)
+    read = read_since(lab.journal, felt(4).began.time)
     assert [(touch.began.touch, len(touch.predictions)) for touch in read] == [(4, 1), (5, 1)]
-    assert [touch.began.touch for touch in read_since(lab.journal, "")] == [3, 4, 5]
+    assert lab.numbers() == [3, 4, 5]
     assert read_since(lab.journal.with_name("none.jsonl"), "") == []
-    linked = lab.journal.with_name("linked")
-    linked.symlink_to(lab.journal)
-    assert [touch.began.touch for touch in read_since(linked, "")] == [3, 4, 5]
+    (linked := lab.journal.with_name("linked")).symlink_to(lab.journal)
+    lab.journal = linked
+    assert lab.numbers() == [3, 4, 5]
 
 
 def test_deleted_and_damaged_touches_are_passed_over(
-    lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    lab: Lab, listed: Callable[[], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for number in (1, 2):
         lab.touched(number)
     first, second = kept_touches(folder_of(lab.journal))
     second.path.write_bytes(second.path.read_bytes()[:100])
-    lines = " ".join(" ".join(listed(lab, monkeypatch, capsys)).split())
-    assert "cannot be read as a recording" in lines
-    assert "2 of 2: touch 1" in lines
+    said = listed()
+    assert "cannot be read as a recording" in said
+    assert "2 of 2: touch 1" in said
     monkeypatch.setattr("daemon.recorder.label.kept_touches", lambda _: [first, second])
     first.path.unlink()
-    lines = " ".join(" ".join(listed(lab, monkeypatch, capsys)).split())
-    assert "No such file or directory" in lines
+    assert "No such file or directory" in listed()
 
 
-def played(stream: Stream, folder: Path) -> list[Event]:
-    """Return the spawned daemon's events for a stream; it keeps touches in `folder`."""
+def stages(events: list[Event]) -> list[tuple[str, str]]:
+    return [(event.stage, event.gesture) for event in events if isinstance(event, Prediction)]
+
+
+def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path, classifier: Classifier) -> None:
+    stream, path = stream_of(LENGTHS), tmp_path / "events.jsonl"
     with playing(stream, SPEED) as port:
-        journal = JournalSettings(path=str(folder / "events.jsonl"), keep_touches=20)
+        journal = JournalSettings(path=str(path), keep_touches=20)
         settings = Settings(sensor=SensorSettings(port=port.path), journal=journal, scene=PATIENT)
-        return run_daemon(settings, folder, port)[0]
-
-
-def answers_to(stream: Stream) -> list[tuple[str, str, float]]:
-    return outline(answers(stream, load_model(Settings())))
-
-
-def outline(events: list[Event]) -> list[tuple[str, str, float]]:
-    return [
-        (event.stage, event.gesture, event.confidence) for event in events if isinstance(event, Prediction)
-    ]
-
-
-def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path) -> None:
-    stream = stream_of(LENGTHS)
-    events = played(stream, tmp_path)
-    journal = tmp_path / "events.jsonl"
-    kept = kept_touches(folder_of(journal))
+        events, _ = run_daemon(settings, tmp_path, port)
+    kept = kept_touches(folder_of(path))
     began = [event for event in events if isinstance(event, TouchBegan)]
     ended = [event for event in events if isinstance(event, TouchEnded)]
     assert [(touch.time, touch.number) for touch in kept] == [(event.time, event.touch) for event in began]
     for touch, first, last in zip(kept, began, ended, strict=True):
         frames = read_frames(touch).touch
-        assert last.sensor_ms is not None
         of_the_touch = (first.sensor_ms <= stream.sensor_ms) & (stream.sensor_ms <= last.sensor_ms)
         assert of_the_touch.sum() == last.frames
         np.testing.assert_array_equal(frames.counts, stream.counts[of_the_touch])
         np.testing.assert_array_equal(frames.sensor_ms, stream.sensor_ms[of_the_touch])
 
+    def again(recordings: list[Recording]) -> list[tuple[str, str]]:
+        return stages(answers(with_quiet(recordings, []), classifier))
+
     said = [event for event in events if isinstance(event, Prediction) and event.touch == 5]
-    again = answers_to(with_quiet(read_recordings(kept[4].path), []))
-    assert [answer[:2] for answer in again] == [answer[:2] for answer in outline(list(said))]
+    assert again(read_recordings(kept[4].path)) == stages(said)
 
     lab = tmp_path / "lab"
-    label = ["record", str(lab), "--from-journal", str(journal), "--participant", "anna"]
+    label = ["record", str(lab), "--from-journal", str(path), "--participant", "anna"]
     assert cli.main([*label, "--label", "5=stroke"]) == 0
-    (path,) = lab.glob("*.csv.gz")
-    (recording,) = read_recordings(path)
+    (labelled,) = lab.glob("*.csv.gz")
+    (recording,) = read_recordings(labelled)
     assert recording.gesture == "stroke"
     np.testing.assert_array_equal(recording.counts, read_frames(kept[4]).touch.counts)
-    assert [stage for stage, _, _ in answers_to(with_quiet([recording], []))][:3] == [
-        "early",
-        "revised",
-        "final",
-    ]
+    assert [stage for stage, _ in again([recording])][:3] == ["early", "revised", "final"]
 
 
 def test_keeping_is_turned_on_and_off_while_the_daemon_runs(tmp_path: Path) -> None:
