@@ -66,8 +66,9 @@ def test_seed_and_person_alone_decide_the_order(tmp_path: Path) -> None:
     assert len({take.path for take in again}) == 12
 
 
-def test_a_kept_recording_reads_back_with_its_provenance(tmp_path: Path) -> None:
+def test_a_kept_recording_reads_back_and_replaces_what_a_crash_left(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
+    (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
     keep(path, [recording()], {"sensor": "a pad"})
     (read,) = read_recordings(path)
     np.testing.assert_array_equal(read.counts, recording().counts)
@@ -83,13 +84,6 @@ def test_nothing_is_ever_written_over(tmp_path: Path) -> None:
         keep(path, [recording()], {})
     assert path.read_text() == "precious"
     assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
-
-
-def test_half_a_file_left_by_a_crash_is_ignored(tmp_path: Path) -> None:
-    (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
-    keep(tmp_path / "x.csv.gz", [recording()], {})
-    assert len(read_recordings(tmp_path / "x.csv.gz")) == 1
-    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> None:

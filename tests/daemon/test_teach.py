@@ -67,8 +67,17 @@ def test_a_pad_without_settings_is_left_to_the_user() -> None:
         with_model("sensors:\n  head: {}\n  arm: {port: /dev/b}\n", Path("/srv/a.onnx"), "head")
 
 
-def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str | None:
-    """Return the configured model after a person answered."""
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    path = tmp_path / "touchd.yaml"
+    path.write_text("robot: null\n")
+    return path
+
+
+def used_after(answer: str, config: Path, *, is_worse: bool = False) -> str | None:
+    """Return the configured model after a person answered; the new one lies in a home folder."""
+    model = config.parent / "home/lab/lab-2.onnx"
+    model.parent.mkdir(parents=True, exist_ok=True)
     model.write_bytes(SHIPPED_MODEL.read_bytes())
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sys, "stdin", io.StringIO(f"{answer}\n"))
@@ -76,30 +85,27 @@ def used_after(answer: str, config: Path, model: Path, *, is_worse: bool) -> str
     return load(config).model
 
 
-def test_a_configuration_that_is_a_link_stays_one(tmp_path: Path) -> None:
-    kept, config, model = tmp_path / "kept.yaml", tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
-    kept.write_text("robot: null\n")
+def test_a_configuration_that_is_a_link_stays_one(tmp_path: Path, config: Path) -> None:
+    kept = config.rename(tmp_path / "kept.yaml")
     config.symlink_to(kept)
-    assert used_after("", config, model, is_worse=False) == str(model)
+    used = used_after("", config)
     assert config.is_symlink()
-    assert load(kept).model == str(model)
+    assert used == load(kept).model == str(tmp_path / "home/lab/lab-2.onnx")
 
 
 @pytest.mark.parametrize("before", [b"{robot: null}\n", "robot: null\n".encode("utf-16")])
 def test_a_configuration_that_cannot_be_changed_stays_and_its_person_is_told(
-    tmp_path: Path, before: bytes
+    config: Path, before: bytes
 ) -> None:
-    config = tmp_path / "touchd.yaml"
     config.write_bytes(before)
-    with pytest.raises(ConfigError, match=r"touchd.yaml stays as it was; set `model: .*lab-1.onnx` in it"):
-        used_after("", config, tmp_path / "lab-1.onnx", is_worse=False)
+    with pytest.raises(ConfigError, match=r"touchd.yaml stays as it was; set `model: .*lab-2.onnx` in it"):
+        used_after("", config)
     assert config.read_bytes() == before
 
 
-def test_line_ends_stay_as_they_are(tmp_path: Path) -> None:
-    config, model = tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
+def test_line_ends_stay_as_they_are(config: Path) -> None:
     config.write_bytes(b"robot: null\r\nlanguage: de\r\n")
-    used_after("", config, model, is_worse=False)
+    used_after("", config)
     assert config.read_bytes().startswith(b"robot: null\r\nlanguage: de")
 
 
@@ -110,52 +116,36 @@ def test_a_file_in_the_folder_that_is_no_recording_is_told_before_recording(tmp_
         teach.main([str(tmp_path), "--participant", "ann"])
 
 
-def test_a_model_without_a_gesture_of_the_scene_is_not_put_into_use(tmp_path: Path) -> None:
-    config = tmp_path / "touchd.yaml"
-    config.write_text("scene: {gestures: [hug, pat]}\n")
-    with pytest.raises(
-        ConfigError, match=r"stays as it was; .* scene.gestures: hug is no gesture of the model"
-    ):
-        used_after("", config, tmp_path / "lab-1.onnx", is_worse=False)
-    assert config.read_text() == "scene: {gestures: [hug, pat]}\n"
-
-
-def test_a_worse_model_is_used_only_if_asked_for(tmp_path: Path) -> None:
-    config, model = tmp_path / "touchd.yaml", tmp_path / "lab-1.onnx"
-    config.write_text("robot: null\n")
-    assert used_after("", config, model, is_worse=True) is None
-    assert used_after("n", config, model, is_worse=False) is None
-    assert used_after("u", config, model, is_worse=True) == str(model)
+def test_a_worse_model_is_used_only_if_asked_for(config: Path) -> None:
+    assert used_after("", config, is_worse=True) is None
+    assert used_after("n", config) is None
+    assert used_after("u", config, is_worse=True) == str(config.parent / "home/lab/lab-2.onnx")
 
 
 @pytest.fixture
-def of_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Path]:
-    """The service's configuration, not yet written, and where a model in a home folder goes."""
-    monkeypatch.setattr(teach, "SERVICE_FOLDER", tmp_path)
-    model = tmp_path / "home" / "lab" / "lab-2.onnx"
-    model.parent.mkdir(parents=True)
-    return tmp_path / "touchd.yaml", model
+def of_service(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The service's configuration."""
+    monkeypatch.setattr(teach, "SERVICE_FOLDER", config.parent)
+    return config
 
 
-def test_the_service_gets_a_model_outside_home_folders(tmp_path: Path, of_service: tuple[Path, Path]) -> None:
-    config, model = of_service
-    config.write_text("robot: null\n")
+def test_the_service_gets_a_model_outside_home_folders(tmp_path: Path, of_service: Path) -> None:
     for copy in ("lab-1.onnx", "lab-2.onnx"):
-        assert used_after("", config, model, is_worse=False) == str(tmp_path / copy)
+        assert used_after("", of_service) == str(tmp_path / copy)
         assert (tmp_path / copy).read_bytes() == SHIPPED_MODEL.read_bytes()
 
 
-def test_a_model_that_the_scene_refuses_leaves_no_copy(tmp_path: Path, of_service: tuple[Path, Path]) -> None:
-    config, model = of_service
-    config.write_text("scene: {gestures: [hug, pat]}\n")
-    with pytest.raises(ConfigError, match="stays as it was; the new model does not fit"):
-        used_after("", config, model, is_worse=False)
+def test_a_model_that_the_scene_refuses_is_not_used_nor_copied(tmp_path: Path, of_service: Path) -> None:
+    of_service.write_text("scene: {gestures: [hug, pat]}\n")
+    with pytest.raises(ConfigError, match=r"stays as it was; .* scene.gestures: hug is no gesture"):
+        used_after("", of_service)
+    assert of_service.read_text() == "scene: {gestures: [hug, pat]}\n"
     assert {path.name for path in tmp_path.iterdir()} == {"touchd.yaml", "home"}
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_command_leads_from_pad_to_model(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
     monkeypatch.setattr(terminal_rig, "SHOWS_WITHIN_S", 200.0)
     pad = MadePad()
@@ -166,12 +156,11 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
         now = pressed if sensor_ms // 1000 % 2 else resting
         return encode_fabric_grid(now[sensor_ms // 19 % len(now)], sensor_ms)
 
-    config = tmp_path / "touchd.yaml"
     stream = Stream(np.zeros((5400, 8, 8), np.uint16), ideal_clock_ms(5400), ())
     with FakePort(stream, hand, speed=6.0, loop=True) as port:
         config.write_text(f"sensor: {{port: {port.path}}}\n")
         options = ["-c", str(config), "--participant", "anna", "--rounds", "2", "--seconds", "1.5"]
-        with Terminal("teach", str(tmp_path / "lab"), *options) as terminal:
+        with Terminal("teach", str(config.with_name("lab")), *options) as terminal:
             question = ""
             while question not in ("use", "leave"):
                 terminal.until("Enter to ")
