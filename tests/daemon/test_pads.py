@@ -6,7 +6,7 @@ import re
 import threading
 import time
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -270,12 +270,9 @@ def test_doctor_record_and_classify_take_the_pad_that_is_named(
     assert cli.main(["record", str(tmp_path), *arm]) == 2
     assert "/dev/ttyArm" in capfd.readouterr().err
     assert cli.main(["classify", str(GESTURES), "--gesture", "rub", "--json", *arm]) == 0
-    answers = [event for event in map(decode, capfd.readouterr().out.splitlines()) if is_answer(event)]
+    events = map(decode, capfd.readouterr().out.splitlines())
+    answers = [event for event in events if isinstance(event, Prediction)]
     assert [event.told for event in answers if event.stage in ("early", "revised")] == [False] * 2
-
-
-def is_answer(event: Event) -> TypeGuard[Prediction]:
-    return isinstance(event, Prediction)
 
 
 def test_replay_plays_as_the_pad_that_is_named(tmp_path: Path) -> None:
