@@ -34,14 +34,6 @@ def beginning(stream: Stream) -> Stream:
     return Stream(stream.counts[:BEGINNING], stream.sensor_ms[:BEGINNING], ())
 
 
-def touches(events: list[Event]) -> list[int]:
-    """Return the numbers of the ended touches."""
-    return [event.touch for event in events if isinstance(event, TouchEnded)]
-
-
-requires_haart = pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART is not set")
-
-
 @pytest.fixture
 def run(tmp_path: Path) -> Callable[..., list[Event]]:
     """Plays a stream to the spawned daemon; returns its events."""
@@ -96,7 +88,11 @@ def test_damaged_frames_mark_the_touches_degraded(
 ) -> None:
     stream = beginning(stream_of(LENGTHS))
     emitted = run(stream, faults=Faults(flip_bit_every=50))
-    assert touches(emitted) == touches(answers(stream, classifier))
+    felt, sent = (
+        [event.touch for event in events if isinstance(event, TouchEnded)]
+        for events in (emitted, answers(stream, classifier))
+    )
+    assert felt == sent
     assert any(event.degraded for event in emitted if isinstance(event, Prediction))
 
 
@@ -122,7 +118,7 @@ def four_seconds_of(recording: Recording) -> Recording:
     return replace(recording, counts=recording.counts[:216], sensor_ms=recording.sensor_ms[:216])
 
 
-@requires_haart
+@pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART is not set")
 def test_each_gestures_real_recording_is_one_touch(
     run: Callable[..., list[Event]], classifier: Classifier
 ) -> None:

@@ -93,17 +93,17 @@ def test_every_wing_exists() -> None:
     assert all((ROOT / wing.replace(".", "/")).is_dir() for wing in WINGS)
 
 
-def test_the_running_daemon_never_imports_torch(loaded: set[str]) -> None:
+@pytest.mark.parametrize(
+    "names",
+    [
+        pytest.param({"torch", "onnx", "sklearn", "matplotlib", "scipy"}, id="training, pictures"),
+        pytest.param({"rich", "qi", "websockets", "asyncio"}, id="view, page, robot"),
+        pytest.param({"paho", "pylsl", "cyclonedds", "mcap"}, id="bridges"),
+    ],
+)
+def test_the_running_daemon_imports_only_what_is_configured(loaded: set[str], names: set[str]) -> None:
     assert "onnxruntime" in loaded
-    assert not loaded & {"torch", "onnx", "sklearn", "matplotlib", "scipy"}
-
-
-def test_the_running_daemon_imports_no_view_page_or_robot(loaded: set[str]) -> None:
-    assert not loaded & {"rich", "qi", "websockets", "asyncio"}
-
-
-def test_the_running_daemon_imports_no_bridge_that_is_not_configured(loaded: set[str]) -> None:
-    assert not loaded & {"paho", "pylsl", "cyclonedds", "websockets", "mcap"}
+    assert not loaded & names
 
 
 def test_the_architecture_page_names_existing_paths() -> None:

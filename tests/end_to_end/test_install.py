@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 import setuptools
@@ -103,31 +104,26 @@ def test_a_package_installs_into_the_packages_folders(make: Make, tmp_path: Path
     assert files_in(tmp_path) == {*configuration, *moved, "usr/bin/touchd"}
 
 
-def test_uninstalling_deletes_no_foreign_folder(make: Make, tmp_path: Path) -> None:
+def test_a_foreign_folder_is_never_deleted(make: Make, tmp_path: Path) -> None:
     (tmp_path / "opt/touchd").mkdir(parents=True)
     (tmp_path / "opt/touchd/thesis.tex").write_text("")
+    done = ran(["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"])
+    assert done.returncode != 0
+    assert "is there and is not an installed touchd" in done.stdout
     make("uninstall")
     assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
 
 
-def test_installing_deletes_no_foreign_folder(tmp_path: Path) -> None:
-    thesis = tmp_path / "opt/touchd/thesis.tex"
-    thesis.parent.mkdir(parents=True)
-    thesis.write_text("")
-    done = ran(["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"])
-    assert done.returncode != 0
-    assert "is there and is not an installed touchd" in done.stdout
-    assert thesis.exists()
-
-
-def test_every_python_package_is_installed() -> None:
+@pytest.fixture
+def pyproject() -> dict[str, Any]:
     tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_every_python_package_is_installed(pyproject: dict[str, Any]) -> None:
+    include = pyproject["tool"]["setuptools"]["packages"]["find"]["include"]
     packages = {str(path.parent.relative_to(ROOT)).replace("/", ".") for path in PACKAGES}
-    found = setuptools.find_packages(
-        str(ROOT), include=project["tool"]["setuptools"]["packages"]["find"]["include"]
-    )
-    assert set(found) == packages
+    assert set(setuptools.find_packages(str(ROOT), include=include)) == packages
 
 
 @pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="systemd-tmpfiles is not installed")
@@ -146,9 +142,7 @@ def test_only_the_service_can_read_the_configuration(make: Make, tmp_path: Path)
     assert (stat.S_IMODE(file.st_mode), file.st_uid, file.st_gid) == (0o640, 0, 976)
 
 
-def test_the_lock_satisfies_what_the_project_asks_for() -> None:
-    tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
-    pyproject = tomllib.loads((ROOT / "pyproject.toml").read_text())
+def test_the_lock_satisfies_what_the_project_asks_for(pyproject: dict[str, Any]) -> None:
     project = pyproject["project"]
     locked: dict[str, list[str]] = {}
     for line in (ROOT / "requirements.lock").read_text().splitlines():
@@ -156,12 +150,8 @@ def test_the_lock_satisfies_what_the_project_asks_for() -> None:
             locked.setdefault(match[1], []).append(match[2])
     extras = project["optional-dependencies"]
     # Installers and build tools are locked as well: they run with the same rights.
-    tools = ["pip", *pyproject["build-system"]["requires"]]
-    wanted = [
-        *tools,
-        *project["dependencies"],
-        *(text for extra in INSTALLED_EXTRAS for text in extras[extra]),
-    ]
+    wanted = ["pip", *pyproject["build-system"]["requires"], *project["dependencies"]]
+    wanted += [text for extra in INSTALLED_EXTRAS for text in extras[extra]]
     for requirement in map(Requirement, wanted):
         versions = locked.get(requirement.name, [])
         assert versions, f"{requirement.name} is not locked; make lock"
@@ -185,11 +175,16 @@ def test_there_are_wheels_for_every_python_and_processor(version: str, machine: 
     assert ("\nqi==" in done.stdout) == (machine == "x86_64" and version == "3.10")
 
 
+@pytest.fixture
+def source(tmp_path: Path) -> Path:
+    """A copy of the sources, to build in."""
+    ignored = shutil.ignore_patterns(".*", "runs", "build", "*.egg-info")
+    return shutil.copytree(ROOT, tmp_path / "source", ignore=ignored)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info"))
+def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path, source: Path) -> None:
     python = tmp_path / "venv/bin/python"
     for command in (
         [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(tmp_path), str(source)],
@@ -210,9 +205,7 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path) 
     Path(sys.executable).resolve().is_relative_to(Path.home()) and not Path("/usr/bin/python3").exists(),
     reason="there is only a Python in the home folder",
 )
-def test_the_installed_program_runs(make: Make, tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "runs", "build", "*.egg-info"))
+def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) -> None:
     make("install", "PYTHON=/usr/bin/python3", source=source)
     program = tmp_path / "opt/touchd/bin/touchd"
     assert program.read_text().startswith("#!/opt/touchd/bin/python")
