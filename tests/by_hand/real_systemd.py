@@ -18,7 +18,7 @@ import pytest
 from by_hand.debian_machine import KINDS, Emulated, Machine, booted, what_is_missing
 from rigs.expectations import LENGTHS
 
-from daemon.events import Prediction, TouchBegan, TouchEnded, decode
+from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 
 KIND = KINDS[os.environ.get("TOUCHD_LAB", "container")]
 SLOW_MOTION = 25.0 if KIND is Emulated else 1.0
@@ -102,9 +102,15 @@ def shown(lab: Machine, *names: str) -> list[str]:
     return [told[name] for name in names]
 
 
-def await_events(lab: Machine, count: int) -> None:
-    """Wait until the journal of events has `count` lines."""
+def await_events(lab: Machine, count: int) -> list[Event]:
+    """Wait until the journal of events has `count` lines; returns these events."""
     lab.wait_until(f"test $(wc -l < {EVENTS}) -ge {count}", 60)
+    return [decode(line) for line in lab.run(f"head -n {count} {EVENTS}").splitlines()]
+
+
+def await_more_events(lab: Machine, count: int) -> None:
+    """Wait until the journal of events has `count` more lines; all must be whole."""
+    await_events(lab, int(lab.run(f"wc -l < {EVENTS}")) + count)
 
 
 def await_status(lab: Machine, pattern: str) -> str:
@@ -123,8 +129,7 @@ def test_ready_waits_for_the_model_and_the_pad(touchd: Machine) -> None:
 
 @needs_pace
 def test_events_reach_journal_log_and_robot(touchd: Machine) -> None:
-    await_events(touchd, 8)
-    events = [decode(line) for line in touchd.run(f"head -n 8 {EVENTS}").splitlines()]
+    events = await_events(touchd, 8)
     assert {TouchBegan, Prediction, TouchEnded} <= {type(event) for event in events}
     assert '"type":"prediction"' in touchd.run(f"{LOG} -u touchd")
     assert "TouchGesture/Gesture" in touchd.run(f"{LOG} -u robot")
@@ -138,12 +143,9 @@ def test_a_reload_keeps_process_stream_and_touch_numbers(touchd: Machine) -> Non
     touchd.write("/etc/touchd/touchd.yaml", CONFIGURATION + "scene: {gestures: [pat, stroke]}\n")
     touchd.run("systemctl reload touchd")
     touchd.wait_until(f"{LOG} -u touchd | grep -q 'changed: scene'")
-    await_events(touchd, 16)
+    events = await_events(touchd, 16)
     assert shown(touchd, "MainPID", "NRestarts") == [*before, "0"]
-    events = [decode(line) for line in touchd.run(f"cat {EVENTS}").splitlines()]
-    assert {"sensor"} == {
-        event.__struct_config__.tag for event in events if "sensor" in str(type(event)).lower()
-    }
+    assert SensorEvent in map(type, events)
     began = [event.touch for event in events if isinstance(event, TouchBegan)]
     assert began == list(range(1, len(began) + 1))
     assert "0 frames dropped" in await_status(touchd, "frames/s")
@@ -188,9 +190,7 @@ def test_a_killed_service_restarts_with_whole_journal_lines(touchd: Machine) -> 
     touchd.run("systemctl kill -s KILL touchd")
     touchd.wait_until("test $(systemctl show touchd -P NRestarts) = 1")
     touchd.wait_until("systemctl is-active -q touchd")
-    count = int(touchd.run(f"wc -l < {EVENTS}"))
-    await_events(touchd, count + 4)
-    assert all(decode(line) for line in touchd.run(f"head -n {count + 4} {EVENTS}").splitlines())
+    await_more_events(touchd, 4)
 
 
 def test_it_runs_as_its_own_user_without_any_privilege(touchd: Machine) -> None:
@@ -264,9 +264,7 @@ def test_after_a_power_cut_the_journal_has_whole_lines(touchd: Machine) -> None:
     touchd.cut_power()
     plug_in(touchd)
     touchd.wait_until("systemctl is-active -q touchd")
-    count = int(touchd.run(f"wc -l < {EVENTS}"))
-    await_events(touchd, count + 2)
-    assert all(decode(line) for line in touchd.run(f"head -n {count + 2} {EVENTS}").splitlines())
+    await_more_events(touchd, 2)
     touchd.run("systemctl disable --quiet touchd")
 
 

@@ -15,7 +15,6 @@ import argparse
 import itertools
 import json
 import os
-import socket
 import sys
 import tempfile
 import threading
@@ -26,6 +25,7 @@ from pathlib import Path
 
 from rigs.audit import Audit, Viewer
 from rigs.soak_line import pad
+from rigs.sockets import free_port
 
 from daemon.config import LiveSettings, Settings
 from daemon.events import Event, TouchEnded, encode
@@ -36,7 +36,7 @@ from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_fr
 from daemon.pipeline import Pipeline
 from daemon.setup.destinations import description_of, open_live_page
 from daemon.setup.parts import load_model
-from daemon.sinks import JournalSink, RobotSink, Sink
+from daemon.sinks import JournalSink, RobotSink
 from drivers.fakes.stub_robot import StubRobot
 from drivers.frame import FRAME_RATE_HZ
 from drivers.pad.protocol import parser_of
@@ -66,18 +66,12 @@ def memory_mb() -> float:
 class PromptStore(TouchStore):
     """Signals when a touch is written: the soak waits, as its touches follow faster than real ones."""
 
-    def __init__(self, folder: Path, most: int, sensor: str) -> None:
-        self._written = threading.Semaphore(0)
-        super().__init__(folder, most, sensor)
+    written = threading.Semaphore(0)
 
     def add(self, touch: FeltTouch) -> None:
         """Write a touch, and signal it."""
         super().add(touch)
-        self._written.release()
-
-    def wait(self) -> None:
-        """Wait until one more touch is written."""
-        self._written.acquire(timeout=WRITTEN_S)
+        self.written.release()
 
 
 class Soak:
@@ -90,29 +84,21 @@ class Soak:
         self.hours: list[dict[str, float]] = []
         self._path = folder / "events.jsonl"
         self._latest: deque[bytes] = deque(maxlen=1000)
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            settings = Settings(live=LiveSettings(port=free.getsockname()[1]))
-        assert settings.live is not None
+        port = free_port()
+        settings = Settings(live=LiveSettings(port=port))
         model = load_model(settings)
         self._parser = parser_of(settings.sensor.described)
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
         self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
-        self._robot_sink = RobotSink(self._link, itertools.count(1))
         self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
         self._touch_sink = TouchSink({"pad": self._store})
-        live_page = open_live_page(settings, {"pad": model})
-        assert live_page is not None
-        self._live_sink = live_page
-        self._sinks: tuple[Sink, ...] = (
-            self._journal_sink,
-            self._robot_sink,
-            self._touch_sink,
-            self._live_sink,
-        )
+        self._live_sink = open_live_page(settings, {"pad": model})
+        robot_sink = RobotSink(self._link, itertools.count(1))
+        self._sinks = (self._journal_sink, robot_sink, self._touch_sink, self._live_sink)
         for sink in self._sinks:
             sink.start()
-        self.viewer = Viewer(settings.live.port)
+        self.viewer = Viewer(port)
         self._pipeline = Pipeline(settings.pipeline, model, self._emit)
         self._pad_watch = PadWatch()
 
@@ -149,7 +135,7 @@ class Soak:
         for sink in self._sinks:
             sink.put(event)
         if isinstance(event, TouchEnded):
-            self._store.wait()
+            self._store.written.acquire(timeout=WRITTEN_S)
 
     def _switch_the_robot(self) -> None:
         self.robot_switched += 1

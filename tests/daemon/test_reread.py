@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rigs.expectations import LENGTHS, expected, outline, stream_of
+from rigs.expectations import LENGTHS, expected, outline
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.patient_port import playing
 from rigs.robots import Robot
@@ -20,18 +20,13 @@ from rigs.running_daemon import SPEED, Daemon
 from rigs.wait import WITHIN_S, wait_for
 
 from daemon.config import JournalSettings, PadSettings, SceneSettings, SensorSettings, Settings
-from daemon.decide import DecisionSettings
 from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode
 from daemon.health import Health, Notifier
-from daemon.pipeline import Pipeline, PipelineSettings
 from daemon.service import Service
 from daemon.setup import reread
 from daemon.setup.destinations import encoder_for
-from daemon.setup.parts import load_model
 from daemon.setup.reread import Reloader, rereading
-from daemon.touch import TouchSettings
 from drivers.fakes.fake_port import FakePort
-from drivers.frame import Frame
 from drivers.recording import Stream, ideal_clock_ms
 from drivers.robot.settings import RobotSettings
 from model.classifier import SHIPPED_MODEL
@@ -228,33 +223,6 @@ def test_a_reload_adds_and_removes_the_robot(daemon: Daemon) -> None:
     )
     touches = [event.touch for event in daemon.finish() if isinstance(event, TouchBegan)]
     assert touches == list(range(1, len(touches) + 1))
-
-
-def test_new_settings_apply_from_the_next_touch() -> None:
-    classifier = load_model(Settings())
-    events: list[Event] = []
-    pipeline = Pipeline(PipelineSettings(), classifier, events.append)
-    stream = stream_of(LENGTHS)
-    later = PipelineSettings(
-        touch=TouchSettings(quiet_s=0.7), decision=DecisionSettings(answer_at_frames=(20, 30, 200))
-    )
-    asked = False
-    for number, (ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-        before = len(events)
-        pipeline.on_frame(Frame(number, ms, 0.0, counts))
-        began = [event for event in events[before:] if isinstance(event, TouchBegan)]
-        if began and began[0].touch == 3:
-            asked = True
-        if asked and not pipeline.has_touch:
-            asked, pipeline = False, Pipeline(later, classifier, events.append, before=pipeline)
-    pipeline.flush()
-    lengths = {
-        touch: {event.frames for event in events if isinstance(event, Prediction) and event.touch == touch}
-        for touch in (3, 4)
-    }
-    assert 54 in lengths[3]
-    assert {20, 30} <= lengths[4]
-    assert [event.touch for event in events if isinstance(event, TouchEnded)] == list(range(1, 7))
 
 
 class Held:
