@@ -117,14 +117,6 @@ def test_a_firm_finger_on_one_row_is_a_touch(pad: TrackedPad) -> None:
     assert pad.feel(finger) == [Onset(pad.index - 27)]
 
 
-def test_a_slow_drift_of_the_rest_is_followed(pad: TrackedPad) -> None:
-    drift = np.linspace(0, 10, 54 * 60)[:, None, None] * np.ones((8, 8))
-    assert pad.feel(drift.astype(np.float32)) == []
-    pad.rest += 10
-    (onset,) = pad.feel(palm(0.5, counts=8.0))
-    assert abs(onset.first_index - (pad.index - 27)) <= 1
-
-
 def test_a_hand_present_at_the_start_counts_as_rest() -> None:
     pad = TrackedPad()
     assert pad.feel(palm(5.0, trembling=False), 1.0) == []
