@@ -47,7 +47,11 @@ STILL_EVERY_S = 1 / 54
 SETTLES_S = 5.0
 WIDTH, HEIGHT, FONT_SIZE = 10, 20, 16
 PAPER, INK = (12, 15, 19), (243, 245, 248)
-LOWER, LEFT = " ▁▂▃▄▅▆▇█", " ▏▎▍▌▋▊▉█"
+# What a block character fills of its cell: left, top, right, bottom in pixels.
+BLOCKS = {"▀": (0, 0, WIDTH, HEIGHT // 2), "▐": (WIDTH // 2, 0, WIDTH, HEIGHT)}
+for number, (lower, left) in enumerate(zip("▁▂▃▄▅▆▇█", "▏▎▍▌▋▊▉█", strict=True), 1):
+    BLOCKS[lower] = (0, HEIGHT - HEIGHT * number // 8, WIDTH, HEIGHT)
+    BLOCKS[left] = (0, 0, WIDTH * number // 8, HEIGHT)
 # The third touch, a rub, after its final answer.
 TOUCH, AFTER_S = 3, 3.1
 
@@ -138,41 +142,23 @@ def draw(console: Console, view: View, path: Path) -> None:
     """Save a view as PNG; block characters are drawn as rectangles without gaps, as a terminal shows them."""
     image = Image.new("RGB", (console.width * WIDTH, console.height * HEIGHT), PAPER)
     draw = ImageDraw.Draw(image)
-    column = row = 0
+    x = y = 0
     for text, style, _ in console.render(view):
-        bold = bool(style and style.bold)
+        font = _font(bool(style and style.bold))
         ink = style.color.get_truecolor() if style and style.color else INK
         paper = style.bgcolor.get_truecolor() if style and style.bgcolor else PAPER
         for character in text:
             if character == "\n":
-                column, row = 0, row + 1
+                x, y = 0, y + HEIGHT
                 continue
-            _draw(draw, character, (column * WIDTH, row * HEIGHT), tuple(ink), tuple(paper), bold)
-            column += 1
+            draw.rectangle((x, y, x + WIDTH - 1, y + HEIGHT - 1), fill=tuple(paper))
+            if character in BLOCKS:
+                left, top, right, bottom = BLOCKS[character]
+                draw.rectangle((x + left, y + top, x + right - 1, y + bottom - 1), fill=tuple(ink))
+            else:
+                draw.text((x, y), character, fill=tuple(ink), font=font)
+            x += WIDTH
     image.save(path)
-
-
-def _draw(
-    draw: ImageDraw.ImageDraw,
-    character: str,
-    at: tuple[int, int],
-    ink: tuple[int, ...],
-    paper: tuple[int, ...],
-    bold: bool,
-) -> None:
-    x, y = at
-    right, bottom = x + WIDTH - 1, y + HEIGHT - 1
-    draw.rectangle((x, y, right, bottom), fill=paper)
-    if character == "▀":
-        draw.rectangle((x, y, right, y + HEIGHT // 2 - 1), fill=ink)
-    elif character == "▐":
-        draw.rectangle((x + WIDTH // 2, y, right, bottom), fill=ink)
-    elif character in LOWER[1:]:
-        draw.rectangle((x, bottom + 1 - HEIGHT * LOWER.index(character) // 8, right, bottom), fill=ink)
-    elif character in LEFT[1:]:
-        draw.rectangle((x, y, x + WIDTH * LEFT.index(character) // 8 - 1, bottom), fill=ink)
-    else:
-        draw.text(at, character, fill=ink, font=_font(bold))
 
 
 def _font(bold: bool) -> ImageFont.FreeTypeFont:
