@@ -26,6 +26,7 @@ from daemon.service import Service
 from daemon.setup import reread
 from daemon.setup.destinations import encoder_for
 from daemon.setup.reread import Reloader, rereading
+from daemon.sinks import QueuedSink
 from drivers.fakes.fake_port import FakePort
 from drivers.recording import Stream, ideal_clock_ms
 from drivers.robot.settings import RobotSettings
@@ -113,25 +114,18 @@ def test_a_reload_can_change_the_port(daemon: Daemon) -> None:
         assert other.path in states[-1].reason
 
 
-class Heard:
+class Heard(QueuedSink[Event]):
     """A sink that keeps what a daemon of two pads says; it may be asked about one of them."""
 
-    name = "heard"
-
     def __init__(self) -> None:
+        super().__init__("heard")
         self.events: list[Event] = []
 
-    def start(self) -> None: ...
-
-    def stop(self, timeout_s: float) -> None: ...
-
-    def put(self, event: Event) -> None:
-        self.events.append(event)
+    def write(self, item: Event) -> None:
+        self.events.append(item)
 
     def of(self, kind: type[Event], pad: str) -> list[Event]:
-        return [
-            event for event in self.events if isinstance(event, kind) and getattr(event, "pad", "") == pad
-        ]
+        return [event for event in self.events if isinstance(event, kind) and event.pad == pad]
 
 
 def pressed(*scans: Scans) -> FakePort:
@@ -186,26 +180,19 @@ def test_a_pad_that_comes_back_goes_on_counting_its_touches() -> None:
 def test_what_a_reload_replaces_is_freed() -> None:
     with pressed() as pad, serving(Settings(sensor=SensorSettings(port=pad.path))) as (service, _):
 
-        def reload(**changes: Any) -> None:
-            used = threading.Event()
+        def reload(size_mm: float) -> None:
+            sensor = SensorSettings(port=pad.path, size_mm=(size_mm, size_mm))
+            Reloader(lambda: Settings(sensor=sensor), service.reload).start()
+            wait_for(lambda: not reload_threads())
 
-            def use(settings: Settings) -> list[str]:
-                changed = service.reload(settings)
-                used.set()
-                return changed
-
-            sensor = SensorSettings(port=pad.path, **changes)
-            Reloader(lambda: Settings(sensor=sensor), use).start()
-            assert used.wait(WITHIN_S)
-
-        reload(size_mm=(80.0, 80.0))
+        reload(80.0)
         (only,) = service._parts.pads.values()
         replaced = weakref.ref(only.pipeline)
         del only
         # Python would collect it some time; its megabytes may not wait for that.
         gc.disable()
         try:
-            reload(size_mm=(90.0, 90.0))
+            reload(90.0)
             wait_for(lambda: replaced() is None)
         finally:
             gc.enable()

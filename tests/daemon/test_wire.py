@@ -12,8 +12,9 @@ HEIGHTS = np.array([5, 4, 12, 9, 2, 2, 4, 6], np.float32)
 LITTLE = np.full(8, 1.4, np.float32)
 
 
-def known_after(up: Frames, down: Frames, wire: LooseWire | None = None) -> LooseWire:
-    """Return what is known after the pad jumped three times by `up` and back by `down`, (8, 8) counts."""
+def known_after(up: Frames, down: Frames | None = None, wire: LooseWire | None = None) -> LooseWire:
+    """Return what is known after the pad jumped three times by `up` and back, by `down` if given."""
+    down = up if down is None else down
     levels = [REST]
     for _ in range(3):
         levels += [levels[-1] + up, levels[-1] + up - down]
@@ -43,7 +44,7 @@ def elsewhere(counts: float) -> Frames:
     [(column(HEIGHTS), "column 3"), (column(HEIGHTS, 7).T, "row 8"), (column(-HEIGHTS), "column 3")],
 )
 def test_a_line_that_jumps_there_and_back_is_known_and_taken_out(jump: Frames, line: str) -> None:
-    wire = known_after(jump, jump)
+    wire = known_after(jump)
     assert wire.lines == (line,)
     assert wire.take_out(REST + jump, REST) == pytest.approx(REST, abs=2.0)
 
@@ -51,20 +52,18 @@ def test_a_line_that_jumps_there_and_back_is_known_and_taken_out(jump: Frames, l
 @pytest.mark.parametrize(
     ("up", "down"),
     [
-        pytest.param(np.full((8, 8), 5.0, np.float32), np.full((8, 8), 5.0, np.float32), id="the whole pad"),
-        pytest.param(column(HEIGHTS) + 2.0, column(HEIGHTS) + 2.0, id="and the others, by less"),
-        pytest.param(
-            column(HEIGHTS) + elsewhere(9.0), column(HEIGHTS) + elsewhere(9.0), id="and a taxel elsewhere"
-        ),
-        pytest.param(column(HEIGHTS * (HEIGHTS > 5)), column(HEIGHTS * (HEIGHTS > 5)), id="a fingertip"),
-        pytest.param(column(LITTLE), column(LITTLE), id="by little"),
+        pytest.param(np.full((8, 8), 5.0, np.float32), None, id="the whole pad"),
+        pytest.param(column(HEIGHTS) + 2.0, None, id="and the others, by less"),
+        pytest.param(column(HEIGHTS) + elsewhere(9.0), None, id="and a taxel elsewhere"),
+        pytest.param(column(HEIGHTS * (HEIGHTS > 5)), None, id="a fingertip"),
+        pytest.param(column(LITTLE), None, id="by little"),
         pytest.param(column(HEIGHTS), column(3 * HEIGHTS[::-1]), id="by more and elsewhere on the way back"),
     ],
 )
-def test_other_jumps_are_no_loose_wire(up: Frames, down: Frames) -> None:
+def test_other_jumps_are_no_loose_wire(up: Frames, down: Frames | None) -> None:
     assert known_after(up, down).lines == ()
 
 
 def test_two_loose_wires_are_both_known() -> None:
-    first = known_after(column(HEIGHTS), column(HEIGHTS))
-    assert known_after(column(HEIGHTS, 5), column(HEIGHTS, 5), first).lines == ("column 3", "column 6")
+    first = known_after(column(HEIGHTS))
+    assert known_after(column(HEIGHTS, 5), wire=first).lines == ("column 3", "column 6")
