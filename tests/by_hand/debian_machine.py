@@ -103,7 +103,6 @@ class Container(Machine):
     slower = 1.0
 
     def start(self, closing: ExitStack) -> None:
-        """Boot it; `closing` ends it."""
         root, disk = self.folder / "root", self.folder / "disk.img"
         root.mkdir()
         call("cp", "--sparse=always", str(make_disk()), str(disk))
@@ -123,7 +122,6 @@ class Container(Machine):
         self.await_boot()
 
     def shell(self, command: str) -> Sequence[str]:
-        """Return the command that runs a shell command on the machine."""
         pid = self._process.pid
         init = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
         inside = ("nsenter", "--target", init[0], "--all") if init else ("false",)
@@ -137,7 +135,6 @@ class Emulated(Machine):
     slower = 60.0
 
     def start(self, closing: ExitStack) -> None:
-        """Switch it on; `closing` switches it off."""
         disk, given = make_disk(), self.folder / "given.img"
         call("mkfs.ext4", "-q", "-d", str(self.folder / "given"), str(given), "1G")
         with socket.create_server(("127.0.0.1", 0)) as free:
@@ -169,7 +166,6 @@ class Emulated(Machine):
         self.await_boot()
 
     def shell(self, command: str) -> Sequence[str]:
-        """Return the command that runs a shell command on the machine."""
         options = [f"-o{option}" for option in (*SSH, f"ControlPath={self.folder / 'ssh'}")]
         return ["ssh", *options, "-i", str(CACHE / "key"), "-p", str(self._port), "root@127.0.0.1", command]
 

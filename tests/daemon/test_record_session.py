@@ -60,14 +60,18 @@ def test_a_pad_unplugged_while_recording_is_reported(port: FakePort) -> None:
         assert "went away" in pad.await_frame(0.3)
 
 
-def arguments(port: FakePort, folder: Path, *more: str) -> list[str]:
+ANNA = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch")
+
+
+@pytest.fixture
+def record(tmp_path: Path, port: FakePort) -> list[str]:
+    """The command for short recordings on foam."""
     options = ["--substrate", "foam", "--seconds", "1.5", "--countdown", "1", "--port", port.path]
-    return ["record", str(folder), *options, *more]
+    return ["record", str(tmp_path), *options]
 
 
-def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, port: FakePort, hand: Hand) -> None:
-    options = ("--gestures", "pat,notouch,rub", "--licence", "CC-BY-4.0")
-    with Terminal(*arguments(port, tmp_path, *options)) as terminal:
+def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, record: list[str], hand: Hand) -> None:
+    with Terminal(*record, "--gestures", "pat,notouch,rub", "--licence", "CC-BY-4.0") as terminal:
         terminal.until("Who touches the pad?")
         terminal.answer("an na", "a name has letters", "Who touches the pad?")
         terminal.answer("anna", "What is over the pad? [none] ")
@@ -116,12 +120,11 @@ def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
         question = terminal.until(", s to skip")
 
 
-def test_a_session_resumes_after_a_crash(tmp_path: Path, port: FakePort) -> None:
+def test_a_session_resumes_after_a_crash(tmp_path: Path, record: list[str]) -> None:
     kept = tmp_path / "anna_foam_fur_notouch_1.csv.gz"
     (recording,) = simulate((("notouch", 0.5),), seed=1)
     keep(kept, [recording], {})
-    options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch", "--rounds", "2")
-    with Terminal(*arguments(port, tmp_path, *options)) as terminal:
+    with Terminal(*record, *ANNA, "--rounds", "2") as terminal:
         assert "1 of 2" not in terminal.until("2 of 2: notouch")
         terminal.until("Enter to begin")
         terminal.answer("", "notouch now")
@@ -130,19 +133,18 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, port: FakePort) -> None
     assert list(tmp_path.iterdir()) == [kept]
 
 
-def test_quitting_shows_how_to_resume(tmp_path: Path, port: FakePort) -> None:
-    options = ("--participant", "anna", "--cover", "fur", "--gestures", "notouch")
-    with Terminal(*arguments(port, tmp_path, *options)) as terminal:
+def test_quitting_shows_how_to_resume(record: list[str]) -> None:
+    with Terminal(*record, *ANNA) as terminal:
         terminal.until("Enter to begin")
         terminal.answer("q", "the same command goes on from here")
         assert terminal.process.wait(WITHIN_S) == 0
 
 
 def test_without_anybody_to_answer_it_ends(
-    tmp_path: Path, port: FakePort, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, record: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with Path("/dev/null").open() as nobody:
         monkeypatch.setattr("sys.stdin", nobody)
-        assert cli.main(arguments(port, tmp_path, "--participant", "anna", "--cover", "fur")) == 0
+        assert cli.main([*record, *ANNA]) == 0
     assert "Stopped" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []

@@ -44,27 +44,19 @@ print("gone")
 """
 
 
-def prediction(
-    stage: str = "early", frames: int = 54, gesture: str = "stroke", **other: object
-) -> Prediction:
+def prediction(stage: str, frames: int, gesture: str) -> Prediction:
     shares = dict.fromkeys(("constant", "rub", "scratch", "tickle"), 0.01)
-    shares |= {"notouch": 0.0, "pat": 0.15, "stroke": 0.81}
-    own: dict[str, Any] = {"stage": stage, "frames": frames, "gesture": gesture, "time": ""}
+    own: dict[str, Any] = {"stage": stage, "frames": frames, "gesture": gesture, "elapsed_s": frames / 54}
     return msgspec.structs.replace(
-        PREDICTION, **own, elapsed_s=round(frames / 54, 3), probabilities=shares, **other
+        PREDICTION, **own, probabilities={**shares, "notouch": 0.0, "pat": 0.15, "stroke": 0.81}
     )
 
 
 def view_of(
     width: int, height: int, colours: str | None = None, language: Language = "en"
 ) -> tuple[View, Console]:
-    console = Console(
-        file=io.StringIO(),
-        width=width,
-        height=height,
-        color_system=colours,
-        force_terminal=colours is not None,
-    )
+    colour: dict[str, Any] = {"color_system": colours, "force_terminal": colours is not None}
+    console = Console(file=io.StringIO(), width=width, height=height, **colour)
     view = View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console, language=language)
     return view, console
 
@@ -76,8 +68,8 @@ def touch(view: View) -> None:
     view.put(TouchBegan(touch=7, time="", sensor_ms=0))
     for number in range(1, 160):
         view.show_frame(np.full((8, 8), 90, np.uint16), 18 * number)
-    view.put(prediction(gesture="pat"))
-    view.put(prediction("final", 144))
+    view.put(prediction("early", 54, "pat"))
+    view.put(prediction("final", 144, "stroke"))
     view.put(RobotAction(touch=7, action="say", what="Oh, it is a stroke!", time=""))
 
 

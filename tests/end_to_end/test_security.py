@@ -12,18 +12,16 @@ from pathlib import Path
 
 import pytest
 import yaml
-from rigs.expectations import LENGTHS, stream_of
 from rigs.programs import TOUCHD, Program
 from rigs.robots import needs_qi
+from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
+from rigs.wait import wait_for
 
-from daemon.config import JournalSettings, SensorSettings, Settings
+from daemon.config import JournalSettings
 from daemon.events import RobotEvent, SensorEvent
-from daemon.playback.rig import SpawnedDaemon
-from daemon.setup.destinations import encoder_for
 from daemon.setup.strict_yaml import StrictLoader
 from docs.studies.training.recipe import MAX_BYTES, SettingsError, read_recipe
-from drivers.fakes.fake_port import FakePort
 from drivers.robot.settings import RobotSettings
 
 ROOT = Path(__file__).parents[2]
@@ -151,27 +149,16 @@ def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
 def test_the_daemon_listens_nowhere(tmp_path: Path) -> None:
     with (
         Program(*TOUCHD, "fake-robot", "--port", "0") as robot,
-        FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as pad,
-    ):
-        settings = Settings(
-            sensor=SensorSettings(port=pad.path),
+        Daemon(
+            tmp_path,
             robot=RobotSettings(url=json.loads(robot.stdout.readline())["listening"]),
             journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
-        )
-        daemon = SpawnedDaemon(settings, tmp_path)
-        await_both(daemon)
+        ) as daemon,
+    ):
+        wait_for(lambda: {SensorEvent, RobotEvent} <= set(map(type, daemon.events)))
         daemons, robots = sockets(daemon.process.pid), sockets(robot.pid)
         assert daemon.stop() == 0
         robot.terminate()
     assert [one for one in daemons if one[2] == LISTENS or one[0].startswith("udp")] == []
     assert {address.partition(":")[0] for _, address, _ in daemons + robots} == {LOOPBACK}
     assert LISTENS in [state for _, _, state in robots]
-
-
-def await_both(daemon: SpawnedDaemon) -> None:
-    """Wait until pad and robot are connected."""
-    waited_for = {SensorEvent, RobotEvent}
-    for event in daemon.events():
-        waited_for.discard(type(event))
-        if not waited_for:
-            return
