@@ -17,18 +17,18 @@ from rigs.felt_touch import felt
 from rigs.live_rig import HANDSHAKE, Served, frames_among
 from rigs.made_events import touch
 from rigs.made_pad import MadePad, Scans, nothing, palm
-from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from daemon.config import JournalSettings, SensorSettings, load
+from daemon.config import JournalSettings, SensorSettings, Settings, load
 from daemon.events import Event, Prediction, TouchEnded, encode
 from daemon.kept.journal import Journal, JournalError
 from daemon.kept.touch_store import TouchStore, kept_touches
 from daemon.kept.touches import read_journal, read_since
 from daemon.pad.age import Age
 from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from daemon.playback.rig import SpawnedDaemon
 from daemon.setup.destinations import encoder_for, link_to_robot, open_journal
 from daemon.sinks import JournalSink, LinesSink, LogSink
 from drivers.errors import TouchdError
@@ -85,11 +85,16 @@ def test_a_view_ends_well_when_its_terminal_is_closed() -> None:
 
 def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
     reader, writer = full_pipe()
-    with Daemon(tmp_path, None, open(writer, "wb"), log_level="debug") as daemon:
-        daemon.await_event(TouchEnded)
-        asked_s = time.monotonic()
-        assert daemon.stop() == 0
-        assert time.monotonic() - asked_s < 2 * AT_ONCE_S
+    with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as port, open(writer) as log:
+        settings = Settings(sensor=SensorSettings(port=port.path), log_level="debug")
+        daemon = SpawnedDaemon(settings, tmp_path, log)
+        try:
+            assert any(isinstance(event, TouchEnded) for event in daemon.events())
+            asked_s = time.monotonic()
+            assert daemon.stop() == 0
+            assert time.monotonic() - asked_s < 2 * AT_ONCE_S
+        finally:
+            daemon.stop()
     os.close(reader)
 
 

@@ -199,7 +199,7 @@ def test_a_touch_begun_before_keeping_is_not_kept(bench: StoreBench) -> None:
 
 
 @pytest.mark.parametrize("said", [None, "disturbed", "degraded", "up"])
-def test_a_touch_is_kept_whole_though_settings_change_or_states_come(
+def test_a_touch_stays_whole_though_settings_change_or_states_come(
     bench: StoreBench, said: PadState | None
 ) -> None:
     bench.feel(palm(0.5))
