@@ -112,9 +112,7 @@ def test_a_pad_that_nobody_touches_reports_no_touch(pad: TrackedPad, scans: list
 
 
 def test_a_firm_finger_on_one_row_is_a_touch(pad: TrackedPad) -> None:
-    finger = np.zeros((27, 8, 8), np.float32)
-    finger[:, 4, 3:5] = 60.0
-    assert pad.feel(finger) == [Onset(pad.index - 27)]
+    assert pad.feel(at(nothing(0.5), 4, slice(3, 5), 60.0)) == [Onset(pad.index - 27)]
 
 
 def test_a_hand_present_at_the_start_counts_as_rest() -> None:
@@ -220,6 +218,7 @@ def test_presses_that_shift_the_rest_stay_separate(pad: TrackedPad) -> None:
 def test_a_touch_ends_when_only_the_object_remains(pad: TrackedPad) -> None:
     box = palm(2.0, counts=30.0, trembling=False)
     pad.touched(palm(3.0, counts=150.0), box)
+    # What moved below the hand makes the rest of the pad no duller.
     began, beside = pad.index, box[:54].copy()
     beside[:, 6:8, 0:3] += 16.0
     assert pad.feel(beside) == [Onset(began)]
@@ -375,9 +374,7 @@ def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, netwo
 
 def test_no_frame_may_wait_while_light_contact_is_weighed(seen: TrackedPad) -> None:
     assert seen.tracker.is_settled(4)
-    light = nothing(0.2)
-    light[:, 2:5, 2:5] += 4.0
-    assert seen.feel(light) == []
+    assert seen.feel(at(nothing(0.2), slice(2, 5), slice(2, 5), 4.0)) == []
     assert not seen.tracker.is_settled(4)
 
 
