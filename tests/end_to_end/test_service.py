@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rigs.expectations import LENGTHS, expected, outline
@@ -136,15 +137,16 @@ def pad() -> Iterator[FakePort]:
         yield port
 
 
-Spawn = Callable[[Settings], SpawnedDaemon]
+Spawn = Callable[..., SpawnedDaemon]
 
 
 @pytest.fixture
 def spawn(tmp_path: Path, manager: Manager) -> Iterator[Spawn]:
-    """Spawns daemons; stops them after the test."""
+    """Spawns daemons on a port; stops them after the test."""
     with ExitStack() as closing:
 
-        def spawn(settings: Settings) -> SpawnedDaemon:
+        def spawn(port: str, **others: Any) -> SpawnedDaemon:
+            settings = Settings(sensor=SensorSettings(port=port), **others)
             daemon = SpawnedDaemon(settings, tmp_path, None, manager.environ)
             closing.callback(daemon.stop)
             return daemon
@@ -156,7 +158,7 @@ def spawn(tmp_path: Path, manager: Manager) -> Iterator[Spawn]:
 def test_a_signal_ends_the_daemon_before_systemd_would(
     spawn: Spawn, manager: Manager, pad: FakePort, number: signal.Signals
 ) -> None:
-    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)))
+    daemon = spawn(pad.path)
     manager.await_ready()
     asked_s = time.monotonic()
     daemon.process.send_signal(number)
@@ -176,26 +178,20 @@ def test_under_nohup_a_terminal_that_closes_ends_nothing(pad: FakePort) -> None:
 
 
 def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, manager: Manager) -> None:
-    daemon = spawn(Settings(sensor=SensorSettings(port=str(tmp_path / "pad"))))
+    daemon = spawn(str(tmp_path / "pad"))
     manager.await_ready()
     event = next(daemon.events())
-    assert isinstance(event, SensorEvent)
-    assert event.state == "down"
+    assert (type(event), event.state) == (SensorEvent, "down")
     assert "is not there" in event.reason
     assert daemon.stop() == 0
 
 
 @needs_qi
 def test_stalled_reader_and_dead_robot_cost_no_journal_line(spawn: Spawn, tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
     with playing(LENGTHS, 50.0) as pad:
-        settings = Settings(
-            sensor=SensorSettings(port=pad.path),
-            robot=RobotSettings(url="tcp://127.0.0.1:9"),
-            journal=JournalSettings(path=str(tmp_path / "events.jsonl")),
-            scene=PATIENT,
-        )
-        daemon = spawn(settings)
-        assert daemon.process.stdout is not None
+        robot, journal = RobotSettings(url="tcp://127.0.0.1:9"), JournalSettings(path=str(path))
+        daemon = spawn(pad.path, robot=robot, journal=journal, scene=PATIENT)
         fcntl.fcntl(daemon.process.stdout, fcntl.F_SETPIPE_SZ, 4096)
         pad.reader = daemon.process.pid
         assert pad.wait(WITHIN_S)
@@ -205,13 +201,11 @@ def test_stalled_reader_and_dead_robot_cost_no_journal_line(spawn: Spawn, tmp_pa
         assert daemon.process.wait(WITHIN_S) == 0
         assert time.monotonic() - asked_s < AT_ONCE_S
         daemon.stop()
-    lines = (tmp_path / "events.jsonl").read_bytes().splitlines()
-    assert outline(map(decode, lines)) == expected(LENGTHS)
+    assert outline(map(decode, path.read_bytes().splitlines())) == expected(LENGTHS)
 
 
 def test_a_reader_that_goes_away_ends_the_daemon_cleanly(spawn: Spawn, pad: FakePort) -> None:
-    daemon = spawn(Settings(sensor=SensorSettings(port=pad.path)))
-    assert daemon.process.stdout is not None
+    daemon = spawn(pad.path)
     daemon.process.stdout.readline()
     daemon.process.stdout.close()
     assert daemon.process.wait(WITHIN_S) == 0
