@@ -7,17 +7,12 @@ frame that begins inside is found. Some damage cannot be detected: the fabric pa
 sums low bytes only, so a flip in bit 8 or 9 of a value passes.
 """
 
-from typing import Literal
-
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import Frame
+from drivers.pad.clock import Damage, Reading
 from drivers.pad.format import PadFormat, checksum, decode_cells
-from drivers.pad.framing import Reading
 from drivers.pad.parser import FrameParser
-
-Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
 
 
 class BinaryFrames(FrameParser):
@@ -38,14 +33,14 @@ class BinaryFrames(FrameParser):
         # The window that began one byte before the position was refused: both lie in one run of header bytes.
         self._in_refused_run = False
 
-    def feed(self, data: bytes, host_s: float) -> list[Frame]:
+    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
         self._buffer += data
         readings: list[Reading] = []
         while self._seek_header() and (taken := self._take(host_s)) is not None:
             readings += taken
         self._buffer = self._buffer[self._position :]
         self._position = 0
-        return self._numbered(readings)
+        return readings
 
     def reset(self) -> None:
         super().reset()
@@ -73,7 +68,7 @@ class BinaryFrames(FrameParser):
             return "bad_value"
         if described.checksum == "none":
             # Bytes were lost, and the next frame has begun.
-            return "bad_framing" if window.find(self._header, 1) > 0 else values
+            return "bad_framing" if self._header and window.find(self._header, 1) > 0 else values
         body = window[len(self._header) : -1]
         total = int(np.add.reduce(values)) + (self.time_in(window) if described.clock else 0)
         return "bad_checksum" if checksum(described, body, total) != window[-1] else values
@@ -105,7 +100,7 @@ class BinaryFrames(FrameParser):
             self._refuse(values)
             return []
         sensor_ms = self.time_in(window) if self.format.clock else None
-        if sensor_ms is not None and not self._clock.is_on_time(sensor_ms):
+        if self._header and sensor_ms is not None and not self._clock.is_on_time(sensor_ms):
             hides_another = self._hides_another()
             if hides_another is None:
                 return None
@@ -135,10 +130,10 @@ class BinaryFrames(FrameParser):
     def _refuse(self, damage: Damage) -> None:
         """Give up the window at the position by its first byte; one run of header bytes is counted once."""
         if not self._in_refused_run:
-            setattr(self.counts, damage, getattr(self.counts, damage) + 1)
+            self.counts.refuse(damage)
             self._claimed = self._size
-        self._drop(1)
-        self._in_refused_run = True
+        self._drop(1 if self._header else self._size)
+        self._in_refused_run = bool(self._header)
 
     def _drop(self, count: int) -> None:
         """Skip bytes outside frames; each frame's length that no refusal explains counts as one lost."""
@@ -153,8 +148,8 @@ class BinaryFrames(FrameParser):
         self._claimed = lost * self._size - unexplained
 
 
-class Replies(FrameParser):
-    """Parser for a pad that answers each poll with bare cells: only their number can be checked."""
+class Replies(BinaryFrames):
+    """Parser for a pad that answers each poll with bare cells: nothing marks where a reply begins."""
 
     _has_stray = False
 
@@ -162,30 +157,12 @@ class Replies(FrameParser):
         super().ask(now_s)
         self._has_stray = False
 
-    def feed(self, data: bytes, host_s: float) -> list[Frame]:
-        size = self.format.frame_bytes
-        readings: list[Reading] = []
-        if self._asked:
-            self._buffer, data = (self._buffer + data)[:size], (self._buffer + data)[size:]
-            if len(self._buffer) == size:
-                reply, self._buffer, self._asked = self._buffer, b"", False
-                readings = self._take(reply, host_s)
-        if data:
-            # Unsolicited bytes.
-            self.counts.bytes_dropped += len(data)
+    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+        wanted = self._size - len(self._buffer) if self._asked else 0
+        self._asked = len(data) < wanted
+        readings = super()._parse(data[:wanted], host_s)
+        if unsolicited := len(data[wanted:]):
+            self.counts.bytes_dropped += unsolicited
             self.counts.bad_framing += not self._has_stray
             self._has_stray = True
-        return self._numbered(readings)
-
-    def _take(self, reply: bytes, host_s: float) -> list[Reading]:
-        described = self.format
-        is_checked = described.checksum != "none"
-        values = decode_cells(described, reply[: len(reply) - is_checked])
-        if values.max() > described.full_scale:
-            self.counts.bad_value += 1
-        elif is_checked and checksum(described, reply[:-1], int(values.sum())) != reply[-1]:
-            self.counts.bad_checksum += 1
-        else:
-            return self._judge(None, host_s, values)
-        self.counts.bytes_dropped += len(reply)
-        return []
+        return readings

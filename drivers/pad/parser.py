@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Frame
-from drivers.pad.clock import ArrivalClock, ClockCheck
+from drivers.pad.clock import ArrivalClock, ClockCheck, ProtocolCounts, Reading
 from drivers.pad.format import PadFormat, layout_of
-from drivers.pad.framing import ProtocolCounts, Reading
 
 # A pad that has not answered by then is polled again.
 REPLY_S = 0.2
@@ -43,14 +42,20 @@ class FrameParser(ABC):
     def ask(self, now_s: float) -> None:
         """Note that the pad was polled now; an incomplete reply is given up."""
         if self._asked and self._buffer:
-            self.counts.bad_framing += 1
-            self.counts.bytes_dropped += len(self._buffer)
+            self.counts.refuse("bad_framing", len(self._buffer))
         self._buffer = b""
         self._asked, self._asked_s = True, now_s
 
-    @abstractmethod
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
+        readings = self._parse(data, host_s)
+        first = self.counts.frames
+        self.counts.frames += len(readings)
+        return [Frame(number, *reading) for number, reading in enumerate(readings, first)]
+
+    @abstractmethod
+    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+        """Take the next bytes; return the accepted frames that they completed."""
 
     def reset(self) -> None:
         """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
@@ -59,12 +64,6 @@ class FrameParser(ABC):
         self._asked = False
         self._clock.reset()
         self._arrivals.reset()
-
-    def _numbered(self, readings: list[Reading]) -> list[Frame]:
-        """Turn accepted readings into frames, numbered on from those delivered before."""
-        first = self.counts.frames
-        self.counts.frames += len(readings)
-        return [Frame(number, *reading) for number, reading in enumerate(readings, first)]
 
     def _judge(self, sensor_ms: int | None, host_s: float, values: NDArray[np.uint16]) -> list[Reading]:
         """Return the readings that a well-formed frame confirms; sensor_ms: None for a pad without a

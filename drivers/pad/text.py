@@ -10,9 +10,9 @@ import re
 
 import numpy as np
 
-from drivers.frame import CLOCK_MODULUS, Frame
+from drivers.frame import CLOCK_MODULUS
+from drivers.pad.clock import Reading
 from drivers.pad.format import PadFormat
-from drivers.pad.framing import Reading
 from drivers.pad.parser import FrameParser
 
 # A number has at most ten digits (the clock); the rest is room for separators and alignment.
@@ -36,7 +36,7 @@ class TextFrames(FrameParser):
         self._has_clock: bool | None = None
         self._lines_of_other_layout = 0
 
-    def feed(self, data: bytes, host_s: float) -> list[Frame]:
+    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
         *blocks, self._buffer = self._end.split(self._buffer + data)
         readings: list[Reading] = []
         for block in blocks:
@@ -53,7 +53,7 @@ class TextFrames(FrameParser):
             self.counts.bytes_dropped += given_up
             self.counts.bad_framing += not self._skipping
             self._skipping = True
-        return self._numbered(readings)
+        return readings
 
     def reset(self) -> None:
         super().reset()
@@ -75,14 +75,12 @@ class TextFrames(FrameParser):
             right_length = [len(line) for line in lines if line] == [described.columns] * described.rows
         numeric = len(block) <= self._longest and all(map(bytes.isdigit, words))
         if not (right_length and numeric and self._follow_layout(has_clock)):
-            self.counts.bad_framing += 1
-            self.counts.bytes_dropped += len(block) + 1
+            self.counts.refuse("bad_framing", len(block) + 1)
             return []
         numbers = [int(word) for word in words]
         values = numbers[1:] if has_clock else numbers
         if max(values) > described.full_scale or numbers[0] >= CLOCK_MODULUS:
-            self.counts.bad_value += 1
-            self.counts.bytes_dropped += len(block) + 1
+            self.counts.refuse("bad_value", len(block) + 1)
             return []
         return self._judge(numbers[0] if has_clock else None, host_s, np.array(values, dtype=np.uint16))
 

@@ -26,7 +26,7 @@ from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
 from drivers.pad.sensor import WAIT_S
 
-POLLED = [PRESETS["itas"], PRESETS["fsr-array"]]
+POLLED = [PRESETS["itas"], PRESETS["fsr-array"], msgspec.structs.replace(PRESETS["itas"], clock=True)]
 STREAM = stream_of(400)
 PACKETS = list(map(encode_fabric_grid, STREAM.counts, STREAM.sensor_ms.tolist()))
 
@@ -236,7 +236,7 @@ def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
         os.close(master)
 
 
-@pytest.mark.parametrize("described", POLLED, ids=["u8", "u16"])
+@pytest.mark.parametrize("described", POLLED, ids=["u8", "u16", "clock"])
 def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
     with polled_on_a_pty(described) as (path, pad), sensing(path, parser_of(described)) as queue:
         frames = next_frames(queue, 30)
