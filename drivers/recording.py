@@ -13,10 +13,11 @@ import gzip
 import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import groupby, islice, pairwise
+from itertools import groupby, islice, pairwise, takewhile
 from pathlib import Path
-from typing import IO, Literal, cast
+from typing import IO, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +36,9 @@ UNLABELLED = "unlabelled"
 # Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.
 MOST_LINES = 1_000_000
 LONGEST_LINE = 4096
-DAMAGED = (OSError, EOFError, UnicodeDecodeError, zlib.error)
+MOST_RECORDINGS = 10_000
 Framing = Literal["published", "live"]
 Keys = tuple[str, str, str, str]
-
-
-MOST_RECORDINGS = 10_000
 
 
 class RecordingError(TouchdError):
@@ -112,20 +110,11 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
 
     Raises RecordingError when the file is missing, no known layout, or holds a value that no pad can send.
     """
-    try:
-        with _open_text(path, "r") as file:
-            recordings = list(islice(_parse(path, file, select), MOST_RECORDINGS + 1))
-    except (*DAMAGED, csv.Error) as error:
-        raise RecordingError(f"{path}: cannot be read as a recording ({_why(error)})") from error
+    with _lines_of(path) as lines:
+        recordings = list(islice(_parse(path, lines, select), MOST_RECORDINGS + 1))
     if len(recordings) > MOST_RECORDINGS:
         raise RecordingError(f"{path}: more than {MOST_RECORDINGS} recordings; split the file")
     return recordings
-
-
-def _why(error: Exception) -> str:
-    if isinstance(error, UnicodeDecodeError):
-        return "no UTF-8 text; is it compressed, or saved in another encoding?"
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)
 
 
 def read_provenance(path: Path) -> dict[str, str]:
@@ -134,15 +123,10 @@ def read_provenance(path: Path) -> dict[str, str]:
     A file of another layout has none.
     """
     provenance: dict[str, str] = {}
-    try:
-        with _open_text(path, "r") as file:
-            for line in _lines(path, file):
-                if not line.startswith("# "):
-                    break
-                key, _, value = line[2:].partition(": ")
-                provenance[key] = value.rstrip()
-    except DAMAGED as error:
-        raise RecordingError(f"{path}: cannot be read as a recording ({_why(error)})") from error
+    with _lines_of(path) as lines:
+        for line in takewhile(lambda line: line.startswith("# "), lines):
+            key, _, value = line[2:].partition(": ")
+            provenance[key] = value.rstrip()
     return provenance
 
 
@@ -216,21 +200,20 @@ def splice(recordings: Sequence[Recording]) -> Stream:
     )
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """What a header says: columns in a row, what stands between keys and cells, its own line number.
+class _Layout(NamedTuple):
+    """What a header says: its own line number, columns in a row, whether a clock is among them.
 
     separator: a semicolon where a spreadsheet saved the file in a language with a decimal comma.
     """
 
-    width: int
-    between: Literal["", "sequence", "sensor_ms"]
     line_number: int
-    separator: Literal[",", ";"]
+    width: int
+    has_clock: bool
+    separator: str
 
 
 def _keys(recording: Recording) -> Keys:
-    return (recording.participant, recording.substrate, recording.cover, recording.gesture)
+    return (*set_up(recording), recording.gesture)
 
 
 def _open_text(path: Path, mode: Literal["r", "x"]) -> IO[str]:
@@ -239,6 +222,19 @@ def _open_text(path: Path, mode: Literal["r", "x"]) -> IO[str]:
     if path.suffix == ".gz":
         return cast(IO[str], gzip.open(path, f"{mode}t", encoding=encoding, newline=""))
     return path.open(mode, encoding=encoding, newline="")
+
+
+@contextmanager
+def _lines_of(path: Path) -> Iterator[Iterator[str]]:
+    """Yield the lines of a file; raises RecordingError for what is wrong with it meanwhile."""
+    try:
+        with _open_text(path, "r") as file:
+            yield _lines(path, file)
+    except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        if isinstance(error, UnicodeDecodeError):
+            why = "no UTF-8 text; is it compressed, or saved in another encoding?"
+        raise RecordingError(f"{path}: cannot be read as a recording ({why})") from error
 
 
 def _lines(path: Path, file: IO[str]) -> Iterator[str]:
@@ -253,8 +249,7 @@ def _lines(path: Path, file: IO[str]) -> Iterator[str]:
         raise RecordingError(f"{path}: more than {MOST_LINES} lines, split it into shorter recordings")
 
 
-def _parse(path: Path, file: IO[str], select: Selection) -> Iterator[Recording]:
-    lines = _lines(path, file)
+def _parse(path: Path, lines: Iterator[str], select: Selection) -> Iterator[Recording]:
     layout = _read_header(path, lines)
     for keys, rows in groupby(_rows(path, lines, layout), lambda numbered: _keys_of(numbered[1])):
         if not select.wants(keys):
@@ -262,14 +257,17 @@ def _parse(path: Path, file: IO[str], select: Selection) -> Iterator[Recording]:
         clock_ms, cells = array("q"), array("H")
         for line_number, row in rows:
             try:
-                if layout.between == "sensor_ms":
+                if layout.has_clock:
                     clock_ms.append(int(row[len(KEYS)]))
-                cells.fromlist(_cells(row))
+                frame = list(map(int, row[-CELLS:]))
+                if min(frame) < 0 or max(frame) > MAX_COUNT:
+                    raise ValueError(f"a count outside 0 to {MAX_COUNT}")
+                cells.fromlist(frame)
             except (ValueError, OverflowError) as error:
                 what = str(error).replace(" for int() with base 10", ", no whole number")
                 raise RecordingError(f"{path}, line {line_number}: {what}") from error
         counts = np.array(cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
-        if layout.between == "sensor_ms":
+        if layout.has_clock:
             yield Recording(*keys, counts, np.array(clock_ms, dtype=np.int64), "live")
         else:
             yield Recording(*keys, counts, ideal_clock_ms(len(counts)), "published")
@@ -291,26 +289,17 @@ def _keys_of(row: Sequence[str]) -> Keys:
     return (row[0].strip(), row[1].strip(), row[2].strip(), row[3].strip())
 
 
-def _cells(row: Sequence[str]) -> list[int]:
-    cells = list(map(int, row[-CELLS:]))
-    if min(cells) < 0 or max(cells) > MAX_COUNT:
-        raise ValueError(f"a count outside 0 to {MAX_COUNT}")
-    return cells
-
-
 def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
     """Read up to the header; the official test file has one column more than the training file."""
     for number, line in enumerate(lines, 1):
         if line.startswith("#"):
             continue
-        separator: Literal[",", ";"] = "," if "," in line else ";"
+        separator = "," if "," in line else ";"
         header = [name.strip().strip('"').strip().lower() for name in line.split(separator)]
-        if header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS:][0] == "cell1":
-            match header[4:-CELLS]:
-                case []:
-                    return _Layout(len(header), "", number, separator)
-                case ["sequence" | "sensor_ms" as between]:
-                    return _Layout(len(header), between, number, separator)
+        between = header[4:-CELLS]
+        is_known = header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS:][0] == "cell1"
+        if is_known and between in ([], ["sequence"], ["sensor_ms"]):
+            return _Layout(number, len(header), "sensor_ms" in between, separator)
         break
     raise RecordingError(
         f"{path}: no known layout (expected participant, substrate, cover, gesture and {CELLS} cells)"
