@@ -2,6 +2,7 @@
 
 import array
 import fcntl
+import math
 import os
 import pty
 import select
@@ -148,18 +149,16 @@ class FakePort:
 
     def _await_reader(self) -> bool:
         """Wait until a reader has opened the port and discarded what waited in it; False when stopped."""
-        has_discarded = self._discards_input()
-        while not self._has_reader():
-            if self._stop.wait(POLL_S):
-                return False
+        settled_s = math.inf
+        while not self._stop.is_set():
             # Asked before looking for a reader, so that what an earlier one did is forgotten.
             has_discarded = self._discards_input()
-        settled_s = time.monotonic() + SETTLE_S
-        while not has_discarded and time.monotonic() < settled_s:
-            if self._stop.wait(POLL_S):
-                return False
-            has_discarded = self._discards_input()
-        return True
+            now_s = time.monotonic()
+            settled_s = min(settled_s, now_s + SETTLE_S) if self._has_reader() else math.inf
+            if settled_s < math.inf and (has_discarded or now_s >= settled_s):
+                return True
+            self._stop.wait(POLL_S)
+        return False
 
     def _discards_input(self) -> bool:
         """Whether the reader has discarded its input since this was last asked."""
@@ -170,14 +169,12 @@ class FakePort:
 
     def _await_empty(self) -> bool:
         """Wait until the reader has taken every byte; False when it left or the port was stopped."""
-        empty_since_s: float | None = None
+        full_s = time.monotonic()
         while not self._stop.is_set() and self._has_reader():
             now_s = time.monotonic()
             if self._waiting_bytes():
-                empty_since_s = None
-            elif empty_since_s is None:
-                empty_since_s = now_s
-            elif now_s - empty_since_s >= EMPTY_FOR_S:
+                full_s = now_s
+            elif now_s - full_s >= EMPTY_FOR_S:
                 return True
             self._stop.wait(POLL_S)
         return False

@@ -33,7 +33,6 @@ class NetworkPort:
     def __init__(self, port: str, timeout_s: float) -> None:
         self.port = port
         self.baudrate = 0
-        self.in_waiting = 0
         match = ADDRESS.fullmatch(port)
         assert match is not None
         where = (match[2].strip("[]"), int(match[3]))
@@ -54,10 +53,8 @@ class NetworkPort:
         self._has_warned = False
         self._socket.settimeout(timeout_s)
 
-    def read(self, size: int) -> bytes:
-        """Return what has arrived, whatever the size, waiting for it at most the timeout; b"" for size 0."""
-        if size == 0:
-            return b""
+    def read(self) -> bytes:
+        """Return what has arrived, waiting for it at most the timeout."""
         try:
             data, sender = self._socket.recvfrom(MOST_BYTES)
         except TimeoutError:

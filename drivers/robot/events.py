@@ -1,17 +1,18 @@
 """The three events of a pad in the robot's memory: what was felt, its detail, and the pad's status."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
+from threading import Event
 
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage, detail
 from drivers.robot.session import RobotRefused, RobotSession
-from drivers.robot.worker import Duty
+from drivers.robot.worker import LinkState, RobotWorker
 
 
-class EventDuty(Duty[RobotMessage]):
+class EventWorker(RobotWorker[RobotMessage]):
     """Raises PREFIX/Detail and PREFIX/Gesture per answer, and PREFIX/Status when it changes.
 
     A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that goes from
@@ -19,16 +20,28 @@ class EventDuty(Duty[RobotMessage]):
     raised first, so that whoever wakes on the Gesture finds the one that belongs to it.
     """
 
-    def __init__(self, prefix: str, limits: RobotLimits, pads: Iterable[str] = (DEFAULT_PAD,)) -> None:
+    def __init__(
+        self,
+        prefix: str,
+        pads: Iterable[str],
+        open_session: Callable[[Event], RobotSession],
+        limits: RobotLimits,
+        on_state: Callable[[LinkState, str], None],
+    ) -> None:
+        super().__init__("touchd-robot", open_session, limits, on_state)
         self._prefix = prefix
-        self._limits = limits
         self._remove_at_s: dict[str, float] = {}
         self._told_status: dict[str, str] = {}
         # Written by another thread, read here; replacing a value is atomic.
-        self.status: dict[str, str] = dict.fromkeys(pads, "up")
+        self._status: dict[str, str] = dict.fromkeys(pads, "up")
+
+    def set_status(self, status: str, pad: str) -> None:
+        """Have the robot told a pad's status now; call it from any thread."""
+        self._status[pad] = status
+        self._wake.set()
 
     def begin(self, session: RobotSession) -> None:
-        for pad, status in self.status.items():
+        for pad, status in self._status.items():
             self._tell_status(session, pad, status)
 
     def handle(self, session: RobotSession, item: RobotMessage) -> None:
@@ -42,7 +55,7 @@ class EventDuty(Duty[RobotMessage]):
             if time.monotonic() >= remove_at_s:
                 self._remove(session, pad)
                 return True
-        for pad, status in self.status.items():
+        for pad, status in self._status.items():
             if status != self._told_status.get(pad):
                 self._tell_status(session, pad, status)
                 return True
@@ -52,7 +65,7 @@ class EventDuty(Duty[RobotMessage]):
         """Leave no gesture behind and say that nothing is felt any more."""
         for pad in list(self._remove_at_s):
             self._remove(session, pad)
-        for pad in self.status:
+        for pad in self._status:
             self._tell_status(session, pad, "down")
 
     def _name(self, pad: str, event: str) -> str:

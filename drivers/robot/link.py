@@ -11,17 +11,16 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 
 from drivers.frame import DEFAULT_PAD
 from drivers.robot.actions import ActionRule, Kind, Words
-from drivers.robot.events import EventDuty
+from drivers.robot.events import EventWorker
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
-from drivers.robot.reactions import Reaction, ReactionDuty, Reactions
+from drivers.robot.reactions import Reactions, ReactionWorker
 from drivers.robot.session import OpenSession, QiSession, RobotError, RobotSession, load_qi
 from drivers.robot.settings import RobotSettings, read_login, read_token
-from drivers.robot.worker import LinkState, RobotWorker
+from drivers.robot.worker import LinkState
 
 log = logging.getLogger(__name__)
 
@@ -56,26 +55,17 @@ class RobotLink:
         self._settings, self._login = settings, read_login(settings)
         if open_session is None:
             load_qi()
-            open_session = QiSession
-        limits = limits or RobotLimits(call_s=settings.call_s, action_s=settings.action_s)
-        opener = partial(self._open, open_session, limits)
+        self._open_session = open_session or QiSession
+        self._limits = limits or RobotLimits(call_s=settings.call_s, action_s=settings.action_s)
         self._on_state = on_state
         self._down_since_s: float | None = None
-        self._event_duty = EventDuty(settings.prefix, limits, actions)
-        self._events: RobotWorker[RobotMessage] = RobotWorker(
-            "touchd-robot", opener, self._event_duty, limits, self._tell
-        )
+        self._events = EventWorker(settings.prefix, actions, self._open, self._limits, self._tell)
         self._reactions = {pad: Reactions(own) for pad, own in actions.items()}
-        self._actions: RobotWorker[Reaction] | None = None
+        self._actions: ReactionWorker | None = None
+        self._workers: list[EventWorker | ReactionWorker] = [self._events]
         if any(actions.values()):
-            self._actions = RobotWorker(
-                "touchd-robot-actions",
-                opener,
-                ReactionDuty(limits, words, on_act or (lambda *_: None)),
-                limits,
-                # Only the event worker reports when the robot comes and goes.
-                lambda *_: None,
-            )
+            self._actions = ReactionWorker(words, on_act or (lambda *_: None), self._open, self._limits)
+            self._workers.append(self._actions)
 
     @property
     def counts(self) -> Counter[str]:
@@ -86,7 +76,7 @@ class RobotLink:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""
         # A Python that ends while a thread is inside libqi crashes, which must not hide why it ended.
         atexit.register(self.stop)
-        for worker in self._workers():
+        for worker in self._workers:
             worker.start()
 
     def publish(self, message: RobotMessage, *, is_told: bool = True) -> None:
@@ -99,30 +89,24 @@ class RobotLink:
 
     def set_status(self, status: str, pad: str = DEFAULT_PAD) -> None:
         """Tell the robot whether a pad can be felt: "up", "degraded" or, while away, "down". Never waits."""
-        self._event_duty.status[pad] = status
-        self._events.wake()
+        self._events.set_status(status, pad)
 
     def stop(self, timeout_s: float = 2.0) -> None:
         """Say goodbye to the robot and end, in whatever state it is; may be called again."""
         deadline_s = time.monotonic() + timeout_s
-        for worker in self._workers():
+        for worker in self._workers:
             worker.ask_to_stop()
-        for worker in self._workers():
+        for worker in self._workers:
             if not worker.join(max(0.0, deadline_s - time.monotonic())):
                 log.warning("the link to the robot did not end within %g s", timeout_s)
         atexit.unregister(self.stop)
 
-    def _open(
-        self, open_session: OpenSession, limits: RobotLimits, stopping: threading.Event
-    ) -> RobotSession:
+    def _open(self, stopping: threading.Event) -> RobotSession:
         if self._login is not None:
             # The token may have been corrected since.
             with suppress(RobotError):
                 self._login = replace(self._login, token=read_token(self._settings))
-        return open_session(self._settings.url, self._login, limits, stopping)
-
-    def _workers(self) -> list[RobotWorker[RobotMessage] | RobotWorker[Reaction]]:
-        return [self._events, *([self._actions] if self._actions else [])]
+        return self._open_session(self._settings.url, self._login, self._limits, stopping)
 
     def _tell(self, state: LinkState, reason: str) -> None:
         now_s = time.monotonic()

@@ -5,12 +5,13 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from threading import Event
 
 from drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, spoken
 from drivers.robot.limits import RobotLimits
 from drivers.robot.message import RobotMessage
 from drivers.robot.session import RobotLost, RobotRefused, RobotSession
-from drivers.robot.worker import Duty
+from drivers.robot.worker import RobotWorker
 
 log = logging.getLogger(__name__)
 
@@ -48,33 +49,27 @@ class Reactions:
         is_told: the robot is told this answer now. One that it is not told counts only as the settled word on
         what it has heard already.
         """
-        heard = self._recall(message.touch)
+        heard = self._heard.setdefault(message.touch, _Heard())
+        if len(self._heard) > MOST_TOUCHES:
+            self._heard.popitem(last=False)
         before = heard.gesture
         news = message.gesture != before
         if news and not is_told:
             return None
         if news:
             heard.gesture, heard.rules = message.gesture, set()
-        changed = news and before is not None
-        fitting = [index for index, rule in enumerate(self._rules) if _fits(rule, message, news)]
-        particular = [index for index in fitting if self._rules[index].changed]
-        plain = [index for index in fitting if not self._rules[index].changed]
-        chosen = particular if changed and particular else plain
-        ready = [index for index in chosen if now_s >= self._ready_s[index] and index not in heard.rules]
-        for index in ready:
-            self._ready_s[index] = now_s + self._rules[index].refractory_s
-        heard.rules.update(ready)
-        actions = tuple(action for index in ready for action in self._rules[index].do)
-        return Reaction(message, actions) if actions else None
-
-    def _recall(self, touch: int) -> _Heard:
-        heard = self._heard.setdefault(touch, _Heard())
-        if len(self._heard) > MOST_TOUCHES:
-            self._heard.popitem(last=False)
-        return heard
+        fitting = {index: rule for index, rule in enumerate(self._rules) if _fits(rule, message, news)}
+        is_change = news and before is not None and any(rule.changed for rule in fitting.values())
+        actions: list[Action] = []
+        for index, rule in fitting.items():
+            if rule.changed == is_change and now_s >= self._ready_s[index] and index not in heard.rules:
+                self._ready_s[index] = now_s + rule.refractory_s
+                heard.rules.add(index)
+                actions += rule.do
+        return Reaction(message, tuple(actions)) if actions else None
 
 
-class ReactionDuty(Duty[Reaction]):
+class ReactionWorker(RobotWorker[Reaction]):
     """Carries reactions out, one action after the other, each to its end.
 
     words: of the gestures, for speech. on_act: told which action begins, and with which words or name.
@@ -82,11 +77,13 @@ class ReactionDuty(Duty[Reaction]):
 
     def __init__(
         self,
-        limits: RobotLimits,
         words: Mapping[str, Words],
         on_act: Callable[[RobotMessage, Kind, str], None],
+        open_session: Callable[[Event], RobotSession],
+        limits: RobotLimits,
     ) -> None:
-        self._limits = limits
+        # Whether the robot comes or goes is told by the worker that raises events.
+        super().__init__("touchd-robot-actions", open_session, limits)
         self._words = words
         self._on_act = on_act
 

@@ -109,7 +109,11 @@ class QiSession:
         except RobotRefused as refused:
             raise RobotLost(str(refused)) from refused
         except RobotLost as lost:
-            raise RobotLost(_with_advice(str(lost))) from lost
+            # No robot, a wrong token, tcp:// where TLS is wanted, and the reverse: libqi says no more.
+            if str(lost).endswith(("disconnected", "stream truncated")):
+                advice = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
+                raise RobotLost(f"{lost}; {advice}") from lost
+            raise
 
     def connected(self) -> bool:
         return bool(self._session.isConnected())
@@ -160,10 +164,3 @@ class _Authenticator:
 
     def initialAuthData(self) -> dict[str, str]:  # noqa: N802
         return {"user": self._login.user, "token": self._login.token}
-
-
-def _with_advice(reason: str) -> str:
-    # No robot, a wrong token, tcp:// where TLS is wanted, and the reverse all end so; libqi says no more.
-    if reason.endswith(("disconnected", "stream truncated")):
-        return f"{reason}; if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
-    return reason

@@ -25,8 +25,37 @@ LOOK_S = 0.05
 LAST_WORDS_S = 0.5
 
 
-class Duty(ABC, Generic[Item]):
-    """What a worker does with the session it keeps. Every method may raise RobotLost or RobotRefused."""
+class RobotWorker(ABC, Generic[Item]):
+    """Owns one session and nothing else touches it; `put` never waits for the robot.
+
+    open_session: returns a new, unconnected session, given the event that says to hurry.
+    on_state: called from the worker's thread when the robot comes or goes, with a reason when it goes.
+    counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
+    + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried
+    out) + those still waiting.
+
+    What it does with the session is said by `begin`, `handle`, `tend` and `end`, each of which may raise
+    RobotLost or RobotRefused.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_session: Callable[[threading.Event], RobotSession],
+        limits: RobotLimits,
+        on_state: Callable[[LinkState, str], None] = lambda *_: None,
+    ) -> None:
+        self._open_session = open_session
+        self._limits = limits
+        self._on_state = on_state
+        self._state: LinkState | None = None
+        self._refused_before = False
+        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity)
+        self._counts: Counter[str] = Counter()
+        self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
+        self._wake = threading.Event()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def begin(self, session: RobotSession) -> None:
         """Make the first calls on a new session, if any."""
@@ -42,38 +71,6 @@ class Duty(ABC, Generic[Item]):
     def end(self, session: RobotSession) -> None:
         """Leave the robot tidy before the session is given up."""
 
-
-class RobotWorker(Generic[Item]):
-    """Owns one session and nothing else touches it; `put` never waits for the robot.
-
-    open_session: returns a new, unconnected session, given the event that says to hurry.
-    on_state: called from the worker's thread when the robot comes or goes, with a reason when it goes.
-    counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
-    + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried
-    out) + those still waiting.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        open_session: Callable[[threading.Event], RobotSession],
-        duty: Duty[Item],
-        limits: RobotLimits,
-        on_state: Callable[[LinkState, str], None],
-    ) -> None:
-        self._open_session = open_session
-        self._duty = duty
-        self._limits = limits
-        self._on_state = on_state
-        self._state: LinkState | None = None
-        self._refused_before = False
-        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity)
-        self._counts: Counter[str] = Counter()
-        self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
-        self._wake = threading.Event()
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
     @property
     def counts(self) -> Counter[str]:
         return self._counts + Counter(dropped=self._queue.dropped)
@@ -85,10 +82,6 @@ class RobotWorker(Generic[Item]):
         """Queue an item and return at once; call it from one thread."""
         self._counts["queued"] += 1
         self._queue.put((time.monotonic(), item))
-        self._wake.set()
-
-    def wake(self) -> None:
-        """Have the duty look now at what is due."""
         self._wake.set()
 
     def ask_to_stop(self) -> None:
@@ -106,14 +99,14 @@ class RobotWorker(Generic[Item]):
             try:
                 with closing(self._open_session(self._stopping)) as session:
                     session.connect()
-                    self._duty.begin(session)
+                    self.begin(session)
                     # The first one looks its service up, which may take longer than noticing a hang may.
                     self._heartbeat(session)
                     self._backoff.reset()
                     self._tell("up", "")
                     self._serve(session)
                     self._handle_what_waits(session)
-                    self._duty.end(session)
+                    self.end(session)
             except (RobotLost, RobotRefused) as error:
                 self._tell("down", str(error))
             except Exception as error:
@@ -129,7 +122,7 @@ class RobotWorker(Generic[Item]):
             self._wake.clear()
             if not session.connected():
                 raise RobotLost("the connection was closed by the robot")
-            if self._duty.tend(session) or self._handle_next(session):
+            if self.tend(session) or self._handle_next(session):
                 answered_s = time.monotonic()
             elif time.monotonic() - answered_s >= self._limits.heartbeat_s:
                 self._heartbeat(session)
@@ -157,7 +150,7 @@ class RobotWorker(Generic[Item]):
             return False
         _, item = entry
         try:
-            self._duty.handle(session, item)
+            self.handle(session, item)
         except RobotRefused as refused:
             self._counts["failed"] += 1
             level = logging.DEBUG if self._refused_before else logging.WARNING
