@@ -107,8 +107,7 @@ class Classifier:
 
     def batch_probabilities(self, windows: NDArray[np.generic]) -> NDArray[np.float64]:
         """Return probabilities (B, 7) for B windows of equal length, counts (B, T, 8, 8)."""
-        counts = self._checked(windows)
-        (probabilities,) = self.session.run(["probabilities"], {"counts": counts})
+        (probabilities,) = self.session.run(["probabilities"], {"counts": self._checked(windows)})
         return np.asarray(probabilities, dtype=np.float64)
 
     def step(
@@ -251,11 +250,8 @@ def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.Inference
         limit.join()
     answer = np.asarray(answer)
     if answer.shape != (1, len(metadata.labels)):
-        found = (
-            answer.shape[1]
-            if answer.ndim == 2 and len(answer) == 1
-            else f"answers of shape {answer.shape}, not"
-        )
+        is_row = answer.ndim == 2 and len(answer) == 1
+        found = answer.shape[1] if is_row else f"answers of shape {answer.shape}, not"
         raise ModelError(f"{path}: {found} outputs for {len(metadata.labels)} labels; export it again")
     if not (answer.min() >= -1e-6 and abs(float(answer.sum()) - 1.0) <= 1e-3):
         raise ModelError(f"{path}: its answers are no probabilities; export it again")

@@ -16,7 +16,7 @@ from drivers.recording import NO_TOUCH, Recording
 from model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
 from model.adapt.head import AdaptSettings, fit, rebuilt
 from model.adapt.measure import Answers, Comparison, compare, cross_entropy
-from model.adapt.plan import Plan, plan
+from model.adapt.plan import Fold, plan
 from model.adapt.remembered import Remembered
 from model.classifier import SHIPPED_MODEL, Classifier
 from model.settings import LENGTHS, AugmentationSettings, NetworkSettings
@@ -116,11 +116,12 @@ def adapt(
 
     planned = plan(material.recordings)
     everything = tuple(range(len(material.recordings)))
-    turns = [*(fold.trained for fold in planned.folds), everything]
-    *heads, head = [
-        learnt(turn) for turn in tqdm(turns, unit="head", desc="adapting", leave=False, disable=None)
-    ]
-    answers = {length: _answers(begin, heads, planned, material, labels, known, length) for length in LENGTHS}
+    shown = [*(fold.trained for fold in planned.folds), everything]
+    bar = tqdm(shown, unit="head", desc="adapting", leave=False, disable=None)
+    *heads, head = [learnt(chosen) for chosen in bar]
+    is_new = [label in new for label in labels]
+    turns = list(zip(heads, planned.folds, strict=True))
+    answers = {length: _answers(begin, is_new, turns, material.windows[length]) for length in LENGTHS}
     return Adapted(
         known=known,
         labels=labels,
@@ -138,28 +139,24 @@ def adapt(
 
 def _answers(
     begin: nn.Sequential,
-    heads: Sequence[nn.Sequential],
-    planned: Plan,
-    material: Features,
-    labels: Sequence[str],
-    known: Sequence[str],
-    length: int,
+    is_new: Sequence[bool],
+    turns: Sequence[tuple[nn.Sequential, Fold]],
+    own: WindowFeatures,
 ) -> Answers:
-    """Return logits of left-out windows before and after; no head has learnt from its own."""
-    own = material.windows[length]
-    unknown = np.array([label not in known for label in labels])
-    befores, afters, owners = [], [], []
-    for head, fold in zip(heads, planned.folds, strict=True):
+    """Return logits of left-out windows before and after; no head has learnt from its own.
+
+    is_new: of each label, whether the pretrained network lacks it.
+    """
+    nothing = np.zeros((0, len(is_new)))
+    owners, befores, afters = [own.recordings[:0]], [nothing], [nothing]
+    for head, fold in turns:
         evaluated = np.isin(own.recordings, fold.evaluated)
-        before = logits(begin, own, evaluated)
-        before[:, unknown] = -np.inf
-        befores.append(before)
-        afters.append(logits(head, own, evaluated))
         owners.append(own.recordings[evaluated])
-    if not owners:
-        nothing = np.zeros((0, len(labels)))
-        return Answers(np.zeros(0, dtype=np.int64), nothing, nothing)
-    return Answers(np.concatenate(owners), np.concatenate(befores), np.concatenate(afters))
+        befores.append(logits(begin, own, evaluated))
+        afters.append(logits(head, own, evaluated))
+    before = np.concatenate(befores)
+    before[:, is_new] = -np.inf
+    return Answers(np.concatenate(owners), before, np.concatenate(afters))
 
 
 @torch.no_grad()

@@ -84,22 +84,20 @@ def crops(
 
 def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowFeatures]:
     """Return, for each length that is answered, summaries of its windows one after the other, as HAART's."""
-    return {length: _windows(backbone, recordings, length) for length in LENGTHS}
-
-
-def _windows(backbone: TGC, recordings: Sequence[Recording], length: int) -> WindowFeatures:
-    cut = [
-        (recording.counts[start : start + length], owner)
-        for owner, recording in enumerate(recordings)
-        for start in _starts(len(recording.counts), length)
-    ]
-    owners = np.array([owner for _, owner in cut], dtype=np.int64)
-    batches = [
-        backbone(torch.from_numpy(np.stack([window for window, _ in cut[i : i + BATCH]]).astype(np.float32)))
-        for i in range(0, len(cut), BATCH)
-    ]
-    features = 3 * backbone.settings.width
-    return WindowFeatures(torch.cat(batches) if batches else torch.zeros(0, features), owners)
+    found = {}
+    for length in LENGTHS:
+        cut = [
+            (owner, recording.counts[start : start + length])
+            for owner, recording in enumerate(recordings)
+            for start in _starts(len(recording.counts), length)
+        ]
+        values = [torch.zeros(0, 3 * backbone.settings.width)]
+        for i in range(0, len(cut), BATCH):
+            batch = np.stack([window for _, window in cut[i : i + BATCH]])
+            values.append(backbone(torch.from_numpy(batch.astype(np.float32))))
+        owners = np.array([owner for owner, _ in cut], dtype=np.int64)
+        found[length] = WindowFeatures(torch.cat(values), owners)
+    return found
 
 
 def _starts(frames: int, length: int) -> list[int]:

@@ -3,7 +3,6 @@
 import hashlib
 import re
 from collections.abc import Collection, Sequence
-from itertools import combinations
 from pathlib import Path
 
 from drivers.errors import TouchdError, os_errors_as
@@ -90,9 +89,11 @@ def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
                 f"{gesture!r} cannot name a gesture; letters, digits, - and _ can, "
                 f"{LONGEST_LABEL} at most, but not {RESERVED!r}"
             )
-    for one, other in combinations(sorted({*gestures, *known}), 2):
-        if _folded(one) == _folded(other):
-            return f"{one} and {other} differ in writing only; name them alike"
+    written: dict[str, str] = {}
+    for gesture in sorted({*gestures, *known}):
+        other = written.setdefault(re.sub(r"[-_]", "", gesture).lower(), gesture)
+        if other != gesture:
+            return f"{other} and {gesture} differ in writing only; name them alike"
     return ""
 
 
@@ -123,7 +124,3 @@ def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep
     labels = gestures.union(known if keep_all else (), {NO_TOUCH})
     if len(labels) > MOST_GESTURES:
         raise ExtraError(f"{folder}: {len(labels)} gestures; at most {MOST_GESTURES} can be told apart")
-
-
-def _folded(gesture: str) -> str:
-    return re.sub(r"[-_]", "", gesture).lower()

@@ -122,23 +122,19 @@ def _at_length(
     return LengthFigures(
         frames=frames,
         gestures={
-            name: _gesture(before[gesture == name], after[gesture == name], name in known)
+            name: GestureFigures(
+                recordings=len(own),
+                before=float(before[gesture == name].mean()) if name in known else None,
+                after=float(own.mean()),
+                interval=wilson_interval(float(own.sum()), len(own)),
+            )
             for name in labels
-            if (gesture == name).any()
+            if len(own := after[gesture == name])
         },
         before=_mean(strata(before, in_both)) if in_both.any() else None,
         after=_mean(strata(after, in_both)) if in_both.any() else None,
         interval=mean_interval(strata(after - before, in_both)) if in_both.any() else None,
         all_after=_mean(strata(after, everything)),
-    )
-
-
-def _gesture(before: Floats, after: Floats, is_known: bool) -> GestureFigures:
-    return GestureFigures(
-        recordings=len(after),
-        before=float(before.mean()) if is_known else None,
-        after=float(after.mean()),
-        interval=wilson_interval(float(after.sum()), len(after)),
     )
 
 

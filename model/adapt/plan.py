@@ -36,22 +36,20 @@ class Plan:
 def plan(recordings: Sequence[Recording]) -> Plan:
     """Return the folds for a folder's recordings; none where too few are there to leave any out."""
     participants = sorted({recording.participant for recording in recordings})
-    left_out: LeftOut = "recordings"
-    fold_of = _deal_recordings(recordings)
+    left_out: LeftOut
     if len(participants) > 1:
         left_out = "participants"
         fold_of = [
             participants.index(recording.participant) % MOST_PARTICIPANT_FOLDS for recording in recordings
         ]
-    folds = [_fold(recordings, fold_of, fold) for fold in sorted(set(fold_of))]
+    else:
+        left_out = "recordings"
+        # Those of a gesture are dealt out one after the other.
+        dealt: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
+        fold_of = [next(dealt[recording.gesture]) % MOST_RECORDING_FOLDS for recording in recordings]
+    folds = (_fold(recordings, fold_of, fold) for fold in sorted(set(fold_of)))
     useful = tuple(fold for fold in folds if fold.evaluated)
     return Plan(left_out if useful else "nothing", useful)
-
-
-def _deal_recordings(recordings: Sequence[Recording]) -> list[int]:
-    """Return each recording's fold; those of a gesture are dealt out one after the other."""
-    dealt: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
-    return [next(dealt[recording.gesture]) % MOST_RECORDING_FOLDS for recording in recordings]
 
 
 def _fold(recordings: Sequence[Recording], fold_of: Sequence[int], fold: int) -> Fold:

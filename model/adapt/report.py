@@ -5,7 +5,8 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from model.adapt.adapt import Adapted
-from model.adapt.measure import Comparison, LengthFigures
+from model.adapt.measure import Comparison, GestureFigures, LengthFigures
+from model.adapt.plan import LeftOut
 
 # Of three recordings all right, the Wilson interval still reaches down to 44 %; of four, to 51 %.
 FEW_RECORDINGS = 4
@@ -13,6 +14,13 @@ FEW_RECORDINGS = 4
 FEW_PARTICIPANTS = 3
 WIDTH = 80
 NAME_WIDTH = 20
+MEASURED: dict[LeftOut, str] = {
+    "participants": "Right answers in percent. Each participant is answered by a model adapted to the "
+    "others: this is how well it will do on people it was not adapted to.",
+    "recordings": "Right answers in percent. Each recording is answered by a model adapted to others of the "
+    "same participant: this is how well it will do on this person.",
+    "nothing": "Adapted to all of them. No figures: there is too little to leave any out.",
+}
 
 
 def report_lines(adapted: Adapted) -> Iterable[str]:
@@ -29,7 +37,7 @@ def report_lines(adapted: Adapted) -> Iterable[str]:
         yield f"New to the model: {', '.join(sorted(new))}"
     comparison = adapted.comparison
     yield ""
-    yield from textwrap.wrap(_how(comparison), WIDTH)
+    yield from textwrap.wrap(MEASURED[comparison.left_out], WIDTH)
     if comparison.lengths:
         yield ""
         yield from _table(comparison.lengths)
@@ -48,10 +56,8 @@ def warnings(adapted: Adapted) -> Iterable[str]:
             f"Fewer than {FEW_RECORDINGS} recordings of {', '.join(few)}: too few to tell how well they are "
             "known."
         )
-    people: dict[str, set[str]] = {}
-    for recording in adapted.recordings:
-        people.setdefault(recording.gesture, set()).add(recording.participant)
-    alone = sorted(gesture for gesture, who in people.items() if len(who) == 1)
+    people = {(recording.gesture, recording.participant) for recording in adapted.recordings}
+    alone = sorted(gesture for gesture, who in Counter(gesture for gesture, _ in people).items() if who == 1)
     if comparison.left_out == "participants" and alone:
         yield f"Only one participant did {', '.join(alone)}: whether others' is known cannot be told."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
@@ -80,22 +86,6 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
         yield "This is worse than the shipped model: keep that, or record more."
 
 
-def _how(comparison: Comparison) -> str:
-    match comparison.left_out:
-        case "participants":
-            return (
-                "Right answers in percent. Each participant is answered by a model adapted to the others: "
-                "this is how well it will do on people it was not adapted to."
-            )
-        case "recordings":
-            return (
-                "Right answers in percent. Each recording is answered by a model adapted to others of the "
-                "same participant: this is how well it will do on this person."
-            )
-        case "nothing":
-            return "Adapted to all of them. No figures: there is too little to leave any out."
-
-
 def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
     """Yield before and after at each answer, a line a gesture; the interval is of the last one's."""
     yield f"{'':<{NAME_WIDTH}}{'':>6}" + "".join(f"  {f'{at.frames / 54:.2f} s':>13}" for at in lengths)
@@ -107,17 +97,11 @@ def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
     for gesture in dict.fromkeys(name for at in lengths for name in at.gestures):
         own = [at.gestures.get(gesture) for at in lengths]
         counted = max(figures.recordings for figures in own if figures is not None)
-        cells = "".join(
-            f"  {'-' if figures is None else _percent(figures.before):>6} "
-            f"{'-' if figures is None else _percent(figures.after):>6}"
-            for figures in own
-        )
         last = own[-1]
         interval = "" if last is None else f"  {_percent(last.interval[0])}-{_percent(last.interval[1])}"
-        yield f"{gesture[: NAME_WIDTH - 1]:<{NAME_WIDTH}}{counted:>6}{cells}{interval}"
+        yield f"{gesture[: NAME_WIDTH - 1]:<{NAME_WIDTH}}{counted:>6}{_cells(own)}{interval}"
     if lengths[-1].before is not None:
-        cells = "".join(f"  {_percent(at.before):>6} {_percent(at.after):>6}" for at in lengths)
-        yield f"{'mean of those known':<{NAME_WIDTH}}{'':>6}{cells}"
+        yield f"{'mean of those known':<{NAME_WIDTH}}{'':>6}{_cells(lengths)}"
     if any(figures.before is None for figures in lengths[-1].gestures.values()):
         cells = "".join(f"  {'':>6} {_percent(at.all_after):>6}" for at in lengths)
         yield f"{'mean of all':<{NAME_WIDTH}}{'':>6}{cells}"
@@ -129,6 +113,12 @@ def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
                 else f"95 % interval {100 * at.interval[0]:+.1f} to {100 * at.interval[1]:+.1f}"
             )
             yield f"after {at.frames / 54:.2f} s: {100 * at.difference:+.1f} points, {reach}"
+
+
+def _cells(row: Iterable[GestureFigures | LengthFigures | None]) -> str:
+    """Return before and after at each answer, "-" where there is none."""
+    pairs = [(None, None) if figures is None else (figures.before, figures.after) for figures in row]
+    return "".join(f"  {_percent(before):>6} {_percent(after):>6}" for before, after in pairs)
 
 
 def _percent(share: float | None) -> str:
