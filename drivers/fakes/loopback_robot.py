@@ -33,11 +33,20 @@ class LoopbackRobot:
         """Switch the robot on; also after stop(), and then it has forgotten everything."""
         command = [sys.executable, "-m", "drivers.fakes.fake_robot", "--follow-stdin", *self._options]
         # It ends with its stdin, a pipe from here: no robot outlives a program that was killed.
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-        assert self._process.stdout is not None
-        self.url = self._wait_for_url(self._process)
+        process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        # Do not wait for ever when the other process fails.
+        timer = threading.Timer(START_S, process.kill)
+        timer.start()
+        try:
+            self.url = self._follow(process.stdout)
+        finally:
+            timer.cancel()
+        if not self.url:
+            self.stop()
+            raise RobotError("the stand-in robot did not start; what it said on stderr tells why")
         self._follower = threading.Thread(
-            target=self._follow, args=(self._process.stdout,), name="touchd-loopback-robot", daemon=True
+            target=self._follow, args=(process.stdout,), name="touchd-loopback-robot", daemon=True
         )
         self._follower.start()
 
@@ -57,20 +66,6 @@ class LoopbackRobot:
 
     def __exit__(self, *_: object) -> None:
         self.stop()
-
-    def _wait_for_url(self, process: subprocess.Popen[bytes]) -> str:
-        assert process.stdout is not None
-        # Do not wait for ever when the other process fails.
-        timer = threading.Timer(START_S, process.kill)
-        timer.start()
-        try:
-            url = self._follow(process.stdout)
-        finally:
-            timer.cancel()
-        if not url:
-            self.stop()
-            raise RobotError("the stand-in robot did not start; what it said on stderr tells why")
-        return url
 
     def _follow(self, reports: IO[bytes]) -> str:
         """Report the calls until the robot says where it listens, which is returned, or until its end."""

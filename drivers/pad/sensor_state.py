@@ -52,22 +52,18 @@ class Announcer:
 
     def down(self, kind: str, reason: str, since_s: float | None = None) -> None:
         """No frames arrive, since `since_s` (now if None); `kind` tells causes apart whatever the words."""
+        is_news = kind == self._last_kind and kind not in self._kinds_told
+        self._last_kind = kind
         if self._down_since_s is None:
-            self._is_up = False
+            self._is_up, is_news = False, True
             self._down_since_s = time.monotonic() if since_s is None else since_s
             self._is_quiet = self._down_since_s - self._recovered_s < STEADY_S
             self._kinds_told.clear()
-            self._tell(kind, reason)
         elif self._is_quiet and time.monotonic() - self._down_since_s > STEADY_S:
-            self._is_quiet = False
-            self._tell(kind, reason)
-        elif kind == self._last_kind and kind not in self._kinds_told:
-            self._tell(kind, reason)
-        else:
+            self._is_quiet, is_news = False, True
+        if not is_news:
             log.debug("still down: %s", reason)
-        self._last_kind = kind
-
-    def _tell(self, kind: str, reason: str) -> None:
+            return
         self._kinds_told.add(kind)
         log.log(logging.DEBUG if self._is_quiet else logging.WARNING, "%s", reason)
         self._emit(SensorState("down", reason))

@@ -4,7 +4,7 @@ import logging
 import math
 
 from drivers.frame import DEFAULT_PAD, Frame
-from drivers.pad.health import Finding, Kind, PadHealth
+from drivers.pad.health import Kind, PadHealth
 
 log = logging.getLogger(__name__)
 
@@ -26,22 +26,14 @@ class PadWatch:
         self._unsaid: dict[Kind, tuple[float, str]] = {}
 
     def update(self, frame: Frame) -> None:
-        finding = self._health.update(frame)
+        now_s, finding = frame.host_s, self._health.update(frame)
         if finding is not None and finding.began:
-            self._begin(finding, frame.host_s)
+            is_same = now_s - self._warned_s.get(finding.kind, -math.inf) < SAME_TROUBLE_S
+            self._unsaid[finding.kind] = (now_s + LASTS_S if is_same else -math.inf, finding.what)
         elif finding is not None and self._unsaid.pop(finding.kind, None) is None:
             log.info("%sno longer: %s", self._prefix, finding.what)
-        for kind, (since_s, what) in tuple(self._unsaid.items()):
-            if frame.host_s - since_s > LASTS_S:
+        for kind, (from_s, what) in tuple(self._unsaid.items()):
+            if now_s > from_s:
                 del self._unsaid[kind]
-                self._warn(kind, what, frame.host_s)
-
-    def _begin(self, finding: Finding, now_s: float) -> None:
-        if now_s - self._warned_s.get(finding.kind, -math.inf) < SAME_TROUBLE_S:
-            self._unsaid[finding.kind] = (now_s, finding.what)
-        else:
-            self._warn(finding.kind, finding.what, now_s)
-
-    def _warn(self, kind: Kind, what: str, now_s: float) -> None:
-        self._warned_s[kind] = now_s
-        log.warning("%s%s", self._prefix, what)
+                self._warned_s[kind] = now_s
+                log.warning("%s%s", self._prefix, what)

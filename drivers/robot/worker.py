@@ -105,7 +105,6 @@ class RobotWorker(ABC, Generic[Item]):
                     self._backoff.reset()
                     self._tell("up", "")
                     self._serve(session)
-                    self._handle_what_waits(session)
                     self.end(session)
             except (RobotLost, RobotRefused) as error:
                 self._tell("down", str(error))
@@ -116,7 +115,7 @@ class RobotWorker(ABC, Generic[Item]):
             self._stopping.wait(self._backoff.pause_s())
 
     def _serve(self, session: RobotSession) -> None:
-        """Work until asked to stop; raises RobotLost when the robot is gone."""
+        """Work until asked to stop, then off what was queued; raises RobotLost when the robot is gone."""
         answered_s = time.monotonic()
         while not self._stopping.is_set():
             self._wake.clear()
@@ -129,9 +128,6 @@ class RobotWorker(ABC, Generic[Item]):
                 answered_s = time.monotonic()
             else:
                 self._wake.wait(LOOK_S)
-
-    def _handle_what_waits(self, session: RobotSession) -> None:
-        """On the way out, handle what was queued before, for as long as there is time."""
         deadline_s = time.monotonic() + LAST_WORDS_S
         while time.monotonic() < deadline_s and self._handle_next(session):
             pass
