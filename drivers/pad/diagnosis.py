@@ -182,21 +182,26 @@ def _numbers_a_line(data: bytes) -> int | None:
     lines = [line for line in data.split(b"\n")[1:-1] if line.strip()]
     if len(lines) < LEAST_FRAMES - 1 or sum(byte in TEXT for byte in data) < 0.9 * len(data):
         return None
-    return Counter(len(re.findall(rb"\d+", line)) for line in lines).most_common(1)[0][0]
+    return Counter(len(_numbers(line)) for line in lines).most_common(1)[0][0]
+
+
+def _numbers(line: bytes) -> list[int]:
+    # Python refuses to read thousands of digits; a pad's numbers have at most ten.
+    return [int(digits[:20]) for digits in re.findall(rb"\d+", line)]
 
 
 def _texts(data: bytes, numbers: int) -> Iterator[PadFormat]:
     """Yield formats for lines of so many numbers."""
-    rows_of = [line for line in data.split(b"\n")[1:-1] if len(re.findall(rb"\d+", line)) == numbers]
+    lines = data.split(b"\n")[1:-1]
+    rows_of = [row for row in map(_numbers, lines) if len(row) == numbers]
     # The first number of a line may be a clock.
-    largest = max(max(map(int, re.findall(rb"\d+", line)[1:]), default=0) for line in rows_of)
-    scale = _full_scale(largest)
+    scale = _full_scale(max(max(row[1:], default=0) for row in rows_of))
     for cells in (numbers, numbers - 1):
         known = [(preset.rows, preset.columns) for preset in PRESETS.values() if preset.cells == cells]
         sides = known[0] if known else _sides(cells) if cells >= LEAST_CELLS else None
         if sides is not None and (known or cells == numbers or sides[0] == sides[1]):
             yield PadFormat(framing="line", rows=sides[0], columns=sides[1], full_scale=scale)
-    between = [line.strip() for line in data.split(b"\n")[1:-1] if not re.search(rb"\d", line)]
+    between = [line.strip() for line in lines if not _numbers(line)]
     if between and 4 <= numbers <= 32:
         (end, ends), *_ = Counter(between).most_common(1)
         rows = round(len(rows_of) / ends)

@@ -17,6 +17,8 @@ from drivers.pad.parser import FrameParser
 
 # A number has at most ten digits (the clock); the rest is room for separators and alignment.
 MAX_CHARACTERS_A_NUMBER = 12
+# Python refuses to read a longer number.
+MOST_DIGITS = 4300
 LINES_TO_CHANGE_LAYOUT = 3
 MOST_BLANKS = 8
 BLANK = b"[ \\t\\r]{0,%d}" % MOST_BLANKS
@@ -73,8 +75,8 @@ class TextFrames(FrameParser):
         else:
             has_clock = False
             right_length = [len(line) for line in lines if line] == [described.columns] * described.rows
-        numeric = len(block) <= self._longest and all(map(bytes.isdigit, words))
-        if not (right_length and numeric and self._follow_layout(has_clock)):
+        numeric = all(map(bytes.isdigit, words)) and len(max(words, key=len)) <= MOST_DIGITS
+        if not (right_length and numeric and len(block) <= self._longest and self._follow_layout(has_clock)):
             self.counts.refuse("bad_framing", len(block) + 1)
             return []
         numbers = [int(word) for word in words]

@@ -7,6 +7,10 @@ import pytest
 from rigs.formats import CsvLines, encode_csv_line
 from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
+from drivers.pad.diagnosis import diagnose
+from drivers.pad.format import PadFormat
+from drivers.pad.protocol import parser_of
+
 
 def line(number: int) -> bytes:
     return encode_csv_line(counts_of(number), 5000 + number * PERIOD_MS)
@@ -52,6 +56,15 @@ def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> N
     frames = fed(parser, lines([0, 1]) + bad + line(3) + line(4), range(0, 3000, 70))
     assert_are(frames, [0, 1, 3, 4])
     assert getattr(parser.counts, reason) == parser.counts.bad == 1
+
+
+def test_a_number_of_thousands_of_digits_is_refused_and_diagnosed() -> None:
+    large = PadFormat(framing="line", rows=32, columns=32)
+    data = (b"0," * 1023 + b"1" * 5000 + b"\n") * 5
+    parser = parser_of(large)
+    assert parser.feed(data, 0.0) == []
+    assert parser.counts.bad_framing == 4
+    assert diagnose(data, large)[0] == "format"
 
 
 def test_a_pad_may_change_its_layout() -> None:
