@@ -42,29 +42,26 @@ def as_kept(value: object) -> object:
 
 
 class _Service:
-    """A service that notes its calls, then takes its time. call_s: how long a call takes, in seconds."""
-
-    name = ""
+    """A service, named as NAOqi's, that notes its calls, then takes its time: call_s seconds for each."""
 
     def __init__(self, note: Callable[[Call], None], call_s: float) -> None:
         self._note_call = note
         self._call_s = call_s
 
     def _note(self, method: str, *arguments: object, why: str = "") -> None:
+        service = type(self).__name__
         self._note_call(
-            Call(service=self.name, method=method, arguments=arguments, time_s=time.time(), refused=why)
+            Call(service=service, method=method, arguments=arguments, time_s=time.time(), refused=why)
         )
         time.sleep(0.0 if why else self._call_s)
 
     def _refuse(self, method: str, arguments: tuple[object, ...], why: str) -> RuntimeError:
         self._note(method, *map(str, arguments), why=why)
-        return RuntimeError(f"{self.name}.{method}: {why}")
+        return RuntimeError(f"{type(self).__name__}.{method}: {why}")
 
 
-class FakeMemory(_Service):
-    """ALMemory: events and data by key."""
-
-    name = "ALMemory"
+class ALMemory(_Service):
+    """Events and data by key."""
 
     def __init__(self, note: Callable[[Call], None], call_s: float) -> None:
         super().__init__(note, call_s)
@@ -90,25 +87,19 @@ class FakeMemory(_Service):
         self._note("removeData", key)
 
 
-class FakeTextToSpeech(_Service):
-    """ALTextToSpeech: a call lasts as long as the speech."""
-
-    name = "ALTextToSpeech"
+class ALTextToSpeech(_Service):
+    """A call lasts as long as the speech."""
 
     def say(self, text: str) -> None:
         self._note("say", text)
 
 
-class FakeAnimatedSpeech(FakeTextToSpeech):
-    """ALAnimatedSpeech: speech with gestures."""
-
-    name = "ALAnimatedSpeech"
+class ALAnimatedSpeech(ALTextToSpeech):
+    """Speech with gestures."""
 
 
-class FakeBehaviorManager(_Service):
-    """ALBehaviorManager: behaviours are installed when their name looks like a path."""
-
-    name = "ALBehaviorManager"
+class ALBehaviorManager(_Service):
+    """Behaviours are installed when their name looks like a path."""
 
     def runBehavior(self, behavior: str) -> None:  # noqa: N802
         if "/" not in behavior:
@@ -116,19 +107,15 @@ class FakeBehaviorManager(_Service):
         self._note("runBehavior", behavior)
 
 
-class FakeLeds(_Service):
-    """ALLeds: coloured lights."""
-
-    name = "ALLeds"
+class ALLeds(_Service):
+    """Coloured lights."""
 
     def fadeRGB(self, group: str, rgb: int, duration_s: float) -> None:  # noqa: N802
         self._note("fadeRGB", group, rgb, duration_s)
 
 
-class FakeSystem(_Service):
-    """ALSystem: asked by the heartbeat, so its calls are not noted."""
-
-    name = "ALSystem"
+class ALSystem(_Service):
+    """Asked by the heartbeat, so its calls are not noted."""
 
     def systemVersion(self) -> str:  # noqa: N802
         """Return the version that a NAO V6 runs."""
@@ -136,9 +123,9 @@ class FakeSystem(_Service):
         return "2.8.7.4"
 
 
-SPEECH = (FakeTextToSpeech, FakeAnimatedSpeech)
-OTHERS = (FakeMemory, FakeBehaviorManager, FakeLeds, FakeSystem)
-SERVICE_NAMES = tuple(sorted(kind.name for kind in (*OTHERS, *SPEECH)))
+SPEECH = (ALTextToSpeech, ALAnimatedSpeech)
+OTHERS = (ALMemory, ALBehaviorManager, ALLeds, ALSystem)
+SERVICE_NAMES = tuple(sorted(kind.__name__ for kind in (*OTHERS, *SPEECH)))
 
 
 def fake_services(
@@ -146,4 +133,5 @@ def fake_services(
 ) -> dict[str, object]:
     """Return the services by name, but for some. call_s, say_s: seconds that a call, and speech, takes."""
     services = [*(kind(note, call_s) for kind in OTHERS), *(kind(note, say_s) for kind in SPEECH)]
-    return {service.name: service for service in services if service.name not in without}
+    named = {type(service).__name__: service for service in services}
+    return {name: service for name, service in named.items() if name not in without}

@@ -13,12 +13,14 @@ from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 Side = Annotated[int, msgspec.Meta(ge=4, le=64)]
 LONGEST_SIDE = 32
 CELL_BITS = {"u8": 8, "u12": 12, "u16": 16}
-BYTE_ORDERS = {"little": "<", "big": ">"}
 PLAIN_CELLS = {
-    (cell, order): np.dtype(f"{mark}u{CELL_BITS[cell] // 8}")
-    for cell in ("u8", "u16")
-    for order, mark in BYTE_ORDERS.items()
+    ("u8", "little"): "u1",
+    ("u8", "big"): "u1",
+    ("u16", "little"): "<u2",
+    ("u16", "big"): ">u2",
 }
+# The bits of a packed cell in the order in which they come.
+U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
 
 Grid = NDArray[np.float32]
 
@@ -228,13 +230,10 @@ def decode_cells(described: PadFormat, data: bytes) -> NDArray[np.uint16]:
         kind = PLAIN_CELLS[described.cell, described.order]
         plain: NDArray[np.uint16] = np.frombuffer(data, kind).astype(np.uint16, copy=False)
         return plain
-    trio = np.frombuffer(data + bytes(-len(data) % 3), np.uint8).reshape(-1, 3).astype(np.uint16)
-    first, middle, last = trio.T
-    if described.order == "little":
-        pairs = first | (middle & 15) << 8, middle >> 4 | last << 4
-    else:
-        pairs = first << 4 | middle >> 4, (middle & 15) << 8 | last
-    values: NDArray[np.uint16] = np.stack(pairs, axis=1).ravel()[: described.cells]
+    bits = np.unpackbits(np.frombuffer(data, np.uint8), count=12 * described.cells, bitorder=described.order)
+    values: NDArray[np.uint16] = (bits.reshape(-1, 12) << U12_BITS[described.order]).sum(
+        axis=1, dtype=np.uint16
+    )
     return values
 
 
@@ -242,9 +241,5 @@ def encode_cells(described: PadFormat, values: NDArray[np.uint16]) -> bytes:
     """Return values (cells,) as a binary frame holds them."""
     if described.cell != "u12":
         return values.astype(PLAIN_CELLS[described.cell, described.order]).tobytes()
-    one, two = np.pad(values, (0, len(values) % 2)).reshape(-1, 2).T
-    if described.order == "little":
-        trio = one & 255, one >> 8 | (two & 15) << 4, two >> 4
-    else:
-        trio = one >> 4, (one & 15) << 4 | two >> 8, two & 255
-    return np.stack(trio, axis=1).astype(np.uint8).tobytes()[: -(-len(values) * 12 // 8)]
+    bits = values[:, None] >> U12_BITS[described.order] & 1
+    return np.packbits(bits.astype(np.uint8), bitorder=described.order).tobytes()
