@@ -6,8 +6,6 @@ Ours: `# key: value` lines of provenance, then `participant,substrate,cover,gest
 Consecutive rows that share participant, substrate, cover and gesture are one recording.
 """
 
-from __future__ import annotations
-
 import csv
 import gzip
 import zlib

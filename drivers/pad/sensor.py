@@ -21,6 +21,7 @@ __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 
 log = logging.getLogger(__name__)
 
+FIRST_RETRY_S = 0.1
 # Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
 WAIT_S = 0.0745
 # Noise changes a taxel by less within this time; nearly all touches change one by more.
@@ -48,7 +49,7 @@ class FrameQueue(DroppingQueue[Frame | SensorState]):
 class Sensor:
     """Reads `port` (see `drivers.pad.port`); puts frames and changes of state into `queue`.
 
-    The port is reopened whenever it fails, after first_retry_s and then ever longer up to longest_retry_s.
+    The port is reopened whenever it fails, after FIRST_RETRY_S and then ever longer up to longest_retry_s.
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
     too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
     may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread. Those of
@@ -64,7 +65,6 @@ class Sensor:
         protocol: FrameParser,
         queue: FrameQueue,
         *,
-        first_retry_s: float = 0.1,
         longest_retry_s: float = 1.0,
         silence_s: float = 2.0,
         reopen_after_s: float = 10.0,
@@ -74,7 +74,7 @@ class Sensor:
         self._protocol = protocol
         self._queue = queue
         self._longest_retry_s = longest_retry_s
-        self._backoff = Backoff(first_retry_s, longest_retry_s)
+        self._backoff = Backoff(FIRST_RETRY_S, longest_retry_s)
         self._silence_s = silence_s
         self._reopen_after_s = reopen_after_s
         self.may_wait = False

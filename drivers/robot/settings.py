@@ -5,6 +5,7 @@ import logging
 import os
 import re
 import stat
+from contextlib import suppress
 from typing import Annotated
 
 import msgspec
@@ -53,8 +54,8 @@ def read_login(settings: RobotSettings) -> Login | None:
 
     The token comes from a file or an environment variable, and is in no text made of the result.
     """
-    address = re.fullmatch(r"tcps?://[^\s/@:]+:(\d{1,5})", settings.url)
-    if address is None or int(address[1]) > 65535:
+    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
+    if address is None or int(address[2]) > 65535:
         # Do not show a password in it.
         shown = re.sub(r"//.*@", "//***@", settings.url)
         raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
@@ -69,8 +70,7 @@ def read_login(settings: RobotSettings) -> Login | None:
     login = Login(settings.user, read_token(settings))
     if settings.token_file is not None:
         _warn_of_readers(settings.token_file)
-    host = settings.url.partition("//")[2].rpartition(":")[0]
-    if _is_here(host):
+    if _is_here(address[1]):
         return login
     if not settings.trust_network:
         raise RobotError(
@@ -82,10 +82,9 @@ def read_login(settings: RobotSettings) -> Login | None:
 
 
 def _is_here(host: str) -> bool:
-    try:
+    with suppress(ValueError):
         return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+    return host == "localhost"
 
 
 def read_token(settings: RobotSettings) -> str:

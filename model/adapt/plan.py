@@ -47,18 +47,14 @@ def plan(recordings: Sequence[Recording]) -> Plan:
         # Those of a gesture are dealt out one after the other.
         dealt: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
         fold_of = [next(dealt[recording.gesture]) % MOST_RECORDING_FOLDS for recording in recordings]
-    folds = (_fold(recordings, fold_of, fold) for fold in sorted(set(fold_of)))
-    useful = tuple(fold for fold in folds if fold.evaluated)
-    return Plan(left_out if useful else "nothing", useful)
-
-
-def _fold(recordings: Sequence[Recording], fold_of: Sequence[int], fold: int) -> Fold:
-    trained = tuple(i for i, own in enumerate(fold_of) if own != fold)
-    gestures = {recordings[i].gesture for i in trained}
-    # Told from nothing else, any gesture would be right.
-    evaluated = tuple(
-        i
-        for i, own in enumerate(fold_of)
-        if own == fold and recordings[i].gesture in gestures and len(gestures) > 1
-    )
-    return Fold(trained, evaluated)
+    folds = []
+    for fold in sorted(set(fold_of)):
+        trained = tuple(i for i, own in enumerate(fold_of) if own != fold)
+        gestures = {recordings[i].gesture for i in trained}
+        evaluated = tuple(
+            i for i, own in enumerate(fold_of) if own == fold and recordings[i].gesture in gestures
+        )
+        # Told from nothing else, any gesture would be right.
+        if evaluated and len(gestures) > 1:
+            folds.append(Fold(trained, evaluated))
+    return Plan(left_out if folds else "nothing", tuple(folds))
