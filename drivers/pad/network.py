@@ -2,6 +2,7 @@
 
 import logging
 import re
+import select
 import socket
 import time
 from typing import Any
@@ -87,15 +88,8 @@ class NetworkPort:
             self._socket.sendto(data, self._sender)
 
     def reset_input_buffer(self) -> None:
-        timeout_s = self._socket.gettimeout()
-        self._socket.setblocking(False)
-        try:
-            while self._socket.recv(MOST_BYTES):
-                pass
-        except BlockingIOError:
+        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(MOST_BYTES):
             pass
-        finally:
-            self._socket.settimeout(timeout_s)
 
     def __enter__(self) -> "NetworkPort":
         return self

@@ -56,7 +56,7 @@ def check_port(port: str, baud: int) -> None:
         if "://" in port:
             return
         if not stat.S_ISCHR(os.stat(port).st_mode):
-            raise _no_serial_port(port)
+            raise OSError(errno.ENOTTY, "no device")
         if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
             raise PermissionError(errno.EACCES, "permission denied")
     except (OSError, ValueError) as error:
@@ -139,9 +139,5 @@ def _explained(port: str, error: Exception) -> SensorError:
         hint = str(error) if "://" in port else f"fuser {port} shows which"
         return SensorError("busy", f"{port} is busy: another program reads it ({hint})")
     if "://" not in port and os.path.exists(port) and not stat.S_ISCHR(os.stat(port).st_mode):
-        return _no_serial_port(port)
+        return SensorError("unusable", f"{port} is no serial port: name a device like /dev/ttyACM0")
     return SensorError("unusable", f"{port} cannot be opened: {error}")
-
-
-def _no_serial_port(port: str) -> SensorError:
-    return SensorError("unusable", f"{port} is no serial port: name a device like /dev/ttyACM0")

@@ -142,9 +142,7 @@ def _check_placeholders(template: str) -> None:
     except ValueError as error:
         raise ValueError(f"{template!r}: {error}; write {{{{ for a brace") from error
     for _, name, form, conversion in parts:
-        if name is None:
-            continue
-        if name not in PLACEHOLDERS or form or conversion:
+        if name is not None and (name not in PLACEHOLDERS or form or conversion):
             raise ValueError(
                 f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, "
                 "nothing else in braces"
