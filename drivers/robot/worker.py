@@ -10,7 +10,7 @@ from contextlib import closing, suppress
 from typing import Generic, Literal, TypeVar
 
 from drivers.backoff import Backoff
-from drivers.queue import DroppingQueue
+from drivers.queue import DroppingQueue, Signal
 from drivers.robot.limits import RobotLimits
 from drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
@@ -50,10 +50,10 @@ class RobotWorker(ABC, Generic[Item]):
         self._on_state = on_state
         self._state: LinkState | None = None
         self._refused_before = False
-        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity)
+        self._wake = Signal()
+        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
         self._counts: Counter[str] = Counter()
         self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
-        self._wake = threading.Event()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
@@ -82,7 +82,6 @@ class RobotWorker(ABC, Generic[Item]):
         """Queue an item and return at once; call it from one thread."""
         self._counts["queued"] += 1
         self._queue.put((time.monotonic(), item))
-        self._wake.set()
 
     def ask_to_stop(self) -> None:
         """Tell the worker to end; returns at once."""
@@ -118,7 +117,6 @@ class RobotWorker(ABC, Generic[Item]):
         """Work until asked to stop, then off what was queued; raises RobotLost when the robot is gone."""
         answered_s = time.monotonic()
         while not self._stopping.is_set():
-            self._wake.clear()
             if not session.connected():
                 raise RobotLost("the connection was closed by the robot")
             if self.tend(session) or self._handle_next(session):
@@ -140,24 +138,21 @@ class RobotWorker(ABC, Generic[Item]):
     def _handle_next(self, session: RobotSession) -> bool:
         """Handle the oldest item that is not stale; returns whether the robot was asked anything."""
         oldest_s = time.monotonic() - self._limits.stale_s
-        while (entry := self._queue.get(0)) is not None and entry[0] < oldest_s:
+        while (entry := self._queue.get_nowait()) is not None and entry[0] < oldest_s:
             self._counts["stale"] += 1
         if entry is None:
             return False
-        _, item = entry
+        became = "failed"
         try:
-            self.handle(session, item)
+            self.handle(session, entry[1])
+            became = "sent"
+            self._refused_before = False
         except RobotRefused as refused:
-            self._counts["failed"] += 1
             level = logging.DEBUG if self._refused_before else logging.WARNING
             log.log(level, "the robot refused %s", refused)
             self._refused_before = True
-        except RobotLost:
-            self._counts["failed"] += 1
-            raise
-        else:
-            self._counts["sent"] += 1
-            self._refused_before = False
+        finally:
+            self._counts[became] += 1
         return True
 
     def _tell(self, state: LinkState, reason: str) -> None:
