@@ -144,6 +144,12 @@ def test_a_journal_becomes_touches_without_its_half_line(tmp_path: Path) -> None
     assert second.ended is None
 
 
+def test_a_journal_named_like_a_formula_is_drawn(tmp_path: Path) -> None:
+    figure = plot_journal.draw(read_journal(journal(tmp_path / "events.jsonl")), "j$\\frac$.jsonl")
+    figure.draw_without_rendering()
+    assert any(text.startswith("j$\\frac$.jsonl") for text in words(figure))
+
+
 def test_answers_without_a_beginning_are_left_out() -> None:
     assert gather([prediction(7, "early", "pat")]) == []
 
