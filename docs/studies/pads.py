@@ -3,7 +3,6 @@
 The simulated hand makes the same touches on every pad, rendered on the pad's cells and sent as its bytes.
 """
 
-import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,11 +13,12 @@ import numpy as np
 from numpy.random import RandomState
 
 from daemon.config import Settings
-from daemon.events import Event, TouchBegan, TouchEnded
-from daemon.pipeline import Clock, Pipeline
+from daemon.events import TouchBegan, TouchEnded
 from daemon.setup.parts import load_model
+from docs.studies.folders import study_parser
 from docs.studies.hand import GESTURES, pressure, read_pad
 from docs.studies.marked import fill, table
+from docs.studies.play import play
 from drivers.frame import FRAME_RATE_HZ, Frame
 from drivers.pad.format import PRESETS, PadFormat, encode_values
 from drivers.pad.protocol import parser_of
@@ -71,7 +71,7 @@ class PadScore:
 
 def main(arguments: Sequence[str]) -> int:
     """Play every pad and fill the table in; returns 0."""
-    argparse.ArgumentParser(prog="python -m docs.studies pads", description=__doc__).parse_args(arguments)
+    study_parser("pads", __doc__).parse_args(arguments)
     fill(PAGE, {"ladder": table_of([(rung, score(rung, HANDS)) for rung in LADDER])})
     return 0
 
@@ -79,34 +79,21 @@ def main(arguments: Sequence[str]) -> int:
 def table_of(scores: Sequence[tuple[Rung, PadScore]]) -> str:
     """Return the table of all pads, the lab's first."""
     lab = scores[0][1]
-    headings = ("pad", "cells", "touches felt", "right in the end", "")
-    return table(
-        headings,
-        [
-            (
-                rung.name,
-                f"{rung.described.rows}x{rung.described.columns}",
-                f"{each.felt} of {each.touches}",
-                f"{each.right} of {each.touches}",
-                "**ruined**" if each.is_ruined(lab) else "",
-            )
-            for rung, each in scores
-        ],
-    )
+    rows = [
+        (
+            *(rung.name, f"{rung.described.rows}x{rung.described.columns}"),
+            *(f"{each.felt} of {each.touches}", f"{each.right} of {each.touches}"),
+            "**ruined**" if each.is_ruined(lab) else "",
+        )
+        for rung, each in scores
+    ]
+    return table(("pad", "cells", "touches felt", "right in the end", ""), rows)
 
 
 def score(rung: Rung, hands: int) -> PadScore:
     """Play so many hands on a pad, each with every gesture; return how many were felt and right."""
     gestures = [gesture for gesture in GESTURES if gesture != NO_TOUCH] * hands
-    events: list[Event] = []
-    now_s = [0.0]
-    settings = Settings()
-    clock = Clock(monotonic_s=lambda: now_s[0])
-    pipeline = Pipeline(settings.pipeline, load_model(settings), events.append, clock)
-    for frame in frames_of(rung, gestures):
-        now_s[0] = frame.host_s
-        pipeline.on_frame(frame)
-    pipeline.flush()
+    events = play(frames_of(rung, gestures), load_model(Settings()), flush=True)
     sys.stderr.write(f"{rung.name}: {len(gestures)} touches\n")
     began = {event.touch: event.sensor_ms / 1000 for event in events if isinstance(event, TouchBegan)}
     ended = {event.touch: event.gesture for event in events if isinstance(event, TouchEnded)}

@@ -1,25 +1,23 @@
 """Sessions of a pad in use: how they are made and scored, and that touches stay separate."""
 
-import os
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.haart_folder import SECOND_STUDY, needs_second_study
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
 from daemon.events import TouchEnded, epoch_s, timestamp
-from daemon.pipeline import PipelineSettings
+from docs.studies.play import frames_of, play
 from docs.studies.sessions import joined
 from docs.studies.sessions.plan import PlannedSession, SessionSettings, sessions
 from docs.studies.sessions.report import measure
-from docs.studies.sessions.score import judge, play, score
+from docs.studies.sessions.score import judge, score
 from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
 from model.classifier import SHIPPED_MODEL, Classifier
-
-SECOND_STUDY = os.environ.get("TOUCHD_SECOND_STUDY")
 
 
 def recording(gesture: str, scans: Scans, shift: float = 0.0) -> Recording:
@@ -57,13 +55,13 @@ def test_noise_begins_at_its_time_and_not_before() -> None:
 @pytest.mark.parametrize("disturbance", [{}, {"noise": 1.5}, {"hum": 2.0}, {"motor": 2.0}])
 def test_the_touches_of_a_session_stay_apart(disturbance: dict[str, float]) -> None:
     session = made(SessionSettings(**disturbance))
-    result = score([judge(session, play(session, Scripted(), PipelineSettings()))])
+    result = score([judge(session, play(frames_of(session.counts), Scripted()))])
     assert (result.n, result.missed, result.merged, result.split, result.open) == (2, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_touch_that_never_closes_is_scored_as_merged() -> None:
     session = made(SessionSettings())
-    events = play(session, Scripted(), PipelineSettings())
+    events = play(frames_of(session.counts), Scripted())
     first_end = next(i for i, event in enumerate(events) if type(event).__name__ == "TouchEnded")
     result = score([judge(session, events[:first_end])])
     assert result.merged == result.open == 100.0
@@ -71,7 +69,7 @@ def test_a_touch_that_never_closes_is_scored_as_merged() -> None:
 
 def test_a_touch_that_ends_late_is_scored_as_open() -> None:
     session = made(SessionSettings())
-    events = play(session, Scripted(), PipelineSettings())
+    events = play(frames_of(session.counts), Scripted())
     late = [
         msgspec.structs.replace(event, time=timestamp(epoch_s(event.time) + 2.0))
         if isinstance(event, TouchEnded)
@@ -83,7 +81,7 @@ def test_a_touch_that_ends_late_is_scored_as_open() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-@pytest.mark.skipif(SECOND_STUDY is None, reason="TOUCHD_SECOND_STUDY names no folder of its recordings")
+@needs_second_study
 def test_touches_of_the_second_study_stay_apart() -> None:
     path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
     recordings = read_recordings(path, Selection(participants=("R04", "R12", "R14")))
@@ -92,7 +90,7 @@ def test_touches_of_the_second_study_stay_apart() -> None:
     assert result.merged + result.split <= 12.0
 
 
-@pytest.mark.skipif(SECOND_STUDY is None, reason="TOUCHD_SECOND_STUDY names no folder of its recordings")
+@needs_second_study
 def test_a_breathing_robots_touches_are_told_as_they_were_measured() -> None:
     people = ("R02", "R04", "R06")
     path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
@@ -108,7 +106,7 @@ def test_a_breathing_robots_touches_are_told_as_they_were_measured() -> None:
 def test_quiet_alone_has_no_false_touch() -> None:
     session = made(SessionSettings())
     quiet = PlannedSession("P", "foam", "none", session.counts[:162], session.stretches[:1])
-    played = judge(quiet, play(quiet, Scripted(), PipelineSettings()))
+    played = judge(quiet, play(frames_of(quiet.counts), Scripted()))
     assert played.false == 0
     assert np.isclose(played.quiet_min, 0.05)
 

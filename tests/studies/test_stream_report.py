@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 from rigs.haart_folder import needs_haart
+from rigs.stored_report import DOCS
 
 from daemon.decide import DecisionSettings
 from docs.studies.decision.measure import Said, Told, decide, listen
-from docs.studies.decision.report import LEAST_RIGHT_EARLY, MOST_CHANGED, MOST_HARMED, StreamReport, choose
+from docs.studies.decision.report import StreamReport, choose
 from docs.studies.tracker.measure import spliced
 from docs.studies.training import haart
 from docs.studies.training.haart import TRAINING_FILE, find
@@ -18,7 +19,6 @@ from drivers.recording import Selection, read_recordings
 from model.classifier import SHIPPED_MODEL
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
-DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
@@ -33,13 +33,8 @@ def sure_of(gesture: str, confidence: float) -> np.ndarray:
 
 def test_the_defaults_are_the_point_that_the_rule_picks(measured: StreamReport) -> None:
     picked, defaults = choose(measured.curve), DecisionSettings()
+    assert measured.default == picked
     assert (defaults.speak_above, defaults.revise_margin) == (picked.speak_above, picked.revise_margin)
-
-
-def test_the_default_meets_its_limits(measured: StreamReport) -> None:
-    assert measured.default.right_when_told_early >= LEAST_RIGHT_EARLY
-    assert measured.default.changed <= MOST_CHANGED
-    assert measured.default.harmed <= MOST_HARMED
 
 
 def test_confidence_is_calibrated_at_every_stage(measured: StreamReport) -> None:
@@ -47,15 +42,15 @@ def test_confidence_is_calibrated_at_every_stage(measured: StreamReport) -> None
 
 
 def test_a_right_answer_made_wrong_counts_as_harm() -> None:
-    said = Said("pat", "P1", (("early", 1.0, sure_of("pat", 0.9)), ("final", 2.67, sure_of("rub", 0.9))))
+    said = Said("pat", (("early", 1.0, sure_of("pat", 0.9)), ("final", 2.67, sure_of("rub", 0.9))))
     told = decide(said, DecisionSettings(), LABELS)
-    assert told == Told(("early", "final"), (1.0, 2.67), (True, False))
+    assert told == Told((("early", 1.0, True), ("final", 2.67, False)))
     assert told.harmed
     assert told.settled_s is None
 
 
 def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
-    said = Said("pat", "P1", (("early", 1.0, sure_of("rub", 0.9)), ("revised", 1.5, sure_of("pat", 0.9))))
+    said = Said("pat", (("early", 1.0, sure_of("rub", 0.9)), ("revised", 1.5, sure_of("pat", 0.9))))
     told = decide(said, DecisionSettings(), LABELS)
     assert not told.harmed
     assert told.settled_s == 1.5
@@ -71,11 +66,7 @@ def test_a_participant_is_answered_by_an_unseen_network() -> None:
     of_one = haart.realigned(read_recordings(path, Selection(participants=("P8",))))
     classifier = next(fold for fold, recordings in left_out_split(SHIPPED_MODEL.parent, of_one) if recordings)
     said = list(listen(spliced(of_one, level_rest=True), classifier))
-    right = [
-        max(LABELS, key=lambda label, p=p: p[LABELS.index(label)]) == touch.gesture
-        for touch in said
-        for stage, _, p in touch.answers
-        if stage == "final"
-    ]
+    final = [(touch, p) for touch in said for stage, _, p in touch.answers if stage == "final"]
+    right = [LABELS[p.argmax()] == touch.gesture for touch, p in final]
     assert len(said) >= 70
     assert np.mean(right) >= 0.8

@@ -5,14 +5,18 @@ one about the challenge's test participants, in about two minutes; fills the tab
 docs/early.md, and what `scene.sure` costs in docs/decision.md.
 """
 
-import argparse
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from sklearn.linear_model import Ridge
+from sklearn.svm import OneClassSVM
 
 from daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
 from daemon.pipeline import STAGES
@@ -20,15 +24,14 @@ from docs.studies.accuracy import PAPER_ACCURACY
 from docs.studies.decision.measure import Told
 from docs.studies.decision.report import MOST_HARMED
 from docs.studies.decision.streams import FRAMES, Streams, collect, collect_windows
-from docs.studies.folders import add_docs_argument, add_haart_argument, add_second_study_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from docs.studies.training import haart, metrics, second_study
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import NO_TOUCH
 from model.classifier import SHIPPED_MODEL, Classifier
 
 Frames = NDArray[np.int64]
-Rule = Callable[[Streams], Frames]
+Stops = NDArray[np.bool_]
 # Errors that a second of waiting is worth.
 PRICES = (0.02, 0.05, 0.1)
 LEARN_EVERY = 9
@@ -53,7 +56,7 @@ class RuleScore(msgspec.Struct, frozen=True, kw_only=True):
 
 def score(rule: str, setting: str, streams: Streams, frames: Frames) -> RuleScore:
     """Score answers told after so many frames each, (N,)."""
-    named = _named(streams)
+    named = streams.named
     rows = np.arange(len(frames))
     told = named[rows, frames - 1].argmax(axis=1)
     error = float((told != streams.truth).mean())
@@ -80,15 +83,6 @@ def score(rule: str, setting: str, streams: Streams, frames: Frames) -> RuleScor
     )
 
 
-class Challenge(msgspec.Struct, frozen=True, kw_only=True):
-    """The challenge's test windows, answered once sure. right: macro accuracy, as in the paper's table 3."""
-
-    limit: float
-    mean_s: float
-    median_s: float
-    right: float
-
-
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
     """What one of the scene's choices costs. first: of what is told first."""
 
@@ -104,11 +98,8 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(arguments: Sequence[str]) -> int:
     """Compare the rules on both studies, fill the pages, say which choice the figures are for; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies early")
-    add_haart_argument(parser)
-    add_second_study_argument(parser)
+    parser = study_parser("early", None, "haart", "second-study", "docs")
     parser.add_argument("--weights", type=Path, default=SHIPPED_MODEL.parent, help="of the networks left out")
-    add_docs_argument(parser)
     chosen = parser.parse_args(arguments)
     recordings = {
         "HAART": haart.read_training(chosen.haart),
@@ -131,10 +122,19 @@ def write(studies: Mapping[str, Streams], tested: Streams, docs: Path) -> str:
     sure = sure_table(choices)
     challenge = challenge_of(tested)
     tables = {
-        "touches": touches_table(studies),
+        "touches": table(
+            ("study", "people", "touches"),
+            [(title, len(set(s.participants)), len(s.truth)) for title, s in studies.items()],
+        ),
         "sure": sure,
         "rules": rules_table(scores),
-        "challenge": challenge_table(challenge),
+        "challenge": table(
+            ("confidence after a second", "told after, mean / median", "macro accuracy"),
+            [
+                (f"{limit:.2f}", f"{mean_s:.2f} / {median_s:.2f} s", f"{100 * right:.1f} %")
+                for limit, mean_s, median_s, right in challenge
+            ],
+        ),
     }
     fill(docs / "early.md", tables)
     fill(docs / "decision.md", {"sure": sure}, others=("stages", "curve"))
@@ -165,38 +165,25 @@ def best_choice(choices: Mapping[str, Sequence[Choice]]) -> str:
 
 def compare(streams: Streams) -> list[RuleScore]:
     """Return every rule at every setting; rules that learn do so from the other people."""
-    rules: dict[str, Mapping[str, Rule]] = {
-        "fixed time": {f"{length}": _fixed(length) for length in (9, 27, 54, 72, 81, 108, 144)},
-        "confidence": {f"{p:.2f}": _confidence(p, 1) for p in np.arange(0.4, 0.96, 0.05)},
-        "confidence for 5 frames": {f"{p:.2f}": _confidence(p, 5) for p in np.arange(0.4, 0.96, 0.05)},
-        "falling confidence": {f"{limit:.2f}": _falling(limit) for limit in LIMITS},
-        "margin": {f"{p:.2f}": _margin(p) for p in np.arange(0.1, 0.96, 0.1)},
-        "sequential test": {f"{limit:g}": _sequential(limit) for limit in (1, 2, 4, 8, 16, 32, 64)},
-        "learnt trigger": {f"{price:g}": _learnt(price) for price in (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)},
-        "two tiers": {f"{patience}": _two_tiers(patience) for patience in (1, 2, 3, 4, 5)},
-        "oracle": {"": _oracle},
-    }
     return [
-        score(name, setting, streams, rule(streams))
-        for name, settings in rules.items()
-        for setting, rule in settings.items()
+        score(name, format(setting, shown), streams, _first(streams, rule(streams, setting)))
+        for name, (rule, shown, settings) in RULES.items()
+        for setting in settings
     ]
 
 
-def challenge_of(tested: Streams) -> list[Challenge]:
-    """Return how often, and when, the challenge's test windows are answered rightly."""
+def challenge_of(tested: Streams) -> list[tuple[float, float, float, float]]:
+    """Return how the challenge's test windows are answered, once sure.
+
+    Confidence asked for after a second, mean and median seconds, macro accuracy as in the paper's table 3.
+    """
     rows = []
     for limit in LIMITS:
         frames = _first(tested, _is_sure(tested.probabilities, limit))
         told = tested.probabilities[np.arange(len(frames)), frames - 1].argmax(axis=1)
-        rows.append(
-            Challenge(
-                limit=limit,
-                mean_s=float(frames.mean()) / FRAME_RATE_HZ,
-                median_s=float(np.median(frames)) / FRAME_RATE_HZ,
-                right=metrics.macro_accuracy(told, tested.truth, len(tested.labels)),
-            )
-        )
+        right = metrics.macro_accuracy(told, tested.truth, len(tested.labels))
+        seconds = frames / FRAME_RATE_HZ
+        rows.append((limit, float(seconds.mean()), float(np.median(seconds)), right))
     return rows
 
 
@@ -206,7 +193,7 @@ def heard(streams: Streams, settings: DecisionSettings) -> list[Told]:
     for said, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
         decision = Decision(settings, streams.labels)
         due = dict(zip(settings.answer_at_frames, STAGES, strict=True))
-        row = []
+        answers = []
         for frames in range(int(noticed) + 1, FRAMES + 1):
             probabilities = said[frames - 1].astype(np.float64)
             stage = due.get(frames)
@@ -218,8 +205,9 @@ def heard(streams: Streams, settings: DecisionSettings) -> list[Told]:
             due = {length: name for length, name in due.items() if name != stage}
             answer = decision.answer(stage, probabilities)
             if answer.told:
-                row.append((stage, frames / FRAME_RATE_HZ, answer.gesture == streams.labels[truth]))
-        told.append(Told(*(tuple(part) for part in zip(*row, strict=True))) if row else Told((), (), ()))
+                right = answer.gesture == streams.labels[truth]
+                answers.append((stage, frames / FRAME_RATE_HZ, right))
+        told.append(Told(tuple(answers)))
     return told
 
 
@@ -229,7 +217,7 @@ def choices_of(streams: Streams) -> list[Choice]:
     settings = [DecisionSettings(), *(DecisionSettings(early="when_sure", sure=sure) for sure in SURE)]
     for chosen in settings:
         told = heard(streams, chosen)
-        first_s = [t.elapsed_s[0] for t in told if t.right]
+        first_s = [t.answers[0][1] for t in told if t.answers]
         settled_s = [t.settled_s for t in told if t.settled_s is not None]
         choices.append(
             Choice(
@@ -237,19 +225,13 @@ def choices_of(streams: Streams) -> list[Choice]:
                 sure=chosen.sure if chosen.early == "when_sure" else "",
                 first_mean_s=float(np.mean(first_s)),
                 first_median_s=float(np.median(first_s)),
-                first_right=float(np.mean([t.right[0] for t in told if t.right])),
+                first_right=float(np.mean([t.right[0] for t in told if t.answers])),
                 right=len(settled_s) / len(told),
                 settled_mean_s=float(np.mean(settled_s)),
                 harmed=float(np.mean([t.harmed for t in told])),
             )
         )
     return choices
-
-
-def touches_table(studies: Mapping[str, Streams]) -> str:
-    """Return the people and touches of each study."""
-    rows = [(title, len(set(s.participants)), len(s.truth)) for title, s in studies.items()]
-    return table(("study", "people", "touches"), rows)
 
 
 def sure_table(choices: Mapping[str, Sequence[Choice]]) -> str:
@@ -292,38 +274,22 @@ def rules_table(studies: Mapping[str, Sequence[RuleScore]]) -> str:
     return table((*headings, "harmful changes"), rows)
 
 
-def challenge_table(challenge: Sequence[Challenge]) -> str:
-    """Return accuracy against time on the challenge's test windows."""
-    rows = [
-        (f"{row.limit:.2f}", f"{row.mean_s:.2f} / {row.median_s:.2f} s", f"{100 * row.right:.1f} %")
-        for row in challenge
-    ]
-    return table(("confidence after a second", "told after, mean / median", "macro accuracy"), rows)
-
-
 def _cheapest(scores: Sequence[RuleScore]) -> Iterator[RuleScore]:
-    for name in dict.fromkeys(entry.rule for entry in scores):
+    for name in RULES:
         own = [entry for entry in scores if entry.rule == name]
         yield from dict.fromkeys(own[place] for place in np.argmin([entry.costs for entry in own], axis=0))
 
 
 def draw(
     studies: Mapping[str, tuple[Sequence[RuleScore], Sequence[Choice]]],
-    challenge: Sequence[Challenge],
+    challenge: Sequence[tuple[float, float, float, float]],
     path: Path,
 ) -> None:
     """Draw error over mean time: rules as curves, the paper's table 3 and `scene.sure` as dots."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    width = 4.6 * (len(studies) + 1)
-    figure, (*panels, last) = plt.subplots(
-        1, len(studies) + 1, figsize=(width, 4.4), layout="constrained", sharey=True
-    )
+    figure = Figure(figsize=(4.6 * (len(studies) + 1), 4.4), layout="constrained")
+    *panels, last = figure.subplots(1, len(studies) + 1, sharey=True)
     for axes, (title, (scores, choices)) in zip(panels, studies.items(), strict=True):
-        for name in dict.fromkeys(entry.rule for entry in scores):
+        for name in RULES:
             own = sorted((entry.mean_s, 100 * entry.error) for entry in scores if entry.rule == name)
             axes.plot(*zip(*own, strict=True), marker="*" if name == "oracle" else ".", label=name)
         for choice in choices:
@@ -331,157 +297,123 @@ def draw(
             axes.plot(*at, "rD")
             axes.annotate(choice.sure or "at_mark", at, textcoords="offset points", xytext=(5, 5), fontsize=8)
         axes.set(title=f"{title}, six gestures")
-        axes.legend(fontsize=7)
-    curve = [(row.mean_s, 100 * (1 - row.right)) for row in challenge]
+    curve = [(mean_s, 100 * (1 - right)) for _, mean_s, _, right in challenge]
     last.plot(*zip(*curve, strict=True), marker=".", label="falling confidence")
     paper = [(frames / FRAME_RATE_HZ, 100 - right) for frames, right in PAPER_ACCURACY.items()]
     last.plot(*zip(*paper, strict=True), "ks", label="the paper, fixed time")
     last.set(title="the challenge's test windows, seven gestures")
-    last.legend(fontsize=7)
     for axes in (*panels, last):
+        axes.legend(fontsize=7)
         axes.set(xlabel="mean time to the told answer, s", xlim=(0, 3))
     panels[0].set_ylabel("told wrong, %")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
-def _named(streams: Streams) -> NDArray[np.float32]:
-    """Return the probabilities with "notouch", which is never told, set to zero."""
-    named: NDArray[np.float32] = streams.probabilities.copy()
-    named[:, :, streams.labels.index(NO_TOUCH)] = 0.0
-    return named
-
-
-def _first(streams: Streams, stops: NDArray[np.bool_]) -> Frames:
-    """Return the frame at which each touch is told, (N,), from where a rule may stop, (N, FRAMES)."""
+def _first(streams: Streams, stops: Stops) -> Frames:
+    """Return the frame at which each touch is told, (N,), from where a rule may stop."""
     stops = stops.copy()
     earliest = np.maximum(EARLIEST_FRAMES, streams.noticed + 1)
     stops[np.arange(FRAMES) < earliest[:, None] - 1] = False
     stops[:, -1] = True
-    frames: Frames = stops.argmax(axis=1) + 1
-    return frames
+    return np.asarray(stops.argmax(axis=1) + 1)
 
 
-def _fixed(length: int) -> Rule:
-    def rule(streams: Streams) -> Frames:
-        return _first(streams, np.broadcast_to(np.arange(FRAMES) >= length - 1, _shape(streams)))
-
-    return rule
+def _fixed(streams: Streams, length: int) -> Stops:
+    return np.broadcast_to(np.arange(FRAMES) >= length - 1, streams.named.shape[:2])
 
 
-def _confidence(limit: float, patience: int) -> Rule:
-    def rule(streams: Streams) -> Frames:
-        named = _named(streams)
-        best = np.where(named.max(axis=2) >= limit, named.argmax(axis=2), -1)
-        stops = best >= 0
-        for back in range(1, patience):
-            stops[:, back:] &= best[:, back:] == best[:, :-back]
-            stops[:, :back] = False
-        return _first(streams, stops)
-
-    return rule
+def _confidence(streams: Streams, limit: float, patience: int = 1) -> Stops:
+    best = np.where(streams.named.max(axis=2) >= limit, streams.named.argmax(axis=2), -1)
+    stops: Stops = best >= 0
+    for back in range(1, patience):
+        stops[:, back:] &= best[:, back:] == best[:, :-back]
+        stops[:, :back] = False
+    return stops
 
 
-def _falling(limit: float) -> Rule:
-    return lambda streams: _first(streams, _is_sure(_named(streams), limit))
-
-
-def _is_sure(said: NDArray[np.float32], limit: float) -> NDArray[np.bool_]:
+def _is_sure(said: NDArray[np.float32], limit: float) -> Stops:
     """Return whether (N, FRAMES, labels) are sure after each frame, as the daemon has it."""
     limits = [sure_above(limit, frames) for frames in range(1, FRAMES + 1)]
-    sure: NDArray[np.bool_] = said.max(axis=2) >= np.array(limits)
-    return sure
+    return np.asarray(said.max(axis=2) >= np.array(limits))
 
 
-def _margin(limit: float) -> Rule:
-    def rule(streams: Streams) -> Frames:
-        top = np.sort(_named(streams), axis=2)
-        return _first(streams, top[:, :, -1] - top[:, :, -2] >= limit)
-
-    return rule
-
-
-def _sequential(limit: float) -> Rule:
+def _sequential(streams: Streams, limit: float) -> Stops:
     """Wald's test on the log odds of the two likeliest gestures, summed every sixth of a second."""
-
-    def rule(streams: Streams) -> Frames:
-        logs = np.log(np.maximum(_named(streams), 1e-6))
-        sums = np.sort((logs / LEARN_EVERY).cumsum(axis=1), axis=2)
-        return _first(streams, sums[:, :, -1] - sums[:, :, -2] >= limit)
-
-    return rule
+    logs = np.log(np.maximum(streams.named, 1e-6))
+    return np.asarray(_lead((logs / LEARN_EVERY).cumsum(axis=1)) >= limit)
 
 
-def _learnt(price: float) -> Rule:
+def _lead(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return how far the greatest of (N, FRAMES, labels) is above the next."""
+    top = np.sort(values, axis=2)
+    return np.asarray(top[:, :, -1] - top[:, :, -2])
+
+
+def _learnt(streams: Streams, price: float) -> Stops:
     """Stop where waiting does not pay, as learnt from other people (after CALIMERA, Bilski 2023)."""
-
-    def rule(streams: Streams) -> Frames:
-        from sklearn.linear_model import Ridge
-
-        wrong = _named(streams).argmax(axis=2) != streams.truth[:, None]
-        stops = np.zeros(_shape(streams), bool)
-        for learnt, held in _folds(streams):
-            to_come = wrong[learnt, -1].astype(float)
-            for frame in range(FRAMES - 1 - LEARN_EVERY, EARLIEST_FRAMES - 2, -LEARN_EVERY):
-                now = wrong[learnt, frame].astype(float)
-                waiting = price * LEARN_EVERY / FRAME_RATE_HZ + to_come
-                model = Ridge(alpha=1.0).fit(_features(streams, frame)[learnt], waiting - now)
-                stops[held, frame] = model.predict(_features(streams, frame)[held]) >= 0
-                own = model.predict(_features(streams, frame)[learnt]) >= 0
-                to_come = np.where(own, now, waiting)
-        return _first(streams, stops)
-
-    return rule
+    wrong = streams.named.argmax(axis=2) != streams.truth[:, None]
+    stops = np.zeros(wrong.shape, bool)
+    for learnt, held in _folds(streams):
+        to_come = wrong[learnt, -1].astype(float)
+        for frame in range(FRAMES - 1 - LEARN_EVERY, EARLIEST_FRAMES - 2, -LEARN_EVERY):
+            features = _features(streams, frame)
+            now = wrong[learnt, frame].astype(float)
+            waiting = price * LEARN_EVERY / FRAME_RATE_HZ + to_come
+            model = Ridge(alpha=1.0).fit(features[learnt], waiting - now)
+            stops[held, frame] = model.predict(features[held]) >= 0
+            to_come = np.where(model.predict(features[learnt]) >= 0, now, waiting)
+    return stops
 
 
-def _two_tiers(patience: int) -> Rule:
+def _two_tiers(streams: Streams, patience: int) -> Stops:
     """A one-class SVM judges each answer; accepted equal ones in a row are told (TEASER, Schäfer 2020)."""
-
-    def rule(streams: Streams) -> Frames:
-        from sklearn.svm import OneClassSVM
-
-        best = _named(streams).argmax(axis=2)
-        frames = range(EARLIEST_FRAMES - 1, FRAMES, LEARN_EVERY)
-        accepted = np.full(_shape(streams), -1)
-        for learnt, held in _folds(streams):
-            for frame in frames:
-                features = _features(streams, frame)
-                right = learnt & (best[:, frame] == streams.truth)
-                if not right.any():
-                    continue
+    best = streams.named.argmax(axis=2)
+    frames = range(EARLIEST_FRAMES - 1, FRAMES, LEARN_EVERY)
+    accepted = np.full(best.shape, -1)
+    for learnt, held in _folds(streams):
+        for frame in frames:
+            features = _features(streams, frame)
+            right = learnt & (best[:, frame] == streams.truth)
+            if right.any():
                 judge = OneClassSVM(nu=0.05, gamma="scale").fit(features[right])
                 accepted[held, frame] = np.where(judge.predict(features[held]) > 0, best[held, frame], -1)
-        stops = accepted >= 0
-        for place, frame in enumerate(frames):
-            for back in range(1, patience):
-                stops[:, frame] &= (
-                    place >= back and accepted[:, frame] == accepted[:, frame - back * LEARN_EVERY]
-                )
-        return _first(streams, stops)
-
-    return rule
+    stops: Stops = accepted >= 0
+    for place, frame in enumerate(frames):
+        for back in range(1, patience):
+            stops[:, frame] &= place >= back and accepted[:, frame] == accepted[:, frame - back * LEARN_EVERY]
+    return stops
 
 
-def _oracle(streams: Streams) -> Frames:
+def _oracle(streams: Streams, _: str) -> Stops:
     """Stop at the first frame after which the answer stays right, at once where it never does."""
-    right = _named(streams).argmax(axis=2) == streams.truth[:, None]
+    right = streams.named.argmax(axis=2) == streams.truth[:, None]
     for_good = np.logical_and.accumulate(right[:, ::-1], axis=1)[:, ::-1]
-    return _first(streams, for_good | ~right[:, -1:])
+    return np.asarray(for_good | ~right[:, -1:])
+
+
+RULES: Mapping[str, tuple[Callable[[Streams, Any], Stops], str, Iterable[Any]]] = {
+    "fixed time": (_fixed, "g", (9, 27, 54, 72, 81, 108, 144)),
+    "confidence": (_confidence, ".2f", np.arange(0.4, 0.96, 0.05)),
+    "confidence for 5 frames": (partial(_confidence, patience=5), ".2f", np.arange(0.4, 0.96, 0.05)),
+    "falling confidence": (lambda streams, limit: _is_sure(streams.named, limit), ".2f", LIMITS),
+    "margin": (lambda streams, limit: _lead(streams.named) >= limit, ".2f", np.arange(0.1, 0.96, 0.1)),
+    "sequential test": (_sequential, "g", (1, 2, 4, 8, 16, 32, 64)),
+    "learnt trigger": (_learnt, "g", (0.02, 0.05, 0.1, 0.2, 0.4, 0.8)),
+    "two tiers": (_two_tiers, "g", (1, 2, 3, 4, 5)),
+    "oracle": (_oracle, "", ("",)),
+}
+"""Each rule says where it may stop, (N, FRAMES), at a setting; how a setting is written, and those tried."""
 
 
 def _features(streams: Streams, frame: int) -> NDArray[np.float32]:
-    said = np.sort(_named(streams)[:, frame], axis=1)[:, ::-1]
+    said = np.sort(streams.named[:, frame], axis=1)[:, ::-1]
     return np.column_stack([said, said[:, 0] ** 2, said[:, 0] - said[:, 1]])
 
 
-def _folds(streams: Streams) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+def _folds(streams: Streams) -> Iterator[tuple[Stops, Stops]]:
     """Yield who is trained on and who is tested, each person once."""
     people = sorted(set(streams.participants))
     for start in range(min(4, len(people))):
         held = np.isin(streams.participants, people[start::4])
         yield ~held, held
-
-
-def _shape(streams: Streams) -> tuple[int, int]:
-    return streams.probabilities.shape[:2]

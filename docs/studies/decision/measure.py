@@ -7,16 +7,17 @@ at each stage is kept, so that every setting of the decision is tried on the sam
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise, takewhile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daemon.decide import Decision, DecisionSettings
-from daemon.events import Event, Prediction, Stage, TouchBegan
-from daemon.pipeline import STAGES, Pipeline, PipelineSettings
+from daemon.events import Prediction, Stage, TouchBegan
+from daemon.pipeline import STAGES
+from docs.studies.play import frames_of, play
 from docs.studies.tracker.measure import Case
-from drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
-from drivers.recording import ideal_clock_ms
+from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from model.classifier import Classifier
 
 
@@ -25,69 +26,54 @@ class Said:
     """The network's answers to one touch: probabilities (labels,) at each stage, in order."""
 
     gesture: str
-    participant: str
     answers: tuple[tuple[Stage, float, NDArray[np.float64]], ...]
     """Stage, seconds since the touch began, probabilities."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """What the robot was told of one touch: seconds since it began, and whether it was right, each time."""
+    """What the robot was told of one touch: stage, seconds since it began, and whether it was right."""
 
-    stages: tuple[Stage, ...]
-    elapsed_s: tuple[float, ...]
-    right: tuple[bool, ...]
+    answers: tuple[tuple[Stage, float, bool], ...]
+
+    @property
+    def right(self) -> list[bool]:
+        """Whether it was right, each time."""
+        return [right for *_, right in self.answers]
 
     @property
     def harmed(self) -> bool:
         """Whether a right answer was replaced by a wrong one."""
-        return any(before and not after for before, after in zip(self.right, self.right[1:], strict=False))
+        return any(before and not after for before, after in pairwise(self.right))
 
     @property
     def settled_s(self) -> float | None:
         """When the first right answer that stayed was told; None when the last was wrong."""
-        if not self.right or not self.right[-1]:
-            return None
-        wrong = [place for place, right in enumerate(self.right) if not right]
-        return self.elapsed_s[wrong[-1] + 1 if wrong else 0]
+        stayed = [at_s for _, at_s, _ in takewhile(lambda answer: answer[2], reversed(self.answers))]
+        return stayed[-1] if stayed else None
 
 
 def listen(cases: Sequence[Case], model: Classifier) -> Iterator[Said]:
     """Yield what the model said of each case's first touch; nothing for a touch that was missed."""
     for case in cases:
-        events = _play(case, model)
-        began = [event for event in events if isinstance(event, TouchBegan)]
-        first_ms = case.start * 1000.0 / FRAME_RATE_HZ
-        touch = next((event.touch for event in began if event.sensor_ms >= first_ms - 100), None)
+        counts = np.clip(np.rint(case.scans), 0, MAX_COUNT).astype(np.uint16)
+        events = play(frames_of(counts), model, flush=True)
+        first_ms = case.start * 1000.0 / FRAME_RATE_HZ - 100
+        began = (event for event in events if isinstance(event, TouchBegan))
+        touch = next((event.touch for event in began if event.sensor_ms >= first_ms), None)
         answers = tuple(
             (event.stage, event.elapsed_s, np.array([event.probabilities[label] for label in model.labels]))
             for event in events
             if isinstance(event, Prediction) and event.touch == touch and event.stage in (*STAGES, "released")
         )
         if answers:
-            yield Said(case.gesture, case.participant, answers)
+            yield Said(case.gesture, answers)
 
 
 def decide(said: Said, settings: DecisionSettings, labels: tuple[str, ...]) -> Told:
     """Return what the robot would have been told under these settings."""
     decision = Decision(settings, labels)
-    heard = []
-    for stage, elapsed_s, probabilities in said.answers:
-        answer = decision.answer(stage, probabilities)
-        if answer.told:
-            heard.append((stage, elapsed_s, answer.gesture == said.gesture))
+    answers = ((stage, at_s, decision.answer(stage, odds)) for stage, at_s, odds in said.answers)
     return Told(
-        tuple(stage for stage, _, _ in heard),
-        tuple(at for _, at, _ in heard),
-        tuple(ok for _, _, ok in heard),
+        tuple((stage, at_s, answer.gesture == said.gesture) for stage, at_s, answer in answers if answer.told)
     )
-
-
-def _play(case: Case, model: Classifier) -> list[Event]:
-    events: list[Event] = []
-    pipeline = Pipeline(PipelineSettings(), model, events.append)
-    counts = np.clip(np.rint(case.scans), 0, MAX_COUNT).astype(np.uint16)
-    for number, sensor_ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
-        pipeline.on_frame(Frame(number, sensor_ms, 0.0, counts[number]))
-    pipeline.flush()
-    return events

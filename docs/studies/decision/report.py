@@ -4,19 +4,20 @@
 The defaults of `speak_above` and `revise_margin` are the point that `choose` picks from the curve.
 """
 
-import argparse
 import sys
 from collections.abc import Iterable, Sequence
+from itertools import product
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from matplotlib.figure import Figure
 
 from daemon.decide import DecisionSettings
 from daemon.events import Stage
 from daemon.pipeline import STAGES
 from docs.studies.decision.measure import Said, decide, listen
-from docs.studies.folders import add_docs_argument, add_haart_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from docs.studies.tracker.measure import spliced
 from docs.studies.training import haart
@@ -79,30 +80,23 @@ class StreamReport(msgspec.Struct, frozen=True, kw_only=True):
     curve: tuple[Point, ...]
 
 
-def report(haart_folder: Path, weights: Path = SHIPPED_MODEL.parent) -> StreamReport:
-    """Measure on the training participants, each answered by the network that never saw them."""
-    return measure(haart.realigned(haart.read_training(haart_folder)), weights)
+def measure(recordings: Sequence[Recording], weights: Path = SHIPPED_MODEL.parent) -> StreamReport:
+    """Measure on the training participants' whole scans, each answered by the network that never saw them.
 
-
-def measure(recordings: Sequence[Recording], weights: Path) -> StreamReport:
-    """Play every touching recording through the pipeline and try every pair of settings on the answers."""
+    Every touching recording is played through the pipeline, and every pair of settings tried on the answers.
+    """
     said: list[Said] = []
     labels: tuple[str, ...] = ()
     for classifier, held in left_out_split(weights, recordings):
         labels = classifier.labels
         said += listen(spliced(held, level_rest=True), classifier)
-    settings = DecisionSettings()
-    curve = tuple(
-        point(said, labels, speak_above, revise_margin)
-        for speak_above in SPEAK_ABOVE
-        for revise_margin in REVISE_MARGIN
-    )
+    default = DecisionSettings()
     return StreamReport(
         touches=sum(recording.gesture != NO_TOUCH for recording in recordings),
         noticed=len(said),
         stages=tuple(stage_figures(said, labels, stage) for stage in STAGES),
-        default=point(said, labels, settings.speak_above, settings.revise_margin),
-        curve=curve,
+        default=point(said, labels, default.speak_above, default.revise_margin),
+        curve=tuple(point(said, labels, *pair) for pair in product(SPEAK_ABOVE, REVISE_MARGIN)),
     )
 
 
@@ -121,7 +115,7 @@ def point(said: Sequence[Said], labels: tuple[str, ...], speak_above: float, rev
     """Return what the robot would have been told under one pair of settings."""
     settings = DecisionSettings(speak_above=speak_above, revise_margin=revise_margin)
     told = [decide(touch, settings, labels) for touch in said]
-    early = [t.right[0] for t in told if t.stages and t.stages[0] == "early"]
+    early = [t.right[0] for t in told if t.answers and t.answers[0][0] == "early"]
     settled = [t.settled_s for t in told if t.settled_s is not None]
     return Point(
         speak_above=speak_above,
@@ -148,24 +142,12 @@ def stage_figures(said: Sequence[Said], labels: tuple[str, ...], stage: Stage) -
     )
 
 
-def write(figures: StreamReport, folder: Path) -> None:
-    """Write decision.md, decision.json and the curve's picture into a folder."""
-    (folder / "decision.json").write_bytes(msgspec.json.format(msgspec.json.encode(figures)) + b"\n")
-    draw(figures, folder / "figures" / "decision.png")
-    tables = {"stages": stages_table(figures), "curve": curve_table(figures)}
-    fill(folder / "decision.md", tables, others=("sure",))
-
-
 def draw(figures: StreamReport, path: Path) -> None:
     """Draw how often the early answer is told against how often it is then right."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     chosen = figures.default
+    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    axes = figure.subplots()
     along = [p for p in figures.curve if p.revise_margin == min(REVISE_MARGIN)]
-    figure, axes = plt.subplots(figsize=(6.4, 3.8), layout="constrained")
     axes.plot([100 * p.told_early for p in along], [100 * p.right_when_told_early for p in along], marker="o")
     for p in along:
         at = (100 * p.told_early, 100 * p.right_when_told_early)
@@ -176,25 +158,23 @@ def draw(figures: StreamReport, path: Path) -> None:
     axes.axhline(100 * LEAST_RIGHT_EARLY, color="grey", linewidth=0.8, linestyle=":")
     axes.set(xlabel="touches told after 1 s, %", ylabel="right when told, %")
     axes.legend(loc="lower left")
-    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
-    plt.close(figure)
 
 
-def stages_table(figures: StreamReport) -> str:
-    """Return the network's own answers at each stage."""
-    rows = [
-        (row.stage, row.touches, _percent(row.accuracy), f"{row.calibration_error:.3f}")
-        for row in figures.stages
-    ]
-    noticed = ("noticed", f"{figures.noticed} of {figures.touches}", "", "")
-    return table(("stage", "touches", "right", "calibration error"), [noticed, *rows])
+def tables(figures: StreamReport) -> dict[str, str]:
+    """Return the network's own answers at each stage, and what the robot is told along the curve.
 
-
-def curve_table(figures: StreamReport) -> str:
-    """Return what the robot is told where one of the settings is the default's; the file has every pair."""
+    Of the curve, where one of the settings is the default's; the file has every pair.
+    """
     default = figures.default
-    rows = [
+    stages = [
+        ("noticed", f"{figures.noticed} of {figures.touches}", "", ""),
+        *(
+            (row.stage, row.touches, _percent(row.accuracy), f"{row.calibration_error:.3f}")
+            for row in figures.stages
+        ),
+    ]
+    curve = [
         (
             f"{p.speak_above:.2f}",
             f"{p.revise_margin:.2f}" + (" (default)" if p == default else ""),
@@ -205,7 +185,10 @@ def curve_table(figures: StreamReport) -> str:
         if p.speak_above == default.speak_above or p.revise_margin == default.revise_margin
     ]
     shares = ("told early", "right when told early", "right at the end", "changed", "harmed")
-    return table(("speak_above", "revise_margin", *shares, "right for good after"), rows)
+    return {
+        "stages": table(("stage", "touches", "right", "calibration error"), stages),
+        "curve": table(("speak_above", "revise_margin", *shares, "right for good after"), curve),
+    }
 
 
 def _percent(share: float) -> str:
@@ -213,12 +196,12 @@ def _percent(share: float) -> str:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure, write the page, and say which point the rule picks."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies decision", description=__doc__)
-    add_haart_argument(parser)
-    add_docs_argument(parser)
-    options = parser.parse_args(arguments)
-    figures = report(options.haart)
-    write(figures, options.docs)
-    sys.stdout.write(f"{options.docs / 'decision.md'}; the rule picks {choose(figures.curve)}\n")
+    """Measure, write decision.md, decision.json and the curve's picture; say which point the rule picks."""
+    options = study_parser("decision", __doc__, "haart", "docs").parse_args(arguments)
+    docs = options.docs
+    figures = measure(haart.realigned(haart.read_training(options.haart)))
+    (docs / "decision.json").write_bytes(msgspec.json.format(msgspec.json.encode(figures)) + b"\n")
+    draw(figures, docs / "figures" / "decision.png")
+    fill(docs / "decision.md", tables(figures), others=("sure",))
+    sys.stdout.write(f"{docs / 'decision.md'}; the rule picks {choose(figures.curve)}\n")
     return 0

@@ -6,7 +6,7 @@ Each touching recording stands between notouch of the same participant and condi
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from daemon.pipeline import PipelineSettings
 from docs.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
 from docs.studies.training import haart
 from docs.studies.training.ship import left_out_split
-from drivers.recording import Recording
+from drivers.recording import NO_TOUCH, Recording
 from model.classifier import Classifier, State
 
 FRAMES = 144
@@ -38,23 +38,25 @@ class Streams:
     participants: NDArray[np.str_]
     labels: tuple[str, ...]
 
+    @cached_property
+    def named(self) -> NDArray[np.float32]:
+        """The probabilities with "notouch", which is never told, set to zero."""
+        named: NDArray[np.float32] = self.probabilities.copy()
+        named[:, :, self.labels.index(NO_TOUCH)] = 0.0
+        return named
+
 
 def collect(recordings: Sequence[Recording], weights: Path) -> Streams:
     """Ask each left-out network about the touches of the people it never saw."""
-    rows: list[tuple[NDArray[np.float32], int, int, str]] = []
+    rows = []
     labels: tuple[str, ...] = ()
     for model, held in left_out_split(weights, haart.realigned(recordings)):
         labels = model.labels
         for case in spliced(held, level_rest=True):
             for noticed, said in _follow(case, model):
                 rows.append((said, labels.index(case.gesture), noticed, case.participant))
-    return Streams(
-        np.stack([said for said, *_ in rows]),
-        np.array([truth for _, truth, *_ in rows]),
-        np.array([noticed for *_, noticed, _ in rows]),
-        np.array([participant for *_, participant in rows]),
-        labels,
-    )
+    answers, truth, noticed_at, people = zip(*rows, strict=True)
+    return Streams(np.stack(answers), np.array(truth), np.array(noticed_at), np.array(people), labels)
 
 
 def collect_windows(recordings: Sequence[Recording], model: Classifier) -> Streams:
@@ -73,7 +75,7 @@ def collect_windows(recordings: Sequence[Recording], model: Classifier) -> Strea
 def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Yield when the case's first touch was noticed, and the answers; nothing when it was missed or short."""
     scans = case.scans[LEAD_FRAMES - REST_FRAMES : case.stop]
-    felt = next(islice(feel(scans, PipelineSettings().touch), 1), None)
+    felt = next(feel(scans, PipelineSettings().touch), None)
     if felt is None or felt.noticed < REST_FRAMES or felt.first + FRAMES > len(scans):
         return
     state, said = None, []

@@ -6,21 +6,22 @@
 
 from __future__ import annotations
 
-import argparse
 import random
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import inf
 
 import msgspec
 import numpy as np
 
 from daemon.events import UNCERTAIN
-from daemon.pipeline import PipelineSettings
-from docs.studies.sessions.plan import SKIPPED_FRAMES, PlannedSession, Scans
+from docs.studies.folders import study_parser
+from docs.studies.play import frames_of, play
+from docs.studies.sessions.plan import SKIPPED_FRAMES, Scans, together
 from docs.studies.sessions.report import add_choice, print_scores
-from docs.studies.sessions.score import felt_in, play
+from docs.studies.sessions.score import felt_in
 from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import NO_TOUCH, Recording, set_up
+from drivers.recording import NO_TOUCH, Recording
 from model.classifier import Classifier
 
 QUIET_BEFORE_FRAMES, QUIET_AFTER_FRAMES = 162, 108
@@ -67,17 +68,17 @@ def measure(recordings: Sequence[Recording], model: Classifier) -> JoinedScore:
     made = list(_made(recordings, model))
     change_s = (QUIET_BEFORE_FRAMES + FIRST_FRAMES) / FRAME_RATE_HZ
 
+    def told(one: Made, after_s: float, until_s: float) -> list[str]:
+        return [gesture for at_s, _, gesture in one.told if after_s < at_s <= until_s]
+
     def began_right(one: Made) -> bool:
-        before = [gesture for at_s, _, gesture in one.told if at_s <= change_s + CLOSE_S]
-        return before[-1:] == [one.gesture]
+        return told(one, 0.0, change_s + CLOSE_S)[-1:] == [one.gesture]
 
     def was_told(one: Made) -> bool:
-        until_s = change_s + TOLD_WITHIN_S + CLOSE_S
-        return any(change_s < at_s <= until_s and gesture == one.then for at_s, _, gesture in one.told)
+        return one.then in told(one, change_s, change_s + TOLD_WITHIN_S + CLOSE_S)
 
     def was_wrong(one: Made) -> bool:
-        later = [gesture for at_s, _, gesture in one.told if at_s > change_s + CLOSE_S]
-        return any(gesture not in (one.then, UNCERTAIN) for gesture in later)
+        return not {*told(one, change_s + CLOSE_S, inf)} <= {one.then, UNCERTAIN}
 
     def percent(true: Sequence[bool]) -> float:
         return round(100.0 * sum(true) / max(1, len(true)), 1)
@@ -98,13 +99,9 @@ def measure(recordings: Sequence[Recording], model: Classifier) -> JoinedScore:
 
 def _made(recordings: Sequence[Recording], model: Classifier) -> Iterator[Made]:
     rng = random.Random(1)
-    together: dict[tuple[str, str, str], dict[str, Scans]] = {}
-    for recording in recordings:
-        together.setdefault(set_up(recording), {}).setdefault(recording.gesture, recording.counts)
-    for _, counts in sorted(together.items()):
-        quiet = counts.pop(NO_TOUCH, None)
-        if quiet is None:
-            continue
+    for _, by_gesture in together(recordings):
+        quiet, *_ = by_gesture.pop(NO_TOUCH)
+        counts = {gesture: first for gesture, (first, *_) in by_gesture.items()}
         for gesture, first in counts.items():
             then = rng.choice([other for other in counts if other != gesture])
             parts = [_part(first, FIRST_FRAMES), _part(counts[then], SECOND_FRAMES)]
@@ -121,8 +118,7 @@ def _part(counts: Scans, frames: int) -> Scans:
 def _told(quiet: Scans, parts: Sequence[Scans], model: Classifier) -> tuple[tuple[float, str, str], ...]:
     """Return when, at what stage and with which gesture the robot was told something."""
     before, after = np.split(_part(quiet, QUIET_BEFORE_FRAMES + QUIET_AFTER_FRAMES), [QUIET_BEFORE_FRAMES])
-    counts = np.concatenate([before, *parts, after])
-    events = play(PlannedSession("", "", "", counts, ()), model, PipelineSettings())
+    events = play(frames_of(np.concatenate([before, *parts, after])), model)
     return tuple(
         (touch.start_ms / 1000.0 + answer.elapsed_s, answer.stage, answer.gesture)
         for touch in felt_in(events)
@@ -133,7 +129,7 @@ def _told(quiet: Scans, parts: Sequence[Scans], model: Classifier) -> tuple[tupl
 
 def main(arguments: Sequence[str]) -> int:
     """Print the scores; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies joined")
+    parser = study_parser("joined")
     add_choice(parser)
     print_scores(parser.parse_args(arguments), measure)
     return 0

@@ -18,6 +18,8 @@ from drivers.recording import NO_TOUCH, Recording, set_up
 QUIET_FRAMES = 162
 SKIPPED_FRAMES = 54
 Scans = NDArray[np.uint16] | NDArray[np.float32]
+Condition = tuple[str, str, str]
+"""Person, substrate and cover."""
 LIFTS_OFF = ("pat", "stroke", "tickle")
 BLOCK_FRAMES = 9
 MAX_SHIFT_COUNTS = 8
@@ -66,17 +68,21 @@ class PlannedSession:
 def sessions(recordings: Sequence[Recording], settings: SessionSettings) -> Iterator[PlannedSession]:
     """Yield a session for each person and condition that has a notouch recording among live recordings."""
     rng = random.Random(7)
-    together: dict[tuple[str, str, str], dict[str, list[Scans]]] = {}
+    for key, by_gesture in together(recordings):
+        yield _session(key, by_gesture, settings, rng)
+
+
+def together(recordings: Sequence[Recording]) -> Iterator[tuple[Condition, dict[str, list[Scans]]]]:
+    """Yield the counts by gesture of each person and condition that has a notouch recording."""
+    conditions: dict[Condition, dict[str, list[Scans]]] = {}
     for recording in recordings:
-        by_gesture = together.setdefault(set_up(recording), {})
+        by_gesture = conditions.setdefault(set_up(recording), {})
         by_gesture.setdefault(recording.gesture, []).append(recording.counts)
-    for key, by_gesture in sorted(together.items()):
-        if NO_TOUCH in by_gesture:
-            yield _session(key, by_gesture, settings, rng)
+    yield from ((key, counts) for key, counts in sorted(conditions.items()) if NO_TOUCH in counts)
 
 
 def _session(
-    key: tuple[str, str, str],
+    key: Condition,
     by_gesture: dict[str, list[Scans]],
     settings: SessionSettings,
     rng: random.Random,

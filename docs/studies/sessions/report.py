@@ -12,21 +12,18 @@ from pathlib import Path
 
 import msgspec
 
-from daemon.pipeline import PipelineSettings
+from docs.studies.folders import study_parser
+from docs.studies.play import frames_of, play
 from docs.studies.sessions.plan import SessionSettings, sessions
-from docs.studies.sessions.score import SessionScore, judge, play, score
+from docs.studies.sessions.score import SessionScore, judge, score
 from drivers.recording import Recording, Selection, read_recordings, realign
 from model.classifier import SHIPPED_MODEL, Classifier
 
 
 def measure(recordings: Sequence[Recording], settings: SessionSettings, model: Classifier) -> SessionScore:
     """Play a session a person and condition, and score all of them together."""
-    return score(
-        [
-            judge(session, play(session, model, PipelineSettings()))
-            for session in sessions(recordings, settings)
-        ]
-    )
+    played = sessions(recordings, settings)
+    return score([judge(session, play(frames_of(session.counts), model)) for session in played])
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
@@ -54,20 +51,15 @@ def print_scores(
 
 def main(arguments: Sequence[str]) -> int:
     """Print the scores; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies sessions")
+    parser = study_parser("sessions")
     add_choice(parser)
     parser.add_argument("--seconds", type=float, default=6.0)
     parser.add_argument("--as-recorded", action="store_true")
-    for name in ("noise", "hum", "motor", "breathing"):
+    disturbances = ("noise", "hum", "motor", "breathing")
+    for name in disturbances:
         parser.add_argument(f"--{name}", type=float, default=0.0, help="counts")
     chosen = parser.parse_args(arguments)
-    settings = SessionSettings(
-        seconds=chosen.seconds,
-        rest_shifts=not chosen.as_recorded,
-        noise=chosen.noise,
-        hum=chosen.hum,
-        motor=chosen.motor,
-        breathing=chosen.breathing,
-    )
+    added = {name: getattr(chosen, name) for name in disturbances}
+    settings = SessionSettings(seconds=chosen.seconds, rest_shifts=not chosen.as_recorded, **added)
     print_scores(chosen, lambda recordings, model: measure(recordings, settings, model))
     return 0

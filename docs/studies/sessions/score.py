@@ -1,18 +1,18 @@
 """What the robot was told over a session, scored touch by touch."""
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import inf
 
 import msgspec
 import numpy as np
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
-from daemon.pipeline import Clock, Pipeline, PipelineSettings
+from daemon.pipeline import STAGES
 from docs.studies.sessions.plan import PlannedSession, Stretch
-from drivers.frame import FRAME_RATE_HZ, Frame
-from drivers.recording import ideal_clock_ms
-from model.classifier import Classifier
+from drivers.frame import FRAME_RATE_HZ
 
 # A touch counts for a stretch that it overlaps by more than this.
 OVERLAP_MS = 100.0
@@ -64,27 +64,16 @@ class Fate:
     """
 
     gesture: str
-    missed: bool
-    merged: bool
-    split: bool
-    open: bool
-    answers: tuple[Prediction, ...]
+    missed: bool = False
+    merged: bool = False
+    split: bool = False
+    open: bool = False
+    answers: tuple[Prediction, ...] = ()
 
     @property
     def told(self) -> list[str]:
         """What the robot was told, in order."""
         return [answer.gesture for answer in self.answers if answer.told]
-
-    @property
-    def harmed(self) -> bool:
-        """Whether a right answer was replaced by a wrong one."""
-        told = self.told
-        return any(a == self.gesture != b for a, b in pairwise(told))
-
-    @property
-    def told_late(self) -> bool:
-        """Whether the robot was told something else after the final answer."""
-        return any(answer.told and answer.stage == "ongoing" for answer in self.answers)
 
 
 @dataclass(frozen=True)
@@ -94,17 +83,6 @@ class Played:
     fates: tuple[Fate, ...]
     quiet_min: float
     false: int
-
-
-def play(session: PlannedSession, model: Classifier, settings: PipelineSettings) -> list[Event]:
-    """Return what the daemon's own pipeline says to a session."""
-    events: list[Event] = []
-    now_s = [0.0]
-    pipeline = Pipeline(settings, model, events.append, Clock(lambda: now_s[0], lambda: now_s[0]))
-    for number, ms in enumerate(ideal_clock_ms(len(session.counts)).tolist()):
-        now_s[0] = ms / 1000.0
-        pipeline.on_frame(Frame(number, ms, now_s[0], session.counts[number]))
-    return events
 
 
 def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
@@ -135,17 +113,15 @@ def score(played: Sequence[Played]) -> SessionScore:
 
     first_s = [next(a.elapsed_s for a in fate.answers if a.told) for fate in fates if fate.told]
     return SessionScore(
-        missed=percent(fate.missed for fate in fates),
-        merged=percent(fate.merged for fate in fates),
-        split=percent(fate.split for fate in fates),
-        early=at("early"),
-        revised=at("revised"),
-        final=at("final"),
+        **{
+            name: percent(getattr(fate, name) for fate in fates)
+            for name in ("missed", "merged", "split", "open")
+        },
+        **{stage: at(stage) for stage in STAGES},
         last=percent(fate.told[-1:] == [fate.gesture] for fate in fates),
         first=percent(fate.told[:1] == [fate.gesture] for fate in fates),
-        harmful=percent(fate.harmed for fate in fates),
-        late=percent(fate.told_late for fate in fates),
-        open=percent(fate.open for fate in fates),
+        harmful=percent(any(a == fate.gesture != b for a, b in pairwise(fate.told)) for fate in fates),
+        late=percent(any(a.told and a.stage == "ongoing" for a in fate.answers) for fate in fates),
         false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
         t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
         n=len(fates),
@@ -154,22 +130,19 @@ def score(played: Sequence[Played]) -> SessionScore:
 
 def felt_in(events: Iterable[Event]) -> list[Felt]:
     """Return the touches as the daemon had them."""
+    answers: dict[int, list[Prediction]] = defaultdict(list)
     began: dict[int, float] = {}
-    ended: dict[int, tuple[float, float]] = {}
-    answers: dict[int, list[Prediction]] = {}
+    ended: dict[int, tuple[float, float]] = defaultdict(lambda: (inf, inf))
     for event in events:
         match event:
             case TouchBegan():
                 began[event.touch] = event.sensor_ms
             case TouchEnded():
-                stop_ms = float("inf") if event.sensor_ms is None else event.sensor_ms
+                stop_ms = inf if event.sensor_ms is None else event.sensor_ms
                 ended[event.touch] = (stop_ms, epoch_s(event.time) * 1000.0)
             case Prediction():
-                answers.setdefault(event.touch, []).append(event)
-    return [
-        Felt(start_ms, *ended.get(touch, (float("inf"), float("inf"))), tuple(answers.get(touch, ())))
-        for touch, start_ms in began.items()
-    ]
+                answers[event.touch].append(event)
+    return [Felt(start_ms, *ended[touch], tuple(answers[touch])) for touch, start_ms in began.items()]
 
 
 def _overlaps(touch: Felt, stretch: Stretch) -> bool:
@@ -181,11 +154,10 @@ def _fate(i: int, made: Stretch, felt: Sequence[Felt], inside: Sequence[Sequence
     gesture = made.gesture or ""
     owners = [k for k, among in enumerate(inside) if i in among]
     if not owners:
-        return Fate(gesture, True, False, False, False, ())
+        return Fate(gesture, missed=True)
     owner = owners[-1] if len(inside[owners[0]]) > 1 and len(owners) > 1 else owners[0]
     return Fate(
         gesture=gesture,
-        missed=False,
         merged=len(inside[owner]) > 1,
         split=sum(len(inside[k]) == 1 for k in owners) > 1,
         open=any(felt[k].over_ms > made.stop * FRAME_MS + OPEN_MS for k in owners),

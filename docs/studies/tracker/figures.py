@@ -1,16 +1,20 @@
 """The tracker's figures: misses, false touches, delays, splits, and what other settings would cost."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from daemon.touch import TouchSettings
-from docs.studies.tracker.measure import Case, Outcome, false_touches, join_touches, notice, outcome, spliced
+from docs.studies.tracker.measure import Case, Outcome, delay, false_touches, join_touches, outcome, spliced
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import NO_TOUCH, Recording
 
 ONSET_LEVELS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
+SPLICES = {"as recorded": False, "rest levelled": True}
+"""Whether the notouch is brought to the gesture's own rest."""
 QUIETS_S = (0.4, 0.5, 0.6, 0.8, 1.0)
 MAX_MISSED = 0.02
 MAX_FALSE_PER_10_MIN = 1.0
@@ -110,22 +114,23 @@ def measure(
 
     unseen: recordings of participants on whom nothing was tuned.
     """
-    cases = _cases(recordings)
-    noticed = {name: _at_all_levels(some, recordings, default) for name, some in cases.items()}
-    outcomes = {name: [outcome(case, default) for case in some] for name, some in cases.items()}
-    joined = [join_touches(_quiet(recordings, name), default) for name in _participants(recordings)]
+    joined = [join_touches(own, default) for own in _quiet(recordings).values()]
+    figures: dict[str, dict[str, Any]] = {name: {} for name in ("curve", "held_out", "by_gesture", "unseen")}
+    for splice, level_rest in SPLICES.items():
+        cases = spliced(recordings, level_rest)
+        levels = {level: _at_level(level, cases, recordings, default) for level in ONSET_LEVELS}
+        figures["curve"][splice] = tuple(point(level, people.values()) for level, people in levels.items())
+        figures["held_out"][splice] = tuple(_held_out(name, levels) for name in levels[ONSET_LEVELS[0]])
+        figures["by_gesture"][splice] = tuple(_by_gesture([outcome(case, default) for case in cases]))
+        level, others = default.onset_threshold, spliced(unseen, level_rest)
+        figures["unseen"][splice] = point(level, _at_level(level, others, unseen, default).values())
+    as_recorded = spliced(recordings, level_rest=False)
     return TouchReport(
         settings=default,
-        curve={
-            name: tuple(point(level, list(people.values())) for level, people in levels.items())
-            for name, levels in noticed.items()
-        },
-        held_out={name: _held_out(levels) for name, levels in noticed.items()},
-        by_gesture={name: _by_gesture(some) for name, some in outcomes.items()},
-        quiet=tuple(_quiet_point(cases["as recorded"], default, quiet_s) for quiet_s in QUIETS_S),
+        quiet=tuple(_quiet_point(as_recorded, default, quiet_s) for quiet_s in QUIETS_S),
         joins=sum(joins for joins, _ in joined),
         touched_joins=sum(touched for _, touched in joined),
-        unseen={name: _together(some, unseen, default) for name, some in _cases(unseen).items()},
+        **figures,
     )
 
 
@@ -144,94 +149,77 @@ def choose_level(points: Sequence[OnsetPoint]) -> float:
 
 
 def at_level(
-    level: float,
-    participant: str,
-    cases: Sequence[Case],
-    recordings: Sequence[Recording],
-    default: TouchSettings,
+    level: float, cases: Sequence[Case], quiet: Sequence[Recording], default: TouchSettings
 ) -> Noticed:
     """Run one participant's cases and notouch recordings at an onset level."""
     settings = msgspec.structs.replace(
         default, onset_threshold=level, release_threshold=min(level, default.release_threshold)
     )
-    quiet = _quiet(recordings, participant)
     return Noticed(
-        [_delay(case, settings) for case in cases if case.participant == participant],
+        [delay(case, settings) for case in cases],
         sum(false_touches(recording.counts.astype(np.float32), settings) for recording in quiet),
         sum(len(recording.counts) for recording in quiet),
     )
 
 
-def point(level: float, people: Sequence[Noticed]) -> OnsetPoint:
+def point(level: float, noticed: Iterable[Noticed]) -> OnsetPoint:
     """Return the figures of these participants together."""
-    delays = [delay for person in people for delay in person.delays]
-    felt_ms = np.array([delay for delay in delays if delay is not None]) * FRAME_MS
+    people = list(noticed)
+    delays = [frames for person in people for frames in person.delays]
+    felt_ms = np.array([frames for frames in delays if frames is not None]) * FRAME_MS
     return OnsetPoint(
         onset_threshold=level,
         touches=len(delays),
         missed=len(delays) - len(felt_ms),
         late=int((felt_ms > 1000.0).sum()),
-        delay_ms_median=round(float(np.median(felt_ms)), 1),
-        delay_ms_p90=round(float(np.quantile(felt_ms, 0.9)), 1),
+        delay_ms_median=_quantile(felt_ms, 0.5),
+        delay_ms_p90=_quantile(felt_ms, 0.9),
         false_touches=sum(person.false_touches for person in people),
         notouch_min=round(sum(person.notouch_frames for person in people) / FRAME_RATE_HZ / 60.0, 3),
     )
 
 
-def _at_all_levels(
-    cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings
-) -> dict[float, dict[str, Noticed]]:
-    participants = _participants(recordings)
+def _at_level(
+    level: float, cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings
+) -> dict[str, Noticed]:
+    """Return what an onset level does with each participant."""
     return {
-        level: {name: at_level(level, name, cases, recordings, default) for name in participants}
-        for level in ONSET_LEVELS
+        name: at_level(level, [case for case in cases if case.participant == name], quiet, default)
+        for name, quiet in _quiet(recordings).items()
     }
 
 
-def _cases(recordings: Sequence[Recording]) -> dict[str, list[Case]]:
-    return {"as recorded": spliced(recordings, False), "rest levelled": spliced(recordings, True)}
+def _quiet(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
+    """Return each participant's notouch recordings."""
+    quiet = [one for one in recordings if one.gesture == NO_TOUCH]
+    names = sorted({one.participant for one in quiet})
+    return {name: [one for one in quiet if one.participant == name] for name in names}
 
 
-def _together(cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings) -> OnsetPoint:
-    level = default.onset_threshold
-    people = [at_level(level, name, cases, recordings, default) for name in _participants(recordings)]
-    return point(level, people)
+def _quantile(ms: NDArray[np.float64], share: float) -> float:
+    return round(float(np.quantile(ms, share)), 1)
 
 
-def _delay(case: Case, settings: TouchSettings) -> int | None:
-    """Return frames from the first visible pressure (0 when it was noticed before), None for a miss."""
-    felt = notice(case, settings)
-    if felt is None:
-        return None
-    return max(0, felt.noticed - int(case.visible.argmax())) if case.visible.any() else 0
+def _held_out(left_out: str, levels: Mapping[float, Mapping[str, Noticed]]) -> HeldOut:
+    points = [
+        point(level, (person for name, person in people.items() if name != left_out))
+        for level, people in levels.items()
+    ]
+    level = choose_level(points)
+    return HeldOut(participant=left_out, figures=point(level, [levels[level][left_out]]))
 
 
-def _held_out(levels: dict[float, dict[str, Noticed]]) -> tuple[HeldOut, ...]:
-    participants = list(next(iter(levels.values())))
-    held_out = []
-    for left_out in participants:
-        points = [
-            point(level, [person for name, person in people.items() if name != left_out])
-            for level, people in levels.items()
-        ]
-        level = choose_level(points)
-        held_out.append(HeldOut(participant=left_out, figures=point(level, [levels[level][left_out]])))
-    return tuple(held_out)
+def _by_gesture(outcomes: Sequence[Outcome]) -> Iterator[TrackedGesture]:
+    for gesture in sorted({one.gesture for one in outcomes}):
+        yield _tracked(gesture, [one for one in outcomes if one.gesture == gesture])
 
 
-def _by_gesture(outcomes: Sequence[Outcome]) -> tuple[TrackedGesture, ...]:
-    gestures = sorted({one.gesture for one in outcomes})
-    return tuple(_figures(name, [one for one in outcomes if one.gesture == name]) for name in gestures)
-
-
-def _figures(gesture: str, outcomes: Sequence[Outcome]) -> TrackedGesture:
-    delay_ms = FRAME_MS * np.array(
-        [max(0, one.delay_from_visible) for one in outcomes if one.delay_from_visible is not None]
-    )
-    splice_ms = FRAME_MS * np.array(
-        [one.delay_from_splice for one in outcomes if one.delay_from_splice is not None]
-    )
-    errors = np.array([one.first_error for one in outcomes if one.first_error is not None])
+def _tracked(gesture: str, outcomes: Sequence[Outcome]) -> TrackedGesture:
+    felt = [one for one in outcomes if one.touches]
+    seen = [one for one in felt if one.delay_from_visible is not None]
+    delay_ms = FRAME_MS * np.array([max(0, one.delay_from_visible or 0) for one in seen])
+    splice_ms = FRAME_MS * np.array([one.delay_from_splice for one in felt])
+    errors = np.array([one.first_error for one in seen])
     return TrackedGesture(
         gesture=gesture,
         touches=len(outcomes),
@@ -239,10 +227,10 @@ def _figures(gesture: str, outcomes: Sequence[Outcome]) -> TrackedGesture:
         split=sum(one.touches > 1 for one in outcomes),
         ended_early=sum(one.lost_frames >= FRAME_RATE_HZ / 2 for one in outcomes),
         not_released=sum(not one.released for one in outcomes),
-        delay_ms_median=round(float(np.median(delay_ms)), 1),
-        delay_ms_p90=round(float(np.quantile(delay_ms, 0.9)), 1),
-        from_splice_ms_median=round(float(np.median(splice_ms)), 1),
-        from_splice_ms_p90=round(float(np.quantile(splice_ms, 0.9)), 1),
+        delay_ms_median=_quantile(delay_ms, 0.5),
+        delay_ms_p90=_quantile(delay_ms, 0.9),
+        from_splice_ms_median=_quantile(splice_ms, 0.5),
+        from_splice_ms_p90=_quantile(splice_ms, 0.9),
         first_exact=round(float((np.abs(errors) <= 1).mean()), 3),
     )
 
@@ -253,11 +241,3 @@ def _quiet_point(cases: Sequence[Case], default: TouchSettings, quiet_s: float) 
     for case in cases:
         split[case.gesture] += outcome(case, settings).touches > 1
     return QuietPoint(quiet_s=quiet_s, split=split)
-
-
-def _participants(recordings: Sequence[Recording]) -> list[str]:
-    return sorted({recording.participant for recording in recordings})
-
-
-def _quiet(recordings: Sequence[Recording], participant: str) -> list[Recording]:
-    return [one for one in recordings if one.gesture == NO_TOUCH and one.participant == participant]

@@ -44,6 +44,11 @@ class Case:
     stop: int
     visible: NDArray[np.bool_]
 
+    @property
+    def visible_at(self) -> int | None:
+        """The first scan with visible pressure."""
+        return int(self.visible.argmax()) if self.visible.any() else None
+
 
 @dataclass(frozen=True)
 class TrackedTouch:
@@ -59,7 +64,6 @@ class TrackedTouch:
 class Outcome:
     """The outcome of one gesture; delays in frames, None when it was missed (or never visible)."""
 
-    participant: str
     gesture: str
     delay_from_splice: int | None
     delay_from_visible: int | None
@@ -105,36 +109,32 @@ def feel(scans: Scans, settings: TouchSettings) -> Iterator[TrackedTouch]:
                 yield TrackedTouch(noticed, first, last, index)
 
 
-def notice(case: Case, settings: TouchSettings) -> TrackedTouch | None:
-    """Return the first touch noticed in the gesture, None if it is missed."""
-    for felt in feel(case.scans[: case.stop], settings):
-        if felt.noticed >= case.start:
-            return felt
-    return None
+def delay(case: Case, settings: TouchSettings) -> int | None:
+    """Return frames from the first visible pressure (0 when it was noticed before), None for a miss."""
+    touches = feel(case.scans[: case.stop], settings)
+    noticed = next((felt.noticed for felt in touches if felt.noticed >= case.start), None)
+    if noticed is None:
+        return None
+    return 0 if case.visible_at is None else max(0, noticed - case.visible_at)
 
 
 def outcome(case: Case, settings: TouchSettings) -> Outcome:
     """Run one case to its end. lost_frames: with visible pressure, after the first touch but in none."""
-    touches: dict[int, TrackedTouch] = {}
-    for felt in feel(case.scans, settings):
-        touches[felt.noticed] = felt
+    touches = {felt.noticed: felt for felt in feel(case.scans, settings)}
     within = [felt for felt in touches.values() if case.start <= felt.noticed < case.stop]
     if not within:
-        return Outcome(case.participant, case.gesture, None, None, None, 0, 0, True)
+        return Outcome(case.gesture, None, None, None, 0, 0, True)
     first = within[0]
-    visible_at = int(case.visible.argmax()) if case.visible.any() else None
     covered = np.zeros(len(case.scans), np.bool_)
     for felt in within:
         covered[felt.first : felt.ended] = True
-    lost = int((case.visible & ~covered)[first.noticed :].sum())
     return Outcome(
-        participant=case.participant,
         gesture=case.gesture,
         delay_from_splice=first.noticed - case.start,
-        delay_from_visible=None if visible_at is None else first.noticed - visible_at,
-        first_error=None if visible_at is None else first.first - visible_at,
+        delay_from_visible=None if case.visible_at is None else first.noticed - case.visible_at,
+        first_error=None if case.visible_at is None else first.first - case.visible_at,
         touches=len(within),
-        lost_frames=lost,
+        lost_frames=int((case.visible & ~covered)[first.noticed :].sum()),
         released=within[-1].ended is not None,
     )
 

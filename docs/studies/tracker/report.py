@@ -3,52 +3,24 @@
 `python -m docs.studies tracker` measures HAART's recordings, in three minutes of one core.
 """
 
-import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 
 from daemon.touch import TouchSettings
-from docs.studies.folders import add_docs_argument, add_haart_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from docs.studies.tracker.figures import HeldOut, OnsetPoint, TouchReport, measure
 from docs.studies.training.haart import read_test, read_training, realigned
 
 POINT_HEADER = (
-    "onset level",
-    "touches",
-    "missed",
-    "over 1 s late",
-    "delay, median ms",
-    "delay, p90 ms",
+    *("onset level", "touches", "missed", "over 1 s late", "delay, median ms", "delay, p90 ms"),
     "false (per 10 min)",
 )
 GESTURE_HEADER = (
-    "gesture",
-    "touches",
-    "missed",
-    "split",
-    "ended early",
-    "not released in 3 s",
-    "delay, median ms",
-    "p90 ms",
-    "from the splice, median ms",
-    "p90 ms",
-    "first frame",
+    *("gesture", "touches", "missed", "split", "ended early", "not released in 3 s", "delay, median ms"),
+    *("p90 ms", "from the splice, median ms", "p90 ms", "first frame"),
 )
-
-
-def report(haart_folder: Path) -> TouchReport:
-    """Measure the default settings on HAART's two files; raises RecordingError without them."""
-    training, test = realigned(read_training(haart_folder)), realigned(read_test(haart_folder))
-    return measure(training, test, TouchSettings())
-
-
-def write(figures: TouchReport, folder: Path) -> None:
-    """Write touch.json into an existing folder, and fill the tables of touch.md there."""
-    (folder / "touch.json").write_bytes(msgspec.json.format(msgspec.json.encode(figures)) + b"\n")
-    fill(folder / "touch.md", tables(figures))
 
 
 def tables(figures: TouchReport) -> dict[str, str]:
@@ -59,33 +31,32 @@ def tables(figures: TouchReport) -> dict[str, str]:
             ("touches", "minutes of notouch", "joins", "felt like a touch"),
             [(some.touches, f"{some.notouch_min:.1f}", figures.joins, figures.touched_joins)],
         ),
-        "quiet": _quiet(figures),
+        "quiet": table(
+            ("quiet time, s", *figures.quiet[0].split, "all"),
+            [(f"{one.quiet_s:g}", *one.split.values(), sum(one.split.values())) for one in figures.quiet],
+        ),
     }
     for splice, rows in figures.held_out.items():
         name = splice.replace(" ", "-")
         made[f"left-out-{name}"] = _held_out(rows, figures.unseen[splice])
         made[f"levels-{name}"] = table(POINT_HEADER, [_point_cells(point) for point in figures.curve[splice]])
-        made[f"gestures-{name}"] = _gestures(figures, splice)
+        gestures = [
+            (*msgspec.structs.astuple(row)[:-1], f"{row.first_exact:.0%}")
+            for row in figures.by_gesture[splice]
+        ]
+        made[f"gestures-{name}"] = table(GESTURE_HEADER, gestures)
     return made
 
 
 def _held_out(rows: Sequence[HeldOut], unseen: OnsetPoint) -> str:
     points = [row.figures for row in rows]
-    touches = sum(point.touches for point in points)
-    missed = sum(point.missed for point in points)
-    late = sum(point.late for point in points)
-    false = sum(point.false_touches for point in points)
-    false_per_10_min = 10.0 * false / sum(point.notouch_min for point in points)
-    total = (
-        "**all**",
-        "",
-        touches,
-        _share(missed, touches),
-        late,
-        "",
-        "",
-        f"{false} ({false_per_10_min:.1f})",
+    touches, missed, late, false = (
+        sum(getattr(point, name) for point in points)
+        for name in ("touches", "missed", "late", "false_touches")
     )
+    false_per_10_min = 10.0 * false / sum(point.notouch_min for point in points)
+    falsely = f"{false} ({false_per_10_min:.1f})"
+    total = ("**all**", "", touches, _share(missed, touches), late, "", "", falsely)
     body = [(row.participant, *_point_cells(row.figures)) for row in rows]
     return table(("left out", *POINT_HEADER), [*body, total, ("test participants", *_point_cells(unseen))])
 
@@ -102,31 +73,15 @@ def _point_cells(point: OnsetPoint) -> tuple[object, ...]:
     )
 
 
-def _gestures(figures: TouchReport, splice: str) -> str:
-    rows = [
-        (*msgspec.structs.astuple(row)[:-1], f"{row.first_exact:.0%}") for row in figures.by_gesture[splice]
-    ]
-    return table(GESTURE_HEADER, rows)
-
-
-def _quiet(figures: TouchReport) -> str:
-    gestures = list(figures.quiet[0].split)
-    rows = [
-        (f"{point.quiet_s:g}", *(point.split[gesture] for gesture in gestures), sum(point.split.values()))
-        for point in figures.quiet
-    ]
-    return table(("quiet time, s", *gestures, "all"), rows)
-
-
 def _share(part: int, whole: int) -> str:
     return f"{part} ({part / whole:.1%})"
 
 
 def main(arguments: Sequence[str]) -> int:
     """Measure the recordings in a folder and fill the page; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies tracker", description=__doc__)
-    add_haart_argument(parser)
-    add_docs_argument(parser)
-    options = parser.parse_args(arguments)
-    write(report(options.haart), options.docs)
+    options = study_parser("tracker", __doc__, "haart", "docs").parse_args(arguments)
+    training, test = (realigned(read(options.haart)) for read in (read_training, read_test))
+    figures = measure(training, test, TouchSettings())
+    (options.docs / "touch.json").write_bytes(msgspec.json.format(msgspec.json.encode(figures)) + b"\n")
+    fill(options.docs / "touch.md", tables(figures))
     return 0
