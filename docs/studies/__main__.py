@@ -11,7 +11,7 @@ STUDIES = {
     "train": ("docs.studies.training.commands:train", "trains the networks of a recipe"),
     "export": ("docs.studies.training.commands:export", "calibrates them and writes them as ONNX files"),
     "evaluate": ("docs.studies.training.commands:evaluate", "scores the shipped model"),
-    "seeds": ("docs.studies.training.seeds", "scores the recipe with other seeds"),
+    "seeds": ("docs.studies.training.one_out:seeds", "scores the recipe with other seeds"),
     "one-out": ("docs.studies.training.one_out", "scores the recipe with one person of each study left out"),
     "stability": ("docs.studies.training.commands:stability", "checks a model's arithmetic on hard cases"),
     "accuracy": ("docs.studies.accuracy", "rewrites the accuracy page from the stored scores"),

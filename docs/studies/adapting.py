@@ -1,7 +1,7 @@
 """What adapting to a person gains that person and costs others (docs/adapt.md)."""
 
-import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
 from pathlib import Path
 
 import msgspec
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import nn
 
-from docs.studies.folders import add_haart_argument, add_second_study_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from docs.studies.training import checkpoint, haart, metrics
 from docs.studies.training.recipe import fold_jobs, read_recipe
@@ -83,9 +83,9 @@ class PersonFold:
 
     def trials(self, name: str, rehearsed: CropFeatures, settings: AdaptSettings) -> Iterator[Trial]:
         """Yield every trial of one person."""
-        own = self.of(name)
+        own, pretrained = self.of(name), self.pretrained
         others = [self.of(other) for other in self.people if other != name]
-        start = self.pretrained.head
+        start = pretrained.head
         others_before = [self.accuracy(start, theirs)[0] for theirs in others]
         for number in range(DRAWS):
             drawn = draw(self.unseen, name, number)
@@ -94,11 +94,7 @@ class PersonFold:
             for each in SHOTS:
                 shown = [self.unseen[i] for first in drawn for i in first[:each]]
                 features = crops(
-                    self.pretrained.backbone,
-                    shown,
-                    self.pretrained.augmentation,
-                    settings.crops,
-                    settings.seed,
+                    pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed
                 )
                 head = fit(start, haart.GESTURES, [], features, rehearsed, settings)
                 after, error = self.accuracy(head, evaluated)
@@ -106,24 +102,17 @@ class PersonFold:
                     self.accuracy(head, theirs)[0] - was
                     for theirs, was in zip(others, others_before, strict=True)
                 ]
-                yield Trial(
-                    participant=name,
-                    draw=number,
-                    each=each,
-                    before=round(before, 4),
-                    after=round(after, 4),
-                    error=round(error, 4),
-                    others=round(float(np.mean(gains)), 4),
-                )
+                figures = {"before": before, "after": after, "error": error, "others": float(np.mean(gains))}
+                rounded = {figure: round(value, 4) for figure, value in figures.items()}
+                yield Trial(participant=name, draw=number, each=each, **rounded)
 
 
 def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[int]]:
     """Return the first four of a random order of each gesture's recordings of one person."""
     rng = np.random.default_rng([number, *name.encode()])
+    whose = [(each.participant, each.gesture) for each in recordings]
     return [
-        rng.permutation(
-            [i for i, each in enumerate(recordings) if (each.participant, each.gesture) == (name, gesture)]
-        ).tolist()[: SHOTS[-1]]
+        rng.permutation([i for i, each in enumerate(whose) if each == (name, gesture)]).tolist()[: SHOTS[-1]]
         for gesture in haart.GESTURES
     ]
 
@@ -144,28 +133,23 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
 
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables by their places."""
-    trials = measured.trials
     rows = []
     for group, letter in (("second study", "R"), ("HAART", "P")):
         for each in SHOTS:
-            cell = [t for t in trials if t.participant.startswith(letter) and t.each == each]
-            interval = mean_interval([_by_person(cell, [t.after - t.before for t in cell])])
+            cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
+            interval = mean_interval([_by_person(cell, lambda t: t.after - t.before)])
             assert interval is not None
-            rows.append(
-                (
-                    *(group, each),
-                    f"{100 * _by_person(cell, [t.before for t in cell]).mean():.1f}",
-                    f"**{100 * _by_person(cell, [t.after for t in cell]).mean():.1f}**",
-                    f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}",
-                    f"{100 * _by_person(cell, [t.others for t in cell]).mean():+.1f}",
-                    f"{_by_person(cell, [t.error for t in cell]).mean():.3f}",
-                )
+            before, after, others, error = (
+                _by_person(cell, attrgetter(name)).mean() for name in ("before", "after", "others", "error")
             )
+            gained = f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}"
+            shown = (f"{100 * before:.1f}", f"**{100 * after:.1f}**", gained, f"{100 * others:+.1f}")
+            rows.append((group, each, *shown, f"{error:.3f}"))
     headings = ("people", "a gesture", "before", "after", "95 % of the difference")
-    names = sorted({t.participant for t in trials}, key=lambda name: (name[0], int(name[1:])))
     people = []
-    for name in names:
-        own = [t for t in trials if t.participant == name]
+    names = {t.participant for t in measured.trials}
+    for name in sorted(names, key=lambda name: (name[0], int(name[1:]))):
+        own = [t for t in measured.trials if t.participant == name]
         afters = [np.mean([t.after for t in own if t.each == each]) for each in SHOTS]
         values = [np.mean([t.before for t in own]), *afters]
         people.append((name, *(f"{100 * value:.1f}" for value in values)))
@@ -175,17 +159,15 @@ def tables(measured: Measured) -> dict[str, str]:
     }
 
 
-def _by_person(trials: Sequence[Trial], values: Sequence[float]) -> Floats:
-    """Return the mean of each person's values."""
-    names = np.array([trial.participant for trial in trials])
-    return np.array([np.mean(np.array(values)[names == name]) for name in np.unique(names)])
+def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Floats:
+    """Return each person's mean of a figure."""
+    names = sorted({trial.participant for trial in trials})
+    return np.array([np.mean([figure(t) for t in trials if t.participant == name]) for name in names])
 
 
 def main(arguments: Sequence[str]) -> int:
     """Measure everybody and fill the page; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies adapting", description=__doc__)
-    add_haart_argument(parser)
-    add_second_study_argument(parser)
+    parser = study_parser("adapting", __doc__, "haart", "second-study")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
     options = parser.parse_args(arguments)
     settings = AdaptSettings()

@@ -25,27 +25,3 @@ def study_parser(name: str, description: str | None = None, *takes: str) -> argp
             what = f"folder of {recordings} (default: ${variable}, else {folder})"
         parser.add_argument(f"--{folder}", type=Path, default=default, metavar="FOLDER", help=what)
     return parser
-
-
-def add_haart_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --haart FOLDER, by default the environment's TOUCHD_HAART, else ./haart."""
-    _add(parser, "haart")
-
-
-def add_second_study_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --second-study FOLDER, by default the environment's TOUCHD_SECOND_STUDY, else ./second-study."""
-    _add(parser, "second-study")
-
-
-def add_docs_argument(parser: argparse.ArgumentParser) -> None:
-    """Add --docs FOLDER, where the page to fill in is."""
-    parser.add_argument(
-        "--docs", type=Path, default=Path("docs"), metavar="FOLDER", help="of the page (docs)"
-    )
-
-
-def _add(parser: argparse.ArgumentParser, name: str) -> None:
-    variable, recordings = RECORDINGS[name]
-    what = f"folder of {recordings} (default: ${variable}, else {name})"
-    default = Path(os.environ.get(variable, name))
-    parser.add_argument(f"--{name}", type=Path, default=default, metavar="FOLDER", help=what)

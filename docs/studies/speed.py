@@ -4,7 +4,6 @@ Shares are of processor time, each network on one thread. The paper's networks h
 takes the same time. Needs the extra `train`.
 """
 
-import argparse
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
@@ -18,6 +17,7 @@ from rich.table import Table
 
 from docs.studies.checks.hard_cases import hand
 from docs.studies.checks.timing import Timing, time_in_turn
+from docs.studies.folders import study_parser
 from docs.studies.report.front import ONNX_RUNTIME, PYTORCH, answers_of
 from docs.studies.report.networks import OURS, TimedNetwork, papers
 from docs.studies.report.paper_tgc import PaperSettings
@@ -49,7 +49,7 @@ class Speed:
 
 def main(arguments: Sequence[str]) -> int:
     """Time the answers and show the table; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies speed", description="Times one answer.")
+    parser = study_parser("speed", "Times one answer.")
     parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file; ours without it")
     parser.add_argument("--answers", type=int, default=ANSWERS, help="answers timed of each (%(default)s)")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
@@ -96,9 +96,8 @@ def with_shares(speeds: Sequence[Speed]) -> list[Speed]:
     def share(each: Speed) -> float | None:
         if each in whole:
             return None
-        if each.runtime == BY_STATE:
-            return each.timing.processor_ms / ours[each.frames]
-        return ours[each.frames] / each.timing.processor_ms
+        theirs_ms, ours_ms = each.timing.processor_ms, ours[each.frames]
+        return theirs_ms / ours_ms if each.runtime == BY_STATE else ours_ms / theirs_ms
 
     return [replace(each, share=share(each)) for each in speeds]
 
@@ -106,12 +105,12 @@ def with_shares(speeds: Sequence[Speed]) -> list[Speed]:
 def table(speeds: Sequence[Speed]) -> Table:
     """Return the times as a table for the terminal, with our share of each of the paper's."""
     shown = Table(title="One answer on one thread, asked in turn", caption="The paper's weights are random.")
-    for heading in ("network", "runtime", "frames", "file MB", "p50 ms", "p99 ms", "processor ms"):
-        shown.add_column(
-            heading, justify="left" if heading in ("network", "runtime") else "right", overflow="fold"
-        )
-    shown.add_column("ours takes", justify="right")
-    shown.add_column("allowed", justify="right")
+    for heading in ("network", "runtime"):
+        shown.add_column(heading, overflow="fold")
+    for heading in ("frames", "file MB", "p50 ms", "p99 ms", "processor ms"):
+        shown.add_column(heading, justify="right", overflow="fold")
+    for heading in ("ours takes", "allowed"):
+        shown.add_column(heading, justify="right")
     for each in speeds:
         share = (f"1/{1 / each.share:.1f}", f"1/{1 / ALLOWED_SHARE[each.runtime]:.0f}") if each.share else ()
         times = (each.timing.p50_ms, each.timing.p99_ms, each.timing.processor_ms)

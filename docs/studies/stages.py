@@ -5,8 +5,6 @@ touched repeatedly, and notes when each answer told at a mark passed each stage.
 behind real qi on loopback. The figures are kept in docs/speed.json. Needs the extra `nao`.
 """
 
-import argparse
-import functools
 import math
 import multiprocessing
 import sys
@@ -16,6 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from multiprocessing.connection import Connection
 from typing import Any
+from unittest import mock
 
 import msgspec
 import numpy as np
@@ -31,7 +30,7 @@ from daemon.pipeline import Pipeline
 from daemon.service import Service
 from daemon.setup.destinations import encoder_for
 from daemon.sinks import EventFanout
-from docs.studies.folders import add_docs_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from drivers.errors import TouchdError
 from drivers.fakes.fake_port import FakePort
@@ -73,10 +72,9 @@ class Times(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(arguments: Sequence[str]) -> int:
     """Measure, keep the figures under a name, and fill the page's table; returns 0."""
-    parser = argparse.ArgumentParser(prog="python -m docs.studies stages")
+    parser = study_parser("stages", None, "docs")
     parser.add_argument("--seconds", type=float, default=60.0, help="how long to touch the pad (%(default)s)")
     parser.add_argument("--as", dest="name", default="now", choices=("before", "now"), help="(%(default)s)")
-    add_docs_argument(parser)
     chosen = parser.parse_args(arguments)
     kept = chosen.docs / "speed.json"
     times = msgspec.json.decode(kept.read_bytes(), type=dict[str, Times]) if kept.exists() else {}
@@ -170,44 +168,35 @@ def _noted(rows: list[tuple[float, ...]]) -> Iterator[None]:
     """Within the context, append when each told answer passed each stage, from the frame's arrival on."""
     at: dict[str, float] = {}
 
-    def note(before: str = "", after: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-        def noting(function: Callable[..., Any]) -> Callable[..., Any]:
-            @functools.wraps(function)
-            def noted(*arguments: Any) -> Any:
-                at[before] = time.monotonic()
-                returned = function(*arguments)
-                at[after] = time.monotonic()
-                return returned
+    def now(stage: str) -> None:
+        at[stage] = time.monotonic()
 
-            return noted
+    def taken(_: Pipeline, frame: Frame) -> None:
+        at["arrived"] = frame.host_s
+        now("taken")
 
-        return noting
+    def told(_: EventFanout, event: Event) -> None:
+        if isinstance(event, Prediction) and event.told:
+            now("told")
+            # Answers at a touch's end were not computed by steps.
+            rows.append(tuple(at[name] if event.stage in MARKS else math.nan for name in PASSED))
 
-    def on_frame(function: Callable[..., Any]) -> Callable[..., Any]:
-        def noted(pipeline: Pipeline, frame: Frame) -> Any:
-            at["arrived"], at["taken"] = frame.host_s, time.monotonic()
-            return function(pipeline, frame)
-
-        return noted
-
-    def emit(function: Callable[..., Any]) -> Callable[..., Any]:
-        def noted(fanout: EventFanout, event: Event) -> None:
-            if isinstance(event, Prediction) and event.told:
-                at["told"] = time.monotonic()
-                # Answers at a touch's end were not computed by steps.
-                rows.append(tuple(at[name] if event.stage in MARKS else math.nan for name in PASSED))
-            function(fanout, event)
+    def noting(own: Callable[..., Any], before: Callable[..., None], after: str) -> Callable[..., Any]:
+        def noted(*arguments: Any) -> Any:
+            before(*arguments)
+            returned = own(*arguments)
+            now(after)
+            return returned
 
         return noted
 
     with ExitStack() as undo:
-        for owner, name, noting in (
-            (FrameQueue, "put", note("parsed")),
-            (Pipeline, "take", on_frame),
-            (Classifier, "steps", note("asked", "answered")),
-            (EventFanout, "emit", emit),
+        for owner, name, before, after in (
+            (FrameQueue, "put", lambda *_: now("parsed"), "put"),
+            (Pipeline, "take", taken, "followed"),
+            (Classifier, "steps", lambda *_: now("asked"), "answered"),
+            (EventFanout, "emit", told, "emitted"),
         ):
-            own = getattr(owner, name)
-            setattr(owner, name, noting(own))
-            undo.callback(setattr, owner, name, own)
+            noted = noting(getattr(owner, name), before, after)
+            undo.enter_context(mock.patch.object(owner, name, noted))
         yield

@@ -1,6 +1,7 @@
 """`data`: fetches and checks the published recordings, or says in one line why not."""
 
 import io
+import re
 import threading
 import zipfile
 from collections.abc import Iterator
@@ -16,14 +17,12 @@ from docs.studies.training.haart import PUBLISHED_FRAMES, TEST_FILE, TRAINING_FI
 from drivers.recording import RecordingError
 
 EXPECTED = {TRAINING_FILE: Contents(2, ("P3", "P4")), TEST_FILE: Contents(1, ("T1",))}
-CELLS = ",".join(f"cell{i}" for i in range(1, 65))
 
 
 def published_csv(participants: tuple[str, ...], frames: int = PUBLISHED_FRAMES, gesture: str = "pat") -> str:
     """Made-up recordings in the layout of the official training file: quoted, space-padded header."""
-    header = '"ParticipantNo", "Substrate", "Cover", "Gesture", ' + ", ".join(
-        f'"{cell}"' for cell in CELLS.split(",")
-    )
+    cells = ", ".join(f'"cell{i}"' for i in range(1, 65))
+    header = f'"ParticipantNo", "Substrate", "Cover", "Gesture", {cells}'
     rng = np.random.default_rng(0)
     rows = [
         f"{participant},foam,fur,{gesture}," + ",".join(map(str, rng.integers(1024, size=64)))
@@ -33,6 +32,7 @@ def published_csv(participants: tuple[str, ...], frames: int = PUBLISHED_FRAMES,
     return "\n".join([header, *rows]) + "\n"
 
 
+NOWHERE = "http://127.0.0.1:9/"
 TRAINING_CSV = published_csv(("P3", "P4"))
 TEST_CSV = published_csv(("T1",))
 
@@ -96,19 +96,14 @@ def test_an_empty_folder_is_filled_and_checked(tmp_path: Path, address: str) -> 
 def test_a_full_folder_is_checked_without_a_network(tmp_path: Path) -> None:
     (tmp_path / TRAINING_FILE).write_text(TRAINING_CSV)
     (tmp_path / TEST_FILE).write_text(TEST_CSV)
-    assert obtain(tmp_path, quiet(), "http://127.0.0.1:9/", EXPECTED) == EXPECTED
+    assert obtain(tmp_path, quiet(), NOWHERE, EXPECTED) == EXPECTED
 
 
-def test_an_archive_fetched_by_hand_is_used(tmp_path: Path) -> None:
-    (tmp_path / ARCHIVE_NAME).write_bytes(GOOD)
-    assert obtain(tmp_path, quiet(), "http://127.0.0.1:9/", EXPECTED) == EXPECTED
-
-
-def test_only_the_file_that_is_missing_is_put_in(tmp_path: Path) -> None:
+def test_only_the_missing_file_is_put_in_from_an_archive_at_hand(tmp_path: Path) -> None:
     (tmp_path / ARCHIVE_NAME).write_bytes(GOOD)
     (tmp_path / TRAINING_FILE).write_text(TRAINING_CSV)
     before = (tmp_path / TRAINING_FILE).stat().st_ino
-    obtain(tmp_path, quiet(), "http://127.0.0.1:9/", EXPECTED)
+    assert obtain(tmp_path, quiet(), NOWHERE, EXPECTED) == EXPECTED
     assert (tmp_path / TRAINING_FILE).stat().st_ino == before
     assert (tmp_path / TEST_FILE).exists()
 
@@ -125,7 +120,7 @@ def test_only_the_file_that_is_missing_is_put_in(tmp_path: Path) -> None:
 def test_a_folder_with_other_recordings_is_refused(tmp_path: Path, text: str, found: str) -> None:
     (tmp_path / TRAINING_FILE).write_text(text)
     with pytest.raises(RecordingError) as raised:
-        obtain(tmp_path, quiet(), "http://127.0.0.1:9/", EXPECTED)
+        obtain(tmp_path, quiet(), NOWHERE, EXPECTED)
     assert found in str(raised.value)
     assert str(raised.value).startswith(f"{tmp_path / TRAINING_FILE}: ")
 
@@ -133,24 +128,23 @@ def test_a_folder_with_other_recordings_is_refused(tmp_path: Path, text: str, fo
 @pytest.mark.parametrize(
     ("page", "why"),
     [
-        ("cut.zip", rf"the connection ended {len(GOOD) - len(GOOD) // 2:,} bytes too early"),
-        ("other.zip", "HTTP Error 404: Not Found"),
+        ("/cut.zip", rf"the connection ended {len(GOOD) - len(GOOD) // 2:,} bytes too early"),
+        ("/other.zip", "HTTP Error 404: Not Found"),
+        (None, "<urlopen error [Errno 111] Connection refused>"),
     ],
 )
-def test_a_download_that_fails_leaves_no_archive(tmp_path: Path, address: str, page: str, why: str) -> None:
-    url = f"{address}/{page}"
+def test_a_download_that_fails_leaves_no_archive(
+    tmp_path: Path, address: str, page: str | None, why: str
+) -> None:
+    url = f"{address}{page}" if page else NOWHERE
     message = refusal(tmp_path, url)
     assert message.startswith(f"{url}: cannot be fetched ({why}); run this again, or put the archive there: ")
     assert not (tmp_path / ARCHIVE_NAME).exists()
 
 
-def test_a_refused_connection_is_named(tmp_path: Path) -> None:
-    assert "Connection refused" in refusal(tmp_path, "http://127.0.0.1:9/")
-
-
 def test_a_file_where_the_folder_should_be_is_named(tmp_path: Path) -> None:
     (tmp_path / "haart").write_text("")
-    assert "File exists" in refusal(tmp_path / "haart", "http://127.0.0.1:9/")
+    assert "File exists" in refusal(tmp_path / "haart", NOWHERE)
 
 
 @pytest.mark.parametrize(
@@ -176,9 +170,7 @@ def test_a_file_where_the_folder_should_be_is_named(tmp_path: Path) -> None:
 )
 def test_a_foreign_archive_leaves_the_folder_unchanged(tmp_path: Path, content: bytes, message: str) -> None:
     (tmp_path / ARCHIVE_NAME).write_bytes(content)
-    with pytest.raises(DownloadError, match=message) as raised:
-        obtain(tmp_path, quiet(), "http://127.0.0.1:9/", EXPECTED)
-    assert "\n" not in str(raised.value)
+    assert re.search(message, refusal(tmp_path, NOWHERE))
     assert [path.name for path in tmp_path.iterdir()] == [ARCHIVE_NAME]
 
 
@@ -202,13 +194,8 @@ def test_a_lying_zip_bomb_is_cut_off(tmp_path: Path) -> None:
 def test_only_the_two_files_are_unpacked(tmp_path: Path) -> None:
     folder = tmp_path / "outer" / "haart"
     folder.mkdir(parents=True)
-    members = {
-        "../../training.csv": TRAINING_CSV,
-        "/tmp/testWITHLABELS.csv": TEST_CSV,
-        "../evil.csv": "evil",
-        "readme.txt": "evil",
-    }
-    (folder / ARCHIVE_NAME).write_bytes(archive(members))
-    obtain(folder, quiet(), "http://127.0.0.1:9/", EXPECTED)
+    members = {"../../training.csv": TRAINING_CSV, "/tmp/testWITHLABELS.csv": TEST_CSV}
+    (folder / ARCHIVE_NAME).write_bytes(archive({**members, "../evil.csv": "evil", "readme.txt": "evil"}))
+    obtain(folder, quiet(), NOWHERE, EXPECTED)
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert sorted(files) == sorted([folder / ARCHIVE_NAME, folder / TRAINING_FILE, folder / TEST_FILE])

@@ -1,15 +1,16 @@
-"""The scores beside the shipped model belong to that file, and hold when measured again."""
+"""The scores beside the shipped model belong to that file, are of the right windows, and hold again."""
 
 import hashlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
 
 from docs.studies.checks import evaluate
 from docs.studies.training import haart, second_study
 from docs.studies.training.haart import TRAINING_FILE, find
-from drivers.recording import Recording, Selection, read_recordings
+from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
 from model.classifier import SHIPPED_MODEL, Classifier
 
 pytest.importorskip("torch", reason="needs the extra train")
@@ -128,3 +129,20 @@ def left_out_of(recordings: list[Recording]) -> evaluate.Split:
 def tolerance(person: str | None) -> float:
     """A window or two may fall the other way on another processor."""
     return 0.01 if person else TOLERANCE
+
+
+def whole_takes(takes: int) -> Recording:
+    counts = np.arange(540 * takes, dtype=np.uint16)[:, None, None] % 1000 + np.zeros((8, 8), np.uint16)
+    return Recording("R02", "static", "none", "rub", counts, ideal_clock_ms(len(counts)), "live")
+
+
+def test_each_take_is_trained_on_without_its_edges() -> None:
+    takes = second_study.takes([whole_takes(1), whole_takes(2)])
+    assert [len(take.counts) for take in takes] == [486] * 3
+    assert [int(take.counts[0, 0, 0]) for take in takes] == [27, 27, 567]
+
+
+def test_eight_seconds_of_the_first_take_are_scored() -> None:
+    (scored,) = second_study.scored([whole_takes(2)])
+    assert [int(scored.counts[i, 0, 0]) for i in (0, -1)] == [54, 485]
+    assert len(scored.sensor_ms) == 432

@@ -1,4 +1,6 @@
-"""The time of one answer, compared with the paper's network."""
+"""The time of one answer, in turn with others', and compared with the paper's network."""
+
+import time
 
 import pytest
 
@@ -8,7 +10,7 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 from rich.console import Console
 
 from docs.studies import speed
-from docs.studies.checks.timing import Timing
+from docs.studies.checks.timing import IN_A_ROW, Timing, time_in_turn
 from docs.studies.report.paper_tgc import PaperSettings
 from docs.studies.speed import ONNX_RUNTIME, PYTORCH, Speed
 from model.classifier import SHIPPED_MODEL
@@ -38,3 +40,16 @@ def test_ours_and_a_small_network_of_the_papers_are_timed() -> None:
         console.print(speed.table(speeds))
     assert "tgc-public" in shown.get()
     assert "1/25" in shown.get()
+
+
+def test_all_are_asked_in_turn_until_each_has_answered() -> None:
+    asked: list[str] = []
+    timings = time_in_turn([lambda: asked.append("ours"), lambda: asked.append("theirs")], IN_A_ROW + 3)
+    assert asked == ["ours"] * IN_A_ROW + ["theirs"] * IN_A_ROW + ["ours"] * 3 + ["theirs"] * 3
+    assert [timing.answers for timing in timings] == [IN_A_ROW + 3] * 2
+
+
+def test_waiting_takes_no_processor_time() -> None:
+    (waiting,) = time_in_turn([lambda: time.sleep(0.02)], 5)
+    assert waiting.p99_ms >= waiting.p50_ms >= 19.0
+    assert waiting.processor_ms < 10.0

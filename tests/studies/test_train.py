@@ -12,9 +12,9 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 import torch
 
 from docs.studies.training import checkpoint
-from docs.studies.training.checkpoint import Checkpoint, CheckpointError
+from docs.studies.training.checkpoint import Checkpoint, CheckpointError, save
 from docs.studies.training.settings import TrainSettings
-from docs.studies.training.train import CHECKPOINT_NAME, Training, save, train
+from docs.studies.training.train import CHECKPOINT_NAME, Training, train
 from drivers.recording import Recording, ideal_clock_ms
 from model.settings import NetworkSettings
 from model.training.origin import code_version, data_hash

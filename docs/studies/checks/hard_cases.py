@@ -49,8 +49,7 @@ def flat(count: float, frames: int = FRAMES) -> Window:
 def checkerboard(frames: int) -> Window:
     """Neighbours in space and time are 0 and 1023: the largest change that a pad can send."""
     t, row, column = np.indices((frames, ROWS, COLUMNS))
-    board: Window = ((t + row + column) % 2 * MAX_COUNT).astype(np.float32)
-    return board
+    return np.asarray((t + row + column) % 2 * MAX_COUNT, dtype=np.float32)
 
 
 def hand(frames: int) -> Window:
@@ -60,8 +59,7 @@ def hand(frames: int) -> Window:
     distance = (row - 3.5 - 2 * np.sin(angle)) ** 2 + (column - 3.5 - 2 * np.cos(angle)) ** 2
     pressure = 300 * (1 + np.sin(3 * angle)) * np.exp(-distance / 2)
     noise = np.random.default_rng(0).integers(5, size=t.shape)
-    counts: Window = np.rint(pressure + noise).astype(np.float32)
-    return counts
+    return np.asarray(np.rint(pressure + noise), dtype=np.float32)
 
 
 def drift() -> list[Window]:

@@ -1,11 +1,13 @@
-"""The reference of a model file: the network it was exported from, in PyTorch and float64."""
+"""What a model file is checked against: its network in PyTorch and float64, and a copy with larger logits."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import onnx
 import torch
 from numpy.typing import NDArray
+from onnx import numpy_helper
 
 from docs.studies.training import checkpoint
 from docs.studies.training.export import CalibratedTGC
@@ -62,3 +64,19 @@ def batch(counts: NDArray[np.generic]) -> torch.Tensor:
 def _array(tensor: torch.Tensor) -> NDArray[np.float64]:
     array: NDArray[np.float64] = tensor.numpy()
     return array
+
+
+def scale_logits(path: Path, factor: float, copy: Path) -> None:
+    """Write a copy of the model file at `path` whose logits are multiplied before the softmax.
+
+    They are far larger then than any that a network was trained to give.
+    """
+    proto = onnx.load(path)
+    output = proto.graph.output[0]  # the probabilities; what is left is the state
+    place, softmax = next((i, node) for i, node in enumerate(proto.graph.node) if output.name in node.output)
+    names = [f"{output.name}_{part}_{place}" for part in ("factor", "scaled_logits")]
+    proto.graph.initializer.append(numpy_helper.from_array(np.float32(factor), names[0]))
+    multiply = onnx.helper.make_node("Mul", [softmax.input[0], names[0]], [names[1]])
+    softmax.input[0] = names[1]
+    proto.graph.node.insert(place, multiply)
+    onnx.save(proto, copy)

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from docs.studies.checks.hard_cases import FRAMES, HardCase, checkerboard, hand, hard_cases, tiny
+from docs.studies.checks.hard_cases import FRAMES, checkerboard, hand, hard_cases, tiny
 from docs.studies.checks.timing import time_in_turn
 from docs.studies.hand import simulate
 from model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
@@ -39,27 +41,11 @@ SAMPLED_FRAMES = 18
 GESTURES = ("stroke", "pat", "constant", "tickle", "rub", "scratch")
 SEED = 1
 
-SUMS_TO_1 = "sums to 1"
-FLOAT64 = "float64"
-BATCH = "batch"
-LATER = "later frames"
-CHUNKED = "in chunks"
-THREADS = "2 threads"
-REPEATED = "repeated"
-TYPES = "uint16"
-REFUSED = "refused"
-SLOWDOWN = "slowdown"
+SUMS_TO_1, FLOAT64, BATCH, LATER, CHUNKED = "sums to 1", "float64", "batch", "later frames", "in chunks"
+THREADS, REPEATED, TYPES, REFUSED, SLOWDOWN = "2 threads", "repeated", "uint16", "refused", "slowdown"
 TOLERANCES = {
-    SUMS_TO_1: 1e-6,
-    FLOAT64: 1e-4,
-    BATCH: 1e-6,
-    LATER: 1e-6,
-    CHUNKED: 1e-5,
-    THREADS: 1e-6,
-    REPEATED: 0.0,
-    TYPES: 0.0,
-    REFUSED: 0.0,
-    SLOWDOWN: 1.5,
+    **{SUMS_TO_1: 1e-6, FLOAT64: 1e-4, BATCH: 1e-6, LATER: 1e-6, CHUNKED: 1e-5, THREADS: 1e-6},
+    **{REPEATED: 0.0, TYPES: 0.0, REFUSED: 0.0, SLOWDOWN: 1.5},
 }
 
 
@@ -88,10 +74,18 @@ def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[CaseResult]:
     """
     classifier = Classifier.load(model)
     two_threads = Classifier.load(model, threads=2)
-    reference = _reference(model, classifier)
+    reference, weights = None, model.with_suffix(".pt")
+    if has_train_extra() and weights.exists():
+        from docs.studies.checks.reference import Reference
+
+        reference = Reference.load(weights, classifier.metadata)
     checks: list[CaseResult] = []
     for case in hard_cases(classifier.metadata.max_length):
-        checks += _check_case(case, classifier, two_threads, reference)
+        seen = [_deviations(window, classifier, two_threads, reference) for window in case.windows]
+        checks += [
+            _judge(case.name, measure, [each[measure] for each in seen if measure in each])
+            for measure in dict.fromkeys(measure for each in seen for measure in each)
+        ]
     checks.append(_check_refusals(classifier))
     checks.append(_judge("tiny values", SLOWDOWN, [slowdown(classifier, tiny(), hand(FRAMES))]))
     if hours and reference is not None:
@@ -107,15 +101,6 @@ def has_train_extra() -> bool:
     return all(find_spec(name) for name in ("torch", "onnx"))
 
 
-def _reference(model: Path, classifier: Classifier) -> Reference | None:
-    weights = model.with_suffix(".pt")
-    if not (has_train_extra() and weights.exists()):
-        return None
-    from docs.studies.checks.reference import Reference
-
-    return Reference.load(weights, classifier.metadata)
-
-
 def chunked(
     classifier: Classifier, window: NDArray[np.float32], sizes: Sequence[int], every: int = 1
 ) -> float:
@@ -123,16 +108,15 @@ def chunked(
 
     sizes: how many frames come at a time, over and over.
     """
-    furthest, start, state = 0.0, 0, None
+    furthest, stop, state = 0.0, 0, None
     for size in cycle(sizes):
-        stop = min(start + size, len(window))
+        start, stop = stop, min(stop + size, len(window))
         answer, state = classifier.step(window[start:stop], state)
         if stop // every > start // every or stop == len(window):
             furthest = max(furthest, _distance(answer, classifier.probabilities(window[:stop])))
         if stop == len(window):
-            return furthest
-        start = stop
-    raise ValueError("no sizes")
+            break
+    return furthest
 
 
 def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterator[float]:
@@ -154,9 +138,8 @@ def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterat
 
 def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
     """Return how many times longer an answer takes on `window` than on `usual`, in processor time."""
-    slow, normal = time_in_turn(
-        [lambda: classifier.probabilities(window), lambda: classifier.probabilities(usual)], TIMED_ANSWERS
-    )
+    asked = [partial(classifier.probabilities, each) for each in (window, usual)]
+    slow, normal = time_in_turn(asked, TIMED_ANSWERS)
     return slow.processor_ms / normal.processor_ms
 
 
@@ -170,16 +153,6 @@ def table(checks: Sequence[CaseResult]) -> Table:
     for case in dict.fromkeys(check.case for check in checks):
         shown.add_row(case, *(_cell(cells.get((case, measure))) for measure in TOLERANCES))
     return shown
-
-
-def _check_case(
-    case: HardCase, classifier: Classifier, two_threads: Classifier, reference: Reference | None
-) -> list[CaseResult]:
-    deviations: dict[str, list[float]] = {}
-    for window in case.windows:
-        for measure, deviation in _deviations(window, classifier, two_threads, reference).items():
-            deviations.setdefault(measure, []).append(deviation)
-    return [_judge(case.name, measure, seen) for measure, seen in deviations.items()]
 
 
 def _deviations(
@@ -205,21 +178,19 @@ def _deviations(
 
 
 def _check_refusals(classifier: Classifier) -> CaseResult:
-    answered = 0
+    answered = 0.0
     for bad in (np.nan, np.inf, -np.inf, -1.0, 1024.0):
         window = hand(FRAMES)
         window[-1, -1, -1] = bad
-        try:
+        with suppress(ModelInputError):
             classifier.probabilities(window)
             answered += 1
-        except ModelInputError:
-            pass
-    return _judge("NaN, infinite, negative, > 1023", REFUSED, [float(answered)])
+    return _judge("NaN, infinite, negative, > 1023", REFUSED, [answered])
 
 
 def _check_extreme_logits(model: Path) -> CaseResult:
     """Check copies of the file with multiplied logits, which make the softmax as steep as possible."""
-    from docs.studies.checks.scale_logits import scale_logits
+    from docs.studies.checks.reference import scale_logits
 
     deviations: list[float] = []
     with tempfile.TemporaryDirectory() as folder:

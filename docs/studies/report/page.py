@@ -1,33 +1,24 @@
 """The report: measures what is missing, then fills the tables of docs/report.md and draws its pictures."""
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
-from docs.studies.folders import add_docs_argument, add_haart_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill
 from docs.studies.report import cost, front, representation, table1, tables23
 from docs.studies.report.results import Results, Study
 
-PARTS = {
-    "table1": table1,
-    "tables23": tables23,
-    "representation": representation,
-    "front": front,
-    "cost": cost,
+PARTS: dict[str, ModuleType] = {
+    part.__name__.rpartition(".")[2]: part for part in (table1, tables23, representation, front, cost)
 }
-PAGE_NAME = "report.md"
-RESULTS_NAME = "report.json"
 
 
 def main(arguments: Sequence[str]) -> int:
     """Measure the parts that are asked for, then write the page from all stored results; returns 0."""
-    parser = argparse.ArgumentParser(
-        prog="python -m docs.studies report",
-        description="Trains and measures what the report lacks, then writes it. Run it again to go on.",
-    )
-    add_haart_argument(parser)
+    what = "Trains and measures what the report lacks, then writes it. Run it again to go on."
+    parser = study_parser("report", what, "haart", "docs")
     parser.add_argument(
         "--only",
         nargs="*",
@@ -36,17 +27,16 @@ def main(arguments: Sequence[str]) -> int:
         help="parts to measure; all without it; none: page alone",
     )
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
-    add_docs_argument(parser)
     parser.add_argument("--threads", type=int, default=2, help="processor threads, where there is no GPU (2)")
     options = parser.parse_args(arguments)
-    results = Results(options.docs / RESULTS_NAME)
+    page, results = options.docs / "report.md", Results(options.docs / "report.json")
     study = Study(options.haart, options.runs, results, options.threads, options.docs)
     for name in options.only:
         PARTS[name].run(study)
-    fill(options.docs / PAGE_NAME, tables(results))
+    fill(page, tables(results))
     for part in PARTS.values():
         part.draw(results, options.docs / "figures")
-    sys.stdout.write(f"{options.docs / PAGE_NAME}\n")
+    sys.stdout.write(f"{page}\n")
     return 0
 
 

@@ -5,7 +5,6 @@ training recording is answered by the network that was trained without its parti
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from docs.studies.training import haart, metrics
 from docs.studies.training.checkpoint import Checkpoint
+from docs.studies.training.metrics import Floats, Labels
 from drivers.recording import Recording
 from model.adapt.adapt import TEMPERATURES
 from model.adapt.measure import cross_entropy
@@ -22,40 +22,28 @@ from model.tgc import TGC
 BATCH = 64
 
 
-@dataclass(frozen=True, eq=False)
-class LeftOut:
-    """One network's answers about unseen participants: length to logits (N, classes) and labels (N,)."""
-
-    participants: tuple[str, ...]
-    logits: Mapping[int, NDArray[np.float64]]
-    labels: Mapping[int, NDArray[np.int64]]
+Answers = Mapping[int, tuple[Floats, Labels]]
+"""One network's about unseen participants: each length's logits (N, classes) and labels (N,)."""
 
 
-def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> LeftOut:
+def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
     """Ask a network about a study's people whom its training left out, at every answered length.
 
     recordings: as they are scored, whole scans.
     """
-    participants = saved.settings.left_out
-    held = haart.only(recordings, participants)
+    held, network = haart.only(recordings, saved.settings.left_out), saved.build()
     windows = {length: haart.cut(held, length) for length in LENGTHS}
-    network = saved.build()
-    return LeftOut(
-        participants,
-        {length: _logits(network, cut.counts) for length, cut in windows.items()},
-        {length: cut.labels for length, cut in windows.items()},
-    )
+    return {length: (_logits(network, cut.counts), cut.labels) for length, cut in windows.items()}
 
 
-def fit_temperatures(answers: Sequence[LeftOut]) -> dict[int, float]:
+def fit_temperatures(answers: Sequence[Answers]) -> dict[int, float]:
     """Return, for each length, the temperature under which the left-out labels are likeliest."""
-    return {
-        length: fit_temperature(
-            np.concatenate([answer.logits[length] for answer in answers]),
-            np.concatenate([answer.labels[length] for answer in answers]),
-        )
-        for length in LENGTHS
-    }
+    return {length: fit_temperature(*_together(answers, length)) for length in LENGTHS}
+
+
+def _together(answers: Sequence[Answers], length: int) -> tuple[Floats, Labels]:
+    logits, labels = zip(*(answer[length] for answer in answers), strict=True)
+    return np.concatenate(logits), np.concatenate(labels)
 
 
 def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
@@ -64,23 +52,22 @@ def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
     return {length: max(temperatures[length] for temperatures in fitted) for length in LENGTHS}
 
 
-def accuracies(answers: Sequence[LeftOut]) -> dict[str, float]:
+def accuracies(answers: Sequence[Answers]) -> dict[str, float]:
     """Return the macro accuracy over left-out participants at each length."""
     scores = {}
     for length in LENGTHS:
-        logits = np.concatenate([answer.logits[length] for answer in answers])
-        labels = np.concatenate([answer.labels[length] for answer in answers])
+        logits, labels = _together(answers, length)
         predicted = logits.argmax(axis=1).astype(np.int64)
         scores[str(length)] = round(metrics.macro_accuracy(predicted, labels, logits.shape[1]), 4)
     return scores
 
 
-def fit_temperature(logits: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
+def fit_temperature(logits: Floats, labels: Labels) -> float:
     """Return the temperature from TEMPERATURES with the least negative log likelihood."""
     return float(min(TEMPERATURES, key=lambda temperature: cross_entropy(logits / temperature, labels)))
 
 
-def _logits(network: TGC, counts: NDArray[np.uint16]) -> NDArray[np.float64]:
+def _logits(network: TGC, counts: NDArray[np.uint16]) -> Floats:
     with torch.no_grad():
         batches = [
             network(torch.from_numpy(counts[start : start + BATCH].astype(np.float32)))

@@ -1,7 +1,7 @@
 """Checkpoints: a network with everything that says where it came from, and what resuming needs."""
 
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from docs.studies.training.settings import TrainSettings
 from drivers.errors import TouchdError
+from drivers.whole_file import whole_file
 from model.tgc import TGC
 
 # Our widest network's, with all that resuming needs, is 17 MB.
@@ -45,6 +46,15 @@ class Checkpoint:
         return network.eval()
 
 
+def save(checkpoint: Checkpoint, path: Path) -> None:
+    """Write the checkpoint whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stored = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
+    stored["settings"] = msgspec.json.encode(checkpoint.settings).decode()
+    with whole_file(path) as partial:
+        torch.save(stored, partial)
+
+
 def load(path: Path) -> Checkpoint:
     """Read a checkpoint; no code in it is ever run. Raises CheckpointError."""
     try:
@@ -58,15 +68,9 @@ def load(path: Path) -> Checkpoint:
         settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])
         # One that an older version wrote may hold settings that there are no longer.
         known = {name: value for name, value in settings.items() if name in TrainSettings.__struct_fields__}
-        return Checkpoint(
-            settings=msgspec.convert(known, TrainSettings),
-            labels=tuple(stored["labels"]),
-            epoch=stored["epoch"],
-            network=stored["network"],
-            training=stored["training"],
-            code_version=stored["code_version"],
-            data_sha256=stored["data_sha256"],
-        )
+        found = {field.name: stored[field.name] for field in fields(Checkpoint)}
+        found |= {"settings": msgspec.convert(known, TrainSettings), "labels": tuple(stored["labels"])}
+        return Checkpoint(**found)
     except CheckpointError:
         raise
     except FileNotFoundError as error:

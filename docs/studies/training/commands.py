@@ -4,24 +4,25 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from rich.console import Console
 
-from docs.studies.folders import add_haart_argument, add_second_study_argument
+from docs.studies.folders import study_parser
 from docs.studies.training.download import ARCHIVE_URL, obtain
 from docs.studies.training.recipe import SHIPPED_RECIPE, read_recipe
 from docs.studies.training.studies import Folders
 from model.classifier import SHIPPED_MODEL, ModelError
 
+BOTH = ("haart", "second-study")
+WEIGHTS: dict[str, Any] = {"type": Path, "default": SHIPPED_MODEL.parent, "help": "folder of the model files"}
+
 
 def data(arguments: Sequence[str]) -> int:
     """Download what HAART's folder lacks, check everything, print its contents; returns 0."""
-    parser = argparse.ArgumentParser(
-        prog="python -m docs.studies data",
-        description="Downloads the HAART recordings from their official place, and checks them.",
-    )
-    add_haart_argument(parser)
+    what = "Downloads the HAART recordings from their official place, and checks them."
+    parser = study_parser("data", what, "haart")
     parser.add_argument("--url", default=ARCHIVE_URL, help="where the archive lies (%(default)s)")
     options = parser.parse_args(arguments)
     console = Console()
@@ -33,8 +34,7 @@ def data(arguments: Sequence[str]) -> int:
 
 def train(arguments: Sequence[str]) -> int:
     """Train what is not trained yet, resuming where a training was cut off; returns 0."""
-    parser = _parser("train", "Trains every network of a recipe; run it again to resume.")
-    _add_recipe_arguments(parser)
+    parser = _recipe_parser("train", "Trains every network of a recipe; run it again to resume.")
     parser.add_argument("--threads", type=int, default=2, help="processor threads, where there is no GPU (2)")
     options = parser.parse_args(arguments)
 
@@ -46,9 +46,8 @@ def train(arguments: Sequence[str]) -> int:
 
 def export(arguments: Sequence[str]) -> int:
     """Calibrate on participants left out, export, name the files written; returns 0."""
-    parser = _parser("export", "Exports a trained recipe to ONNX.")
-    _add_recipe_arguments(parser)
-    _add_weights_argument(parser)
+    parser = _recipe_parser("export", "Exports a trained recipe to ONNX.")
+    parser.add_argument("--weights", **WEIGHTS)
     options = parser.parse_args(arguments)
 
     from docs.studies.training.ship import export_recipe
@@ -60,10 +59,9 @@ def export(arguments: Sequence[str]) -> int:
 
 def evaluate(arguments: Sequence[str]) -> int:
     """Write scores.json beside the model; returns 0."""
-    parser = _parser(
-        "evaluate", "Scores the model on the test participants, and on both studies' people left out."
-    )
-    _add_weights_argument(parser)
+    what = "Scores the model on the test participants, and on both studies' people left out."
+    parser = study_parser("evaluate", what, *BOTH)
+    parser.add_argument("--weights", **WEIGHTS)
     options = parser.parse_args(arguments)
     if not (options.weights / SHIPPED_MODEL.name).exists():
         raise ModelError(f"{options.weights}: no model files there; name their folder with --weights")
@@ -73,11 +71,10 @@ def evaluate(arguments: Sequence[str]) -> int:
 
     scores = evaluate_shipped(_folders(options), options.weights, "python -m docs.studies evaluate")
     write_scores(scores, options.weights / SCORES_NAME)
-    for row, left_out, second in zip(
-        scores.test.realigned, scores.left_out.realigned, scores.second_study.realigned, strict=True
-    ):
+    sets = scores.test.realigned, scores.left_out.realigned, scores.second_study.realigned
+    for test, left_out, second in zip(*sets, strict=True):
         sys.stdout.write(
-            f"{row.frames:4d} frames: {100 * row.accuracy:.1f} % on the test participants, "
+            f"{test.frames:4d} frames: {100 * test.accuracy:.1f} % on the test participants, "
             f"{100 * left_out.accuracy:.1f} % on the training participants left out, "
             f"{100 * second.accuracy:.1f} % on the second study's people\n"
         )
@@ -89,9 +86,7 @@ def stability(arguments: Sequence[str]) -> int:
     """Check a model file's arithmetic; returns 0 when every check passed, 1 when one failed."""
     from docs.studies.checks.stability import run, table
 
-    parser = argparse.ArgumentParser(
-        prog="python -m docs.studies stability", description="Checks a model file's arithmetic."
-    )
+    parser = study_parser("stability", "Checks a model file's arithmetic.")
     parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file; ours without it")
     parser.add_argument("--json", action="store_true", help="one JSON array instead of a table")
     parser.add_argument("--hours", type=float, default=0.0, help="also check a stream of so many hours")
@@ -104,22 +99,11 @@ def stability(arguments: Sequence[str]) -> int:
     return 0 if all(check.passed for check in checks) else 1
 
 
-def _parser(name: str, description: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog=f"python -m docs.studies {name}", description=description)
-    add_haart_argument(parser)
-    add_second_study_argument(parser)
-    return parser
-
-
-def _add_recipe_arguments(parser: argparse.ArgumentParser) -> None:
+def _recipe_parser(name: str, description: str) -> argparse.ArgumentParser:
+    parser = study_parser(name, description, *BOTH)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
     parser.add_argument("--recipe", type=Path, default=SHIPPED_RECIPE, help="YAML file; the shipped model's")
-
-
-def _add_weights_argument(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
-    )
+    return parser
 
 
 def _folders(options: argparse.Namespace) -> Folders:

@@ -40,6 +40,9 @@ class Contents:
     recordings: int
     participants: tuple[str, ...]
 
+    def __str__(self) -> str:
+        return f"{self.recordings} recordings of {', '.join(self.participants)}"
+
 
 HAART: Mapping[str, Contents] = {
     TRAINING_FILE: Contents(578, ("P10", "P3", "P4", "P5", "P6", "P7", "P8")),
@@ -73,8 +76,7 @@ def check(path: Path, expected: Contents) -> Contents:
     found = Contents(len(recordings), participants)
     if found != expected:
         raise RecordingError(
-            f"{path}: {_describe(found)}, where the published file has {_describe(expected)}; "
-            "remove it and run `data` again"
+            f"{path}: {found}, where the published file has {expected}; remove it and run `data` again"
         )
     return found
 
@@ -93,7 +95,11 @@ def unpack(
                 member = _member(archive, opened, name, max_bytes)
                 with opened.open(member) as source, part.open("wb") as target:
                     shutil.copyfileobj(source, target)
-                _check_part(archive, part, expected[name])
+                try:
+                    check(part, expected[name])
+                except RecordingError as error:
+                    why = f"{name}: {str(error).removeprefix(f'{part}: ')}"
+                    raise DownloadError(f"{archive}: not the published set ({why})") from error
         for name, part in parts.items():
             part.replace(folder / name)
     except (zipfile.BadZipFile, zlib.error, lzma.LZMAError, EOFError, ValueError, RuntimeError) as error:
@@ -105,14 +111,6 @@ def unpack(
     finally:
         for part in parts.values():
             part.unlink(missing_ok=True)
-
-
-def _check_part(archive: Path, part: Path, expected: Contents) -> None:
-    try:
-        check(part, expected)
-    except RecordingError as error:
-        found = str(error).removeprefix(f"{part}: ")
-        raise DownloadError(f"{archive}: not the published set ({part.stem}: {found})") from error
 
 
 def _is_there(folder: Path, name: str) -> bool:
@@ -159,7 +157,3 @@ def _check_recording(path: Path, recording: Recording) -> None:
         )
     if recording.gesture not in GESTURES:
         raise RecordingError(f"{path}: {condition}: not one of the gestures {', '.join(GESTURES)}")
-
-
-def _describe(contents: Contents) -> str:
-    return f"{contents.recordings} recordings of {', '.join(contents.participants)}"

@@ -10,23 +10,31 @@ from itertools import zip_longest
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import torch
 
 from docs.studies.accuracy import ONE_OUT, PLACES, SEEDS
-from docs.studies.folders import add_haart_argument, add_second_study_argument
+from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from docs.studies.training import checkpoint, haart
 from docs.studies.training.calibrate import accuracies, ask_left_out
 from docs.studies.training.checkpoint import Checkpoint
-from docs.studies.training.recipe import fold_jobs, read_recipe
+from docs.studies.training.recipe import Recipe, fold_jobs, read_recipe
 from docs.studies.training.settings import Study
+from docs.studies.training.ship import trained
 from docs.studies.training.studies import Folders
-from docs.studies.training.train import CHECKPOINT_NAME, Training, fastest_device, save, train
+from docs.studies.training.train import CHECKPOINT_NAME, Training, fastest_device, train
 from drivers.recording import Recording
 from model.settings import LENGTHS
 
 PAGE = Path(__file__).parents[2] / "accuracy.md"
 TITLES: dict[Study, str] = {"haart": "HAART, training participants", "second": "second study"}
+FRAMES = tuple(f"{length} frames" for length in LENGTHS)
+SEEDS_DESCRIPTION = """How far the figures of people left out depend on the seed (docs/accuracy.md).
+
+The recipe's folds are trained again with other seeds, and each answers the people that it never saw.
+"""
+SHOWN_SEEDS = (0, 1, 2)
 EPOCHS = 12
 LEARNING_RATE = 0.001
 
@@ -57,27 +65,15 @@ def go_on(
         training = Training(learnt, settings, fastest_device())
         for network in (training.network, training.average):
             network.load_state_dict(saved.network)
-        save(training.snapshot(), path)
+        checkpoint.save(training.snapshot(), path)
     return train(learnt, settings, path.parent, fastest_device())
-
-
-def read_options(name: str, description: str | None, arguments: Sequence[str]) -> argparse.Namespace:
-    """Read the arguments of a study that trains networks of the recipe again."""
-    parser = argparse.ArgumentParser(prog=f"python -m docs.studies {name}", description=description)
-    add_haart_argument(parser)
-    add_second_study_argument(parser)
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
-    parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
-    return parser.parse_args(arguments)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Train what is not trained yet, score it, fill the page's table; returns 0."""
-    options = read_options("one-out", __doc__, arguments)
+    recipe, folders, options = _read("one-out", __doc__, arguments)
     torch.set_num_threads(options.threads)
-    recipe, folders = read_recipe(), Folders(options.haart, options.second_study)
     recordings = folders.to_train_on(recipe.settings.studies)
-    scored = folders.to_score_on(recipe.settings.studies)
     networks = [
         go_on(fold, left_out, recordings, options.runs)
         for job in fold_jobs(recipe)
@@ -85,10 +81,44 @@ def main(arguments: Sequence[str]) -> int:
         for left_out in left_out_together(job.settings.left_out)
     ]
     rows = []
-    for study, held in scored.items():
+    for study, held in folders.to_score_on(recipe.settings.studies).items():
         asked = [network for network in networks if haart.only(held, network.settings.left_out)]
         shares = accuracies([ask_left_out(network, held) for network in asked])
         rows.append((TITLES[study], *(f"**{100 * shares[str(length)]:.1f}**" for length in LENGTHS)))
-    headings = ("one left out of each study", *(f"{length} frames" for length in LENGTHS))
-    fill(PAGE, {ONE_OUT: table(headings, rows)}, others=(*PLACES, SEEDS))
+    fill(PAGE, {ONE_OUT: table(("one left out of each study", *FRAMES), rows)}, others=(*PLACES, SEEDS))
     return 0
+
+
+def seeds(arguments: Sequence[str]) -> int:
+    """Train the folds with other seeds where that is not done yet, score them, fill the page's table."""
+    recipe, folders, options = _read("seeds", SEEDS_DESCRIPTION, arguments)
+    networks = {
+        seed: [
+            trained(job, folders, options.runs, options.threads)
+            for job in fold_jobs(msgspec.structs.replace(recipe, seeds=(seed,)))
+        ]
+        for seed in SHOWN_SEEDS
+    }
+    rows: list[tuple[object, ...]] = []
+    for study, held in folders.to_score_on(recipe.settings.studies).items():
+        shares = [accuracies([ask_left_out(fold, held) for fold in folds]) for folds in networks.values()]
+        percents = 100 * np.array([[share[str(length)] for length in LENGTHS] for share in shares])
+        title = f"{TITLES[study]} left out"
+        for seed, row in zip(SHOWN_SEEDS, percents, strict=True):
+            rows.append((title, seed, *(f"{percent:.1f}" for percent in row)))
+        spread = zip(percents.mean(axis=0), percents.std(axis=0, ddof=1), strict=True)
+        rows.append(
+            (title, "mean ± sd", *(f"**{mean:.1f}** ± {deviation:.1f}" for mean, deviation in spread))
+        )
+    fill(PAGE, {SEEDS: table(("", "seed", *FRAMES), rows)}, others=(*PLACES, ONE_OUT))
+    return 0
+
+
+def _read(
+    name: str, description: str | None, arguments: Sequence[str]
+) -> tuple[Recipe, Folders, argparse.Namespace]:
+    parser = study_parser(name, description, "haart", "second-study")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
+    parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
+    options = parser.parse_args(arguments)
+    return read_recipe(), Folders(options.haart, options.second_study), options

@@ -19,7 +19,7 @@ from docs.studies.training.remember import save as save_remembered
 from docs.studies.training.remember import statistics
 from docs.studies.training.settings import Study
 from docs.studies.training.studies import Folders
-from docs.studies.training.train import CHECKPOINT_NAME, save, train_studies
+from docs.studies.training.train import CHECKPOINT_NAME, train_studies
 from drivers.frame import FRAME_RATE_HZ
 from drivers.recording import Recording
 from model.adapt.backbone import crops, split
@@ -75,12 +75,13 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
     for job in final_jobs(recipe):
         saved = _load(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
-        path = weights / SHIPPED_MODEL.name if shipped else seed_path(weights, job.settings.seed)
+        further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
+        path = weights / (SHIPPED_MODEL.name if shipped else further)
         _export(saved, recipe.name, scored, temperatures, accuracies, path)
         written.append(path)
         if shipped:
             beside = path.with_suffix(".pt")
-            save(replace(saved, training={}), beside)
+            checkpoint.save(replace(saved, training={}), beside)
             remembered = path.with_suffix(".npz")
             save_remembered(remember(saved, folders), remembered)
             written += [beside, remembered]
@@ -91,17 +92,9 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
     """Return what a network remembers of each study's people that it learnt from."""
     settings = saved.settings
     backbone, _ = split(saved.build())
+    learnt = [haart.without(folders.to_train_on((study,)), settings.left_out) for study in settings.studies]
     return statistics(
-        [
-            crops(
-                backbone,
-                haart.without(folders.to_train_on((study,)), settings.left_out),
-                settings.augmentation,
-                REMEMBERED_CROPS,
-                seed=0,
-            )
-            for study in settings.studies
-        ]
+        [crops(backbone, own, settings.augmentation, REMEMBERED_CROPS, seed=0) for own in learnt]
     )
 
 
@@ -126,11 +119,10 @@ def evaluate_shipped(folders: Folders, weights: Path, command: str) -> evaluate.
 
 def left_out_split(weights: Path, recordings: Sequence[Recording]) -> evaluate.Split:
     """Return each fold's classifier with the recordings of the participants that it never saw."""
-    split = []
-    for path in sorted((weights / LEFT_OUT_FOLDER).glob("*.onnx")):
-        participants = path.stem.split("-")
-        split.append((Classifier.load(path), haart.only(recordings, participants)))
-    return split
+    return [
+        (Classifier.load(path), haart.only(recordings, path.stem.split("-")))
+        for path in sorted((weights / LEFT_OUT_FOLDER).glob("*.onnx"))
+    ]
 
 
 def fold_path(weights: Path, participants: Sequence[str]) -> Path:
@@ -138,12 +130,7 @@ def fold_path(weights: Path, participants: Sequence[str]) -> Path:
     return weights / LEFT_OUT_FOLDER / f"{'-'.join(participants)}.onnx"
 
 
-def seed_path(weights: Path, seed: int) -> Path:
-    """Return the path of a further seed's network."""
-    return weights / SEEDS_FOLDER / f"seed{seed}.onnx"
-
-
-def _temperatures(answers: Sequence[Sequence[calibrate.LeftOut]]) -> dict[int, float]:
+def _temperatures(answers: Sequence[Sequence[calibrate.Answers]]) -> dict[int, float]:
     """Return temperatures from each fold's answers, one entry a study; 1 without any fold."""
     if not answers:
         return dict.fromkeys(LENGTHS, 1.0)

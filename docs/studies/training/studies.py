@@ -28,7 +28,7 @@ class Folders:
         """Return each study's recordings of its training people as they are scored."""
         scored: dict[Study, list[Recording]] = {}
         if "haart" in studies:
-            scored["haart"] = haart.realigned(haart.read_training(self.haart))
+            scored["haart"] = self.to_train_on(("haart",))
         if "second" in studies:
             scored["second"] = second_study.scored(second_study.read(self.second_study))
         return scored

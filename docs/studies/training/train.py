@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import torch
 from torch import Tensor
@@ -18,30 +17,14 @@ from docs.studies.training.checkpoint import Checkpoint, CheckpointError
 from docs.studies.training.settings import TrainSettings
 from docs.studies.training.studies import Folders
 from drivers.recording import NO_TOUCH, Recording
-from drivers.whole_file import whole_file
 from model.tgc import KNEE_COUNTS, TGC
 from model.training.augment import begin_from_rest, crop, vary
 from model.training.origin import code_version, data_hash
 from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
 
 CHECKPOINT_NAME = "checkpoint.pt"
+STATES = ("network", "optimizer", "average")
 SOURCES = ("haart.py", "settings.py", "train.py")
-
-
-def save(checkpoint: Checkpoint, path: Path) -> None:
-    """Write the checkpoint whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    stored = {
-        "settings": msgspec.json.encode(checkpoint.settings).decode(),
-        "labels": list(checkpoint.labels),
-        "epoch": checkpoint.epoch,
-        "network": checkpoint.network,
-        "training": checkpoint.training,
-        "code_version": checkpoint.code_version,
-        "data_sha256": checkpoint.data_sha256,
-    }
-    with whole_file(path) as partial:
-        torch.save(stored, partial)
 
 
 class Training:
@@ -57,14 +40,10 @@ class Training:
         self.participants = [recording.participant for recording in recordings]
         people = Counter(self.participants)
         self.weights = torch.tensor([1.0 / people[participant] for participant in self.participants])
-        self.resting = {
-            participant: [
-                i
-                for i, recording in enumerate(recordings)
-                if (recording.participant, recording.gesture) == (participant, NO_TOUCH)
-            ]
-            for participant in people
-        }
+        self.resting: dict[str, list[int]] = {participant: [] for participant in people}
+        for i, recording in enumerate(recordings):
+            if recording.gesture == NO_TOUCH:
+                self.resting[recording.participant].append(i)
         torch.manual_seed(settings.seed)
         self.rng = torch.Generator().manual_seed(settings.seed)
         self.network = TGC(settings.network, len(self.labels)).to(device)
@@ -90,9 +69,8 @@ class Training:
             chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
             windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
             windows = vary(windows, settings.augmentation, self.rng)
-            windows, targets = self._mix(
-                windows, functional.one_hot(self.classes[chosen], len(self.labels)).float()
-            )
+            targets = functional.one_hot(self.classes[chosen], len(self.labels)).float()
+            windows, targets = self._mix(windows, targets)
             step = self.epoch * self.steps_per_epoch + batch
             total += self._step(windows.to(self.device), targets.to(self.device), step)
         self.epoch += 1
@@ -102,12 +80,10 @@ class Training:
 
     def _order(self) -> Tensor:
         """Return which recordings an epoch's windows are cut from."""
-        passes = self.settings.crops_per_recording
+        passes, count = self.settings.crops_per_recording, len(self.counts)
         if self.settings.balance_people:
-            return torch.multinomial(
-                self.weights, passes * len(self.counts), replacement=True, generator=self.rng
-            )
-        return torch.cat([torch.randperm(len(self.counts), generator=self.rng) for _ in range(passes)])
+            return torch.multinomial(self.weights, passes * count, replacement=True, generator=self.rng)
+        return torch.cat([torch.randperm(count, generator=self.rng) for _ in range(passes)])
 
     def _window(self, recording: int) -> Tensor:
         settings = self.settings
@@ -156,11 +132,9 @@ class Training:
     def snapshot(self) -> Checkpoint:
         """Return the state as a checkpoint."""
         training: dict[str, Any] = {
-            "network": self.network.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            **{name: getattr(self, name).state_dict() for name in STATES},
             "rng": self.rng.get_state(),
             "torch_rng": torch.get_rng_state(),
-            "average": self.average.state_dict(),
             "set_aside": self.set_aside,
         }
         kept = self.set_aside or [self.average.state_dict()]
@@ -180,10 +154,9 @@ class Training:
             raise CheckpointError(
                 "the checkpoint there was made with other settings or data; choose another folder"
             )
-        self.average.load_state_dict(saved.training["average"])
+        for name in STATES:
+            getattr(self, name).load_state_dict(saved.training[name])
         self.set_aside = saved.training["set_aside"]
-        self.network.load_state_dict(saved.training["network"])
-        self.optimizer.load_state_dict(saved.training["optimizer"])
         self.rng.set_state(saved.training["rng"])
         torch.set_rng_state(saved.training["torch_rng"])
         self.epoch = saved.epoch
@@ -198,7 +171,7 @@ def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path
     with tqdm(total=settings.epochs, initial=training.epoch, unit="epoch", desc=folder.name) as progress:
         while training.epoch < settings.epochs:
             loss = training.run_epoch()
-            save(training.snapshot(), path)
+            checkpoint.save(training.snapshot(), path)
             progress.set_postfix(loss=f"{loss:.3f}")
             progress.update()
     return training.snapshot()
