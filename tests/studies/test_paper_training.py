@@ -6,28 +6,20 @@ import numpy as np
 import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
+
+import torch
+
+from docs.studies.report import paper_cells, paper_training
+from docs.studies.report.paper_cells import Grid, PaperCell, read_grid
+from docs.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, train, trained
+from docs.studies.report.results import Results, Study
+from docs.studies.training import haart
+from docs.studies.training.checkpoint import CheckpointError
+from docs.studies.training.haart import GESTURES, Windows
+from docs.studies.training.recipe import SettingsError
+from drivers.recording import Recording, ideal_clock_ms
+
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-import torch  # noqa: E402
-
-from docs.studies.report import paper_training  # noqa: E402
-from docs.studies.report.paper_cells import (  # noqa: E402
-    Grid,
-    PaperCell,
-    parse,
-    predictions_path,
-    read_grid,
-    trained_cells,
-    trained_networks,
-)
-from docs.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, is_at, train, trained  # noqa: E402
-from docs.studies.report.results import Results, Study  # noqa: E402
-from docs.studies.training import haart  # noqa: E402
-from docs.studies.training.checkpoint import CheckpointError  # noqa: E402
-from docs.studies.training.haart import GESTURES, Windows  # noqa: E402
-from docs.studies.training.recipe import SettingsError  # noqa: E402
-from drivers.recording import Recording, ideal_clock_ms  # noqa: E402
-
 GRID = Grid(learning_rate=1e-4, batch=8, bfloat16=False, whole=(), feasible=())
 CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)
 
@@ -62,16 +54,14 @@ def test_a_cut_off_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
     cell = PaperCell("printed", blocks=1, frames=9, epochs=2, seed=0)
     whole = training(cell)
     whole.run_epoch()
+    whole.save(tmp_path / "checkpoint.pt")
     whole.run_epoch()
-    first = training(cell)
-    first.run_epoch()
-    first.save(tmp_path / "checkpoint.pt")
-    second = training(cell)
-    second.resume(tmp_path / "checkpoint.pt")
-    second.run_epoch()
-    assert second.accuracies == whole.accuracies
+    resumed = training(cell)
+    resumed.resume(tmp_path / "checkpoint.pt")
+    resumed.run_epoch()
+    assert resumed.accuracies == whole.accuracies
     for name, value in whole.network.state_dict().items():
-        torch.testing.assert_close(second.network.state_dict()[name], value, rtol=0.0, atol=0.0)
+        torch.testing.assert_close(resumed.network.state_dict()[name], value, rtol=0.0, atol=0.0)
 
 
 def test_every_epoch_is_scored_in_evaluation_mode() -> None:
@@ -86,7 +76,7 @@ def test_a_cell_keeps_every_epoch_and_the_last_ones_answers(study: Study) -> Non
     train(study, GRID, CELL)
     values = study.results.get(CELL.key)
     assert len(values["accuracies"]) == len(values["losses"]) == 2
-    with np.load(predictions_path(study.docs, CELL)) as stored:
+    with np.load(CELL.stored(study.docs)) as stored:
         again = paper_training.macro_accuracy(stored["probabilities"], stored["labels"].astype(np.int64))
     assert again == pytest.approx(values["accuracies"][-1], abs=1e-5)
 
@@ -97,10 +87,11 @@ def test_more_epochs_resume_into_another_cell(study: Study) -> None:
     train(study, GRID, longer)
     before, after = (study.results.get(cell.key)["accuracies"] for cell in (CELL, longer))
     assert after[:2] == before
-    assert trained_cells(study.results, "public", 1, 9) == [longer]
-    assert is_at(study, longer)
-    assert not is_at(study, CELL)
-    assert len(trained(study, longer).encoder) == 1
+    assert paper_cells.trained(study.results) == {("public", 1, 9): [longer]}
+    assert trained(study, CELL) is None
+    network = trained(study, longer)
+    assert network is not None
+    assert len(network.encoder) == 1
 
 
 def test_a_longer_training_is_left_alone(study: Study, caplog: pytest.LogCaptureFixture) -> None:
@@ -151,22 +142,9 @@ def test_a_mistake_in_the_grid_names_the_file(tmp_path: Path) -> None:
         read_grid(path)
 
 
-def test_a_key_names_its_cell() -> None:
-    assert parse(CELL.key) == CELL
-
-
 def test_networks_are_listed_by_variant_frames_and_blocks(tmp_path: Path) -> None:
     results = Results(tmp_path / "report.json")
-    for variant, blocks, frames in (
-        ("printed", 1, 9),
-        ("public", 6, 144),
-        ("public", 1, 144),
-        ("public", 6, 54),
-    ):
+    expected = [("public", 6, 54), ("public", 1, 144), ("public", 6, 144), ("printed", 1, 9)]
+    for variant, blocks, frames in reversed(expected):
         results.put(PaperCell(variant, blocks, frames, 1, 0).key, {}, 0.0)  # type: ignore[arg-type]
-    assert trained_networks(results) == [
-        ("public", 6, 54),
-        ("public", 1, 144),
-        ("public", 6, 144),
-        ("printed", 1, 9),
-    ]
+    assert list(paper_cells.trained(results)) == expected

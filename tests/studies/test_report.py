@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,13 @@ from docs.studies.checks import evaluate
 from docs.studies.checks.evaluate import read_scores
 from docs.studies.marked import fill
 from docs.studies.report import page, paper_cells, paper_training, representation, tables23
-from docs.studies.report.paper_cells import predictions_path, trained_cells
 from docs.studies.tracker import report as touch_page
 from docs.studies.tracker.figures import TouchReport
 from docs.studies.training import haart
+from docs.studies.training.recipe import read_recipe
 from docs.studies.training.ship import SCORES_NAME
 from drivers.recording import Recording
+from model.adapt.head import AdaptSettings
 from model.classifier import SHIPPED_MODEL, Classifier
 from model.training.threads import one_torch_thread
 
@@ -66,6 +68,28 @@ def stored(name: str, kind: Any) -> Any:
     return msgspec.json.decode((DOCS / name).read_bytes(), type=kind)
 
 
+@pytest.fixture(scope="module")
+def adapted() -> adapting.Measured:
+    measured: adapting.Measured = stored("adapt.json", adapting.Measured)
+    return measured
+
+
+def test_what_adapting_gains_was_measured_with_the_settings_that_ship(adapted: adapting.Measured) -> None:
+    assert adapted.settings == AdaptSettings()
+
+
+def test_adapting_was_measured_on_everybody_in_every_setting(adapted: adapting.Measured) -> None:
+    people = [name for fold in read_recipe().folds for name in sorted(fold)]
+    expected = list(product(people, range(adapting.DRAWS), adapting.SHOTS))
+    assert [(t.participant, t.draw, t.each) for t in adapted.trials] == expected
+
+
+def test_a_person_of_the_second_study_gains_with_every_recording(adapted: adapting.Measured) -> None:
+    own = [t for t in adapted.trials if t.participant.startswith("R")]
+    after = [np.mean([t.after for t in own if t.each == each]) for each in adapting.SHOTS]
+    assert np.mean([t.before for t in own]) < after[0] < after[1] < after[2]
+
+
 def test_every_cell_says_which_command_commit_and_machine_made_it() -> None:
     for key in ALL_KEYS:
         cell = RESULTS.cell(key)
@@ -77,7 +101,7 @@ def test_every_cell_says_which_command_commit_and_machine_made_it() -> None:
 @pytest.mark.parametrize("key", PAPER_KEYS)
 def test_the_papers_network_scores_as_its_stored_answers(key: str) -> None:
     values = RESULTS.get(key)
-    with np.load(predictions_path(DOCS, paper_cells.parse(key))) as stored:
+    with np.load(paper_cells.parse(key).stored(DOCS)) as stored:
         labels = stored["labels"].astype(np.int64)
         again = paper_training.macro_accuracy(stored["probabilities"].astype(np.float64), labels)
     assert len(labels) == values["windows"]
@@ -90,14 +114,14 @@ def test_the_stored_answers_are_over_the_test_participants_windows(
     key: str, test_recordings: list[Recording]
 ) -> None:
     cell = paper_cells.parse(key)
-    with np.load(predictions_path(DOCS, cell)) as stored:
+    with np.load(cell.stored(DOCS)) as stored:
         np.testing.assert_array_equal(stored["labels"], haart.cut(test_recordings, cell.frames).labels)
 
 
 @pytest.mark.slow
 @needs_haart
 def test_the_kept_network_of_the_papers_scores_as_reported(test_recordings: list[Recording]) -> None:
-    (cell,) = trained_cells(RESULTS, "public", 1, 144)
+    (cell,) = paper_cells.trained(RESULTS)["public", 1, 144]
     windows = haart.cut(test_recordings, cell.frames)
     with one_torch_thread():
         probabilities = paper_training.answer(paper_training.load_kept(DOCS, cell), windows.counts)

@@ -1,7 +1,7 @@
 """Table 1 of the report: features, training, and stored figures."""
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from docs.studies.report.results import Results, Study
 from docs.studies.report.table1 import SYSTEMS, Data, DeepSystem, HandMade, Searched, Shipped, System
 from docs.studies.training import haart
 from drivers.recording import Recording, ideal_clock_ms
+from model.training.threads import one_torch_thread
 
 CELLS = [key for key in RESULTS.keys(table1.PREFIX) if "/seed" in key]
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")
@@ -84,16 +85,21 @@ def test_an_alternating_series_has_alternating_autocorrelation() -> None:
     assert challenge_features.autocorrelations(alternating, 2)[0] == pytest.approx([-1.0, 1.0], abs=0.01)
 
 
+of_each_system = pytest.mark.parametrize(
+    "make", FEATURES, ids=lambda make: make.__module__.rpartition("_")[2]
+)
+
+
 @pytest.mark.parametrize("frames", [54, 144, 432])
 @pytest.mark.parametrize("level", [0, 7, 1023])
-@pytest.mark.parametrize("make", FEATURES, ids=lambda make: make.__module__.rpartition("_")[2])
+@of_each_system
 def test_a_pad_on_which_nothing_moves_has_all_its_features(make: Any, level: int, frames: int) -> None:
     features = make(np.full((2, frames, 8, 8), level, dtype=np.uint16))
     assert features.shape == (2, FEATURES[make])
     assert np.isfinite(features).all()
 
 
-@pytest.mark.parametrize("make", FEATURES, ids=lambda make: make.__module__.rpartition("_")[2])
+@of_each_system
 def test_features_do_not_depend_on_other_windows(make: Any) -> None:
     counts = np.random.default_rng(0).integers(500, size=(3, 54, 8, 8)).astype(np.uint16)
     assert make(counts)[1] == pytest.approx(make(counts[1:2])[0])
@@ -149,9 +155,8 @@ def test_a_moving_taxel_shows_in_every_scale() -> None:
     for start in (3, 13, 23):
         moving[0, start : start + 2, 5, 6] = True
     history = challenge_gaus.motion_history(moving)[0]
-    fine, middle, coarse = np.split(history, [5 * 64, 5 * 64 + 5 * 16])
-    places = [(fine, 8, 5, 6), (middle, 4, 2, 3), (coarse, 2, 1, 1)]
-    for histogram, side, row, column in places:
+    parts = np.split(history, [5 * 64, 5 * 64 + 5 * 16])
+    for histogram, side, row, column in zip(parts, (8, 4, 2), (5, 2, 1), (6, 3, 1), strict=True):
         expected = np.zeros((5, side, side))
         expected[1, row, column] = 3 / 40
         assert histogram == pytest.approx(expected.ravel())
@@ -225,15 +230,11 @@ def few_features(counts: NDArray[np.uint16]) -> NDArray[np.float64]:
 
 def small(system: System) -> System:
     """Return a quicker variant of a system."""
-    match system:
-        case Searched():
-            return dataclasses.replace(system, most=1, features=few_features)
-        case HandMade():
-            return dataclasses.replace(system, options=system.options[-1:])
-        case DeepSystem():
-            return dataclasses.replace(system, most_epochs=3)
-        case _:
-            return system
+    if isinstance(system, Searched):
+        return dataclasses.replace(system, most=1, features=few_features)
+    if isinstance(system, HandMade):
+        return dataclasses.replace(system, options=system.options[-1:])
+    return dataclasses.replace(system, most_epochs=3)
 
 
 TRAINED = [system for system in SYSTEMS if not isinstance(system, Shipped)]
@@ -241,8 +242,7 @@ TRAINED = [system for system in SYSTEMS if not isinstance(system, Shipped)]
 
 @pytest.fixture(autouse=True)
 def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
-    for family in (challenge_ta, challenge_balli, challenge_gaus):
-        monkeypatch.setattr(family, "TREES", 10)
+    monkeypatch.setattr(challenge_features, "TREES", 10)
     monkeypatch.setattr(table1, "SEARCH_TREES", 2)
     monkeypatch.setattr(challenge_hughes, "AUTOENCODER_STEPS", 50)
     monkeypatch.setattr(challenge_hughes, "CROP_FRAMES", 54)
@@ -251,12 +251,8 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "system",
-    [
-        pytest.param(
-            system, id=system.key, marks=[pytest.mark.slow] if isinstance(system, DeepSystem) else []
-        )
-        for system in TRAINED
-    ],
+    [pytest.param(each, marks=[pytest.mark.slow] * isinstance(each, DeepSystem)) for each in TRAINED],
+    ids=lambda system: system.key,
 )
 def test_settings_are_chosen_without_the_test_file(system: System) -> None:
     chosen = small(system).choose(MadeUp(with_test=False))
@@ -267,33 +263,32 @@ def test_settings_are_chosen_without_the_test_file(system: System) -> None:
 @pytest.mark.parametrize("system", TRAINED, ids=lambda system: system.key)
 def test_a_system_learns_reproducibly(system: System) -> None:
     data = MadeUp()
-    settings: dict[str, Any] = (
-        {"epochs": 12} if isinstance(system, DeepSystem) else {"features": [0, 1, 6, 7]}
-    )
-    if isinstance(system, HandMade) and not isinstance(system, Searched):
+    settings: dict[str, Any] = {"features": [0, 1, 6, 7]}
+    if isinstance(system, DeepSystem):
+        settings = {"epochs": 12}
+    elif isinstance(system, HandMade) and not isinstance(system, Searched):
         settings = system.options[-1]
-    twice = [list(system.answers(data, {"settings": settings}, 1, (54,))) for _ in range(2)]
-    (frames, named), (_, again) = twice[0][0], twice[1][0]
-    assert frames == 54
+    with one_torch_thread():
+        named, again = (system.train(data, settings, 1)(54) for _ in range(2))
     assert named.tolist() == again.tolist()
     assert table1.scores(named, haart.cut(data.test, 54).labels)["accuracy"] > 0.9
 
 
 @dataclasses.dataclass(frozen=True)
 class Counted(System):
-    """A system that answers "constant" to everything and records its trainings."""
+    """A system that answers "constant" to everything and records what it was asked."""
 
-    trained: list[tuple[int, tuple[int, ...]]] = dataclasses.field(default_factory=list)
+    asked: list[tuple[int, int]] = dataclasses.field(default_factory=list)
 
     def choose(self, data: Data) -> dict[str, Any]:
         return {"settings": {"any": 1}, "left_out_accuracy": 0.5}
 
-    def answers(
-        self, data: Data, chosen: dict[str, Any], seed: int, lengths: Sequence[int]
-    ) -> Iterator[tuple[int, NDArray[np.int64]]]:
-        self.trained.append((seed, tuple(lengths)))
-        for frames in lengths:
-            yield frames, np.zeros(len(haart.cut(data.test, frames).labels), dtype=np.int64)
+    def train(self, data: Data, settings: dict[str, Any], seed: int) -> table1.Answer:
+        def answer(frames: int) -> NDArray[np.int64]:
+            self.asked.append((seed, frames))
+            return np.zeros(len(data.windows("test", frames).labels), dtype=np.int64)
+
+        return answer
 
 
 def test_a_second_run_trains_only_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -306,7 +301,7 @@ def test_a_second_run_trains_only_what_is_missing(tmp_path: Path, monkeypatch: p
     results.put(present, {"accuracy": 0.25}, 1.0)
     table1.run(study)
     table1.run(study)
-    assert system.trained == [(0, (432, 144, 81, 54)), (1, (432, 81, 54))]
+    assert system.asked == [(0, 432), (0, 144), (0, 81), (0, 54), (1, 432), (1, 81), (1, 54)]
     assert results.get(present) == {"accuracy": 0.25}
     cell = results.get(table1.cell_key(system, 432, 0))
     assert cell == {"windows": 6, "accuracy": 0.0, "macro_accuracy": 0.0, "answers": "000000"}
@@ -340,7 +335,8 @@ def test_a_system_trained_again_still_gives_its_figure(
     monkeypatch.undo()
     system = next(system for system in SYSTEMS if system.key == key)
     chosen = RESULTS.get(table1.chosen_key(system))
-    ((_, named),) = system.answers(recordings, chosen, 0, (432,))
+    with one_torch_thread():
+        named = system.train(recordings, chosen["settings"], 0)(432)
     stored = RESULTS.get(table1.cell_key(system, 432, 0))
     measured = table1.scores(named, haart.cut(recordings.test, 432).labels)
     assert measured["accuracy"] == pytest.approx(stored["accuracy"], abs=TOLERANCE)

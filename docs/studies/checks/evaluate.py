@@ -6,6 +6,7 @@ each answered by a network of the same recipe that never saw them; "second study
 the same way.
 """
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -42,7 +43,7 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     confusion: list[list[int]]
     """Row: true class; column: answer; both in the order of the labels."""
     scene_accuracy: float
-    """Windows of SCENE's gestures alone, probabilities renormalised over them."""
+    """Windows of SCENE's gestures alone, answered with the likeliest of these."""
     scene_unrestricted_accuracy: float
     """The same windows, with all gestures left possible."""
 
@@ -89,15 +90,9 @@ def evaluate(split: Split) -> Evaluation:
     )
 
 
-def accuracies(split: Split, lengths: Sequence[int]) -> dict[str, float]:
-    """Return the macro accuracy at each length, realigned, by the number of frames."""
-    live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
-    return {str(length): score(live, length).accuracy for length in lengths}
-
-
 def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
     """Score all windows of one length, each by the classifier it is paired with."""
-    labels = split[0][0].labels
+    labels, classes = split[0][0].labels, len(split[0][0].labels)
     windows = [haart.cut(recordings, length) for _, recordings in split]
     probabilities = np.concatenate(
         [answer(classifier, w.counts, disturb) for (classifier, _), w in zip(split, windows, strict=True)]
@@ -105,43 +100,19 @@ def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
     truth = np.concatenate([w.labels for w in windows])
     participants = np.concatenate([w.participants for w in windows])
     conditions = np.concatenate([w.conditions for w in windows])
-    return _score(labels, length, probabilities, truth, participants, conditions)
-
-
-def answer(
-    classifier: Classifier, counts: NDArray[np.uint16], disturb: Disturb | None = None
-) -> NDArray[np.float64]:
-    """Return probabilities (N, 7) for windows (N, L, 8, 8), disturbed first where asked."""
-    batches = []
-    for start in range(0, len(counts), BATCH):
-        batch = counts[start : start + BATCH].astype(np.float32)
-        batches.append(classifier.batch_probabilities(disturb(batch) if disturb else batch))
-    return np.concatenate(batches)
-
-
-def _score(
-    labels: tuple[str, ...],
-    length: int,
-    probabilities: NDArray[np.float64],
-    truth: NDArray[np.int64],
-    participants: NDArray[np.str_],
-    conditions: NDArray[np.str_],
-) -> Score:
-    classes = len(labels)
     predicted = probabilities.argmax(axis=1).astype(np.int64)
 
     def accuracy(chosen: NDArray[np.bool_]) -> float:
         return metrics.macro_accuracy(predicted[chosen], truth[chosen], classes)
 
-    everyone = np.ones(len(truth), dtype=bool)
     kept = np.array([labels.index(gesture) for gesture in SCENE])
     scene = np.isin(truth, kept)
-    in_scene = metrics.restrict(probabilities, kept).argmax(axis=1).astype(np.int64)
+    in_scene = kept[probabilities[:, kept].argmax(axis=1)]
     per_class = metrics.class_accuracies(predicted, truth, classes)
     return Score(
         frames=length,
         windows=len(truth),
-        accuracy=accuracy(everyone),
+        accuracy=metrics.macro_accuracy(predicted, truth, classes),
         right=float((predicted == truth).mean()),
         interval=metrics.participant_interval(accuracy, participants),
         per_class=dict(zip(labels, per_class.tolist(), strict=True)),
@@ -155,6 +126,17 @@ def _score(
     )
 
 
+def answer(
+    classifier: Classifier, counts: NDArray[np.uint16], disturb: Disturb | None = None
+) -> NDArray[np.float64]:
+    """Return probabilities (N, 7) for windows (N, L, 8, 8), disturbed first where asked."""
+    batches = []
+    for start in range(0, len(counts), BATCH):
+        batch = counts[start : start + BATCH].astype(np.float32)
+        batches.append(classifier.batch_probabilities(disturb(batch) if disturb else batch))
+    return np.concatenate(batches)
+
+
 def read_scores(path: Path) -> Scores:
     """Read a file of scores."""
     return msgspec.json.decode(path.read_bytes(), type=Scores)
@@ -162,15 +144,5 @@ def read_scores(path: Path) -> Scores:
 
 def write_scores(scores: Scores, path: Path) -> None:
     """Write a file of scores, one figure a line, rounded to five digits."""
-    rounded = _rounded(msgspec.to_builtins(scores))
+    rounded = json.loads(msgspec.json.encode(scores), parse_float=lambda figure: round(float(figure), 5))
     path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")
-
-
-def _rounded(value: object) -> object:
-    if isinstance(value, float):
-        return round(value, 5)
-    if isinstance(value, dict):
-        return {key: _rounded(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(entry) for entry in value]
-    return value

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.compose import make_column_transformer
-from sklearn.ensemble import RandomForestClassifier
 from sklearn.pipeline import make_pipeline
 
 from docs.studies.report import challenge_features as shared
@@ -23,7 +22,6 @@ from drivers.frame import COLUMNS, ROWS
 
 ORDER = 4
 SHORTEST_HURST_FRAMES = 8
-TREES = 300
 SEARCH_TREES = 20
 SERIES = ("mean pressure", "greatest count", "row", "column", "touched area")
 OF_IMAGE = ("row", "column", "long axis", "short axis", "eccentricity", "hardest share")
@@ -41,18 +39,13 @@ NAMES = (
 
 def features(counts: NDArray[np.uint16]) -> Floats:
     """Return the candidate features (N, 81) of windows of counts (N, L, 8, 8)."""
-    series = all_series(counts)
+    path = shared.centroid(counts)
+    greatest = counts.max(axis=(2, 3)).astype(np.float64)
+    series = (shared.mean_pressure(counts), greatest, *np.moveaxis(path, -1, 0), shared.contact_area(counts))
     columns = [image_features(counts.mean(axis=1, dtype=np.float64))]
     for each in series:
         columns += [shared.describe(each), hurst(each)[:, np.newaxis], hjorth(each), autoregressive(each)]
     return np.hstack(columns)
-
-
-def all_series(counts: NDArray[np.uint16]) -> list[Floats]:
-    """Return the series over time, each (N, L), as in SERIES."""
-    path = shared.centroid(counts)
-    greatest = counts.max(axis=(2, 3)).astype(np.float64)
-    return [shared.mean_pressure(counts), greatest, path[..., 0], path[..., 1], shared.contact_area(counts)]
 
 
 def image_features(image: Floats) -> Floats:
@@ -84,8 +77,7 @@ def hurst(series: Floats) -> Floats:
     size = SHORTEST_HURST_FRAMES
     while size <= series.shape[1]:
         pieces = series[:, : series.shape[1] // size * size].reshape(len(series), -1, size)
-        still = pieces - pieces.mean(axis=2, keepdims=True)
-        sums = still.cumsum(axis=2)
+        sums = (pieces - pieces.mean(axis=2, keepdims=True)).cumsum(axis=2)
         spread = pieces.std(axis=2)
         moves = spread > TINY
         ratio = np.where(moves, np.ptp(sums, axis=2) / np.maximum(spread, TINY), 0.0).sum(axis=1)
@@ -123,4 +115,4 @@ def forest(settings: dict[str, Any], seed: int) -> Any:
     """Return an untrained forest on the columns `settings["features"]`; the other settings are its own."""
     others = {name: value for name, value in settings.items() if name != "features"}
     chosen = make_column_transformer(("passthrough", settings["features"]))
-    return make_pipeline(chosen, RandomForestClassifier(TREES, **others, random_state=seed))
+    return make_pipeline(chosen, shared.forest(others, seed))

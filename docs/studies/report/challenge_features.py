@@ -4,8 +4,11 @@ A window's counts are (N, L, 8, 8), a series over its frames (N, L). Everything 
 untouched pad too.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.ensemble import RandomForestClassifier
 
 from docs.studies.training.metrics import Floats
 from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
@@ -15,7 +18,7 @@ Values = NDArray[np.uint16] | NDArray[np.int32] | Floats
 CONTACT_COUNTS = 20
 """A taxel counts as touched above this, which fewer than 1 in 1000 counts of untouched training pads are."""
 TINY = 1e-9
-QUANTILES = (0.1, 0.25, 0.5, 0.75, 0.9)
+TREES = 300
 
 
 def mean_pressure(counts: Values) -> Floats:
@@ -33,15 +36,11 @@ def centroid(counts: Values) -> Floats:
     total = counts.sum(axis=(2, 3), dtype=np.float64)
     rows = counts.sum(axis=3, dtype=np.float64) @ np.arange(ROWS)
     columns = counts.sum(axis=2, dtype=np.float64) @ np.arange(COLUMNS)
-    middle = (ROWS - 1) / 2, (COLUMNS - 1) / 2
-    pressed = total > 0.0
-    return np.stack(
-        [
-            np.where(pressed, moment / np.maximum(total, TINY), rest)
-            for moment, rest in zip((rows, columns), middle, strict=True)
-        ],
-        axis=-1,
-    )
+    places = [
+        np.where(total > 0.0, moment / np.maximum(total, TINY), (side - 1) / 2)
+        for moment, side in ((rows, ROWS), (columns, COLUMNS))
+    ]
+    return np.stack(places, axis=-1)
 
 
 def steps(path: Floats) -> Floats:
@@ -60,11 +59,6 @@ def describe(series: Floats) -> Floats:
     kurtosis = np.where(moves, (standard**4).mean(axis=1) - 3.0, 0.0)
     least, greatest, median = series.min(axis=1), series.max(axis=1), np.median(series, axis=1)
     return np.column_stack([mean, spread, least, greatest, median, skewness, kurtosis])
-
-
-def quantiles(series: Floats) -> Floats:
-    """Return the 10, 25, 50, 75 and 90 % quantiles (N, 5) of series."""
-    return np.asarray(np.quantile(series, QUANTILES, axis=1).T)
 
 
 def crossings(series: Floats) -> Floats:
@@ -110,3 +104,8 @@ def autocorrelations(series: Floats, lag_frames: int) -> Floats:
     moves = power > TINY
     products = [(still[:, lag:] * still[:, :-lag]).sum(axis=1) for lag in range(1, lag_frames + 1)]
     return np.stack([np.where(moves, each / np.maximum(power, TINY), 0.0) for each in products], axis=1)
+
+
+def forest(settings: dict[str, Any], seed: int) -> RandomForestClassifier:
+    """Return an untrained random forest."""
+    return RandomForestClassifier(TREES, **settings, random_state=seed)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import AdaBoostClassifier, RandomForestClassifier
+from sklearn.ensemble import AdaBoostClassifier
 from sklearn.tree import DecisionTreeClassifier
 
 from docs.studies.report import challenge_features as shared
@@ -29,7 +29,6 @@ MOTION_COUNTS = 4
 LONGEST_RUN = 5
 SCALES = (1, 2, 4)
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1))
-TREES = 300
 FORESTS = ({"max_features": "sqrt"}, {"max_features": 0.1})
 BOOSTS = tuple({"depth": depth, "rounds": 100} for depth in (1, 2, 4, 6, 8))
 
@@ -39,25 +38,16 @@ def features(counts: NDArray[np.uint16]) -> Floats:
     values = counts.astype(np.int32)
     change = np.abs(np.diff(values, axis=1))
     moving = change > MOTION_COUNTS
+    pressed_and_moved = distribution(values), distribution(change)
     return np.hstack(
-        [
-            distribution(values),
-            distribution(change),
-            binary_motion(moving),
-            motion_history(moving),
-            binary_patterns(values),
-        ]
+        [*pressed_and_moved, binary_motion(moving), motion_history(moving), binary_patterns(values)]
     )
 
 
 def distribution(values: NDArray[np.int32]) -> Floats:
     """Return statistics over time of the frames' mean, spread, maximum and median (N, 28)."""
-    over_frame = [
-        values.mean(axis=(2, 3)),
-        values.std(axis=(2, 3)),
-        values.max(axis=(2, 3)),
-        np.median(values, axis=(2, 3)),
-    ]
+    space = (2, 3)
+    over_frame = values.mean(space), values.std(space), values.max(space), np.median(values, space)
     return np.hstack([shared.describe(each.astype(np.float64)) for each in over_frame])
 
 
@@ -123,11 +113,6 @@ def uniform_bins() -> NDArray[np.int64]:
     bits = (np.arange(256)[:, np.newaxis] >> np.arange(8)) & 1
     uniform = (bits != np.roll(bits, 1, axis=1)).sum(axis=1) <= 2
     return np.where(uniform, uniform.cumsum() - 1, 58)
-
-
-def forest(settings: dict[str, Any], seed: int) -> RandomForestClassifier:
-    """Return an untrained random forest."""
-    return RandomForestClassifier(TREES, **settings, random_state=seed)
 
 
 def boosting(settings: dict[str, Any], seed: int) -> AdaBoostClassifier:

@@ -145,11 +145,6 @@ class HughesNetwork(nn.Module):
         return steps.mean(dim=1) if self.kind == CNN else steps[:, -1]
 
 
-def step_loss(logits: Tensor, labels: Tensor) -> Tensor:
-    """Return the mean cross entropy over every step's answer; logits (B, S, classes), labels (B,)."""
-    return functional.cross_entropy(logits.flatten(0, 1), labels.repeat_interleave(logits.shape[1]))
-
-
 def epochs(kind: str, windows: Windows, seed: int, count: int) -> Iterator[HughesNetwork]:
     """Train on windows of counts (N, L, 8, 8) for `count` epochs and yield the network after each.
 
@@ -174,7 +169,9 @@ def epochs(kind: str, windows: Windows, seed: int, count: int) -> Iterator[Hughe
         network.train()
         order = torch.cat([torch.randperm(len(labels), generator=rng) for _ in range(CROPS)])
         for chosen in torch.split(order, BATCH):
-            loss = step_loss(network(_crops(counts[chosen], rng)), labels[chosen])
+            logits = network(_crops(counts[chosen], rng))  # (B, S, classes): every step's answer counts
+            expected = labels[chosen].repeat_interleave(logits.shape[1])
+            loss = functional.cross_entropy(logits.flatten(0, 1), expected)
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
@@ -189,8 +186,7 @@ def answers(network: HughesNetwork, counts: NDArray[np.uint16]) -> NDArray[np.in
             network.answer(batch.float()).argmax(dim=1)
             for batch in torch.split(torch.from_numpy(counts.astype(np.int16)), ANSWER_BATCH)
         ]
-    together: NDArray[np.int64] = torch.cat(named).numpy()
-    return together
+    return np.asarray(torch.cat(named))
 
 
 def _crops(counts: torch.Tensor, rng: torch.Generator) -> torch.Tensor:

@@ -4,16 +4,14 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from scipy.optimize import nnls
 
 from docs.studies.checks.hard_cases import hand
@@ -44,13 +42,8 @@ FRAME_MS = 1000.0 / FRAME_RATE_HZ
 COLOURS = ("#1f5fa8", "#c4611a", "#7a3f98")
 
 
-@dataclass(frozen=True)
-class Timed:
-    """Something to time. values: its cell's values besides the time."""
-
-    key: str
-    values: dict[str, Any]
-    answer: Callable[[], Sequence[np.ndarray]]
+Timed = tuple[dict[str, Any], Callable[[], Sequence[np.ndarray]]]
+"""Something to time: its cell's values besides the time, and what answers."""
 
 
 @dataclass(frozen=True)
@@ -68,18 +61,16 @@ class Law:
         """Return the cost of n."""
         return float(sum(self.parts(n)))
 
-    def shares(self, n: float) -> list[float]:
-        """Return each term's share of the cost of n."""
-        return [part / self.at(n) for part in self.parts(n)]
-
 
 def run(study: Study) -> None:
     """Measure windows and pads, each in one run, unless the results have them."""
-    if not all(study.results.has(key) for key in window_keys()):
-        with tempfile.TemporaryDirectory() as folder:
-            _store(study.results, windows(Path(folder)))
-    if not all(study.results.has(key) for key in pad_keys()):
-        _store(study.results, pads())
+    parts: list[tuple[list[str], Callable[[Path], dict[str, Timed]]]]
+    parts = [(window_keys(), windows), (pad_keys(), lambda _: pads())]
+    for keys, make in parts:
+        if not all(map(study.results.has, keys)):
+            with tempfile.TemporaryDirectory() as folder:
+                timed, began_s = make(Path(folder)), time.perf_counter()
+                study.results.put_together(measure(timed, ANSWERS), began_s)
 
 
 def window_keys() -> list[str]:
@@ -92,41 +83,49 @@ def pad_keys() -> list[str]:
     return [f"cost/pads/{pads}/{way}" for pads in PADS for way in WAYS]
 
 
-def windows(folder: Path) -> list[Timed]:
-    """Return one answer of the shipped network and of the paper's over windows of each length.
+def windows(folder: Path) -> dict[str, Timed]:
+    """Return one answer of the shipped network and of the paper's over windows of each length, by their keys.
 
     The paper's have random weights and one network a length; their files are written into `folder`.
     """
     classifier = Classifier.load(HAART_MODEL)
-    timed = []
+    timed: dict[str, Timed] = {}
     for frames in WINDOWS:
+        counts = hand(frames)[np.newaxis]
         work = {"multiply_adds": multiply_adds(HAART_MODEL, frames)}
-        answer = _answering(classifier, hand(frames)[np.newaxis])
-        timed.append(Timed(f"cost/window/{frames}/{SHIPPED}", work, answer))
-        timed += [_paper(PaperSettings(variant, frames), folder) for variant in VARIANTS]
+        timed[f"cost/window/{frames}/{SHIPPED}"] = work, _answering(classifier, counts)
+        for variant in VARIANTS:
+            torch.manual_seed(0)
+            path = folder / f"{variant}-{frames}.onnx"
+            export(PaperTGC(PaperSettings(variant, frames), len(GESTURES)).eval(), frames, path)
+            answer = partial(open_session(path).run, None, {"counts": counts})
+            timed[f"cost/window/{frames}/tgc-{variant}"] = (
+                {"multiply_adds": multiply_adds(path, frames)},
+                answer,
+            )
     return timed
 
 
-def pads(numbers: Sequence[int] = PADS) -> list[Timed]:
+def pads(numbers: Sequence[int] = PADS) -> dict[str, Timed]:
     """Return the answers of pads whose windows are due at one moment: in one batch, and one after another."""
     classifier = Classifier.load(HAART_MODEL)
     window = hand(PAD_FRAMES)[np.newaxis]
     alone = {"peak_bytes": peak_bytes(HAART_MODEL, PAD_FRAMES)}
-    timed = []
+    timed: dict[str, Timed] = {}
     for number in numbers:
         together = {"peak_bytes": peak_bytes(HAART_MODEL, PAD_FRAMES, number)}
-        batch = _answering(classifier, np.repeat(window, number, axis=0))
-        timed.append(Timed(f"cost/pads/{number}/batched", together, batch))
-        timed.append(Timed(f"cost/pads/{number}/single", alone, _answering(classifier, window, number)))
+        batch = np.repeat(window, number, axis=0)
+        timed[f"cost/pads/{number}/batched"] = together, _answering(classifier, batch)
+        timed[f"cost/pads/{number}/single"] = alone, _answering(classifier, window, number)
     return timed
 
 
-def measure(timed: Sequence[Timed], answers: int) -> dict[str, dict[str, Any]]:
+def measure(timed: Mapping[str, Timed], answers: int) -> dict[str, dict[str, Any]]:
     """Time all in turn; return the values of each cell by its key."""
-    timings = time_in_turn([each.answer for each in timed], answers)
+    timings = time_in_turn([answer for _, answer in timed.values()], answers)
     return {
-        each.key: {**each.values, "answers_timed": answers, **timing_values(timing)}
-        for each, timing in zip(timed, timings, strict=True)
+        key: {**values, "answers_timed": answers, **timing_values(timing)}
+        for (key, (values, _)), timing in zip(timed.items(), timings, strict=True)
     }
 
 
@@ -139,7 +138,7 @@ def fit(costs: Mapping[int, float], degree: int) -> Law:
     powers = np.stack([n**power for power in range(degree + 1)], axis=1)
     coefficients, _ = nnls(powers / cost[:, None], np.ones(len(cost)))
     misses = np.abs(powers @ coefficients / cost - 1.0)
-    return Law(tuple(float(value) for value in coefficients), float(misses.max()))
+    return Law(tuple(coefficients.tolist()), float(misses.max()))
 
 
 def costs(results: Results, of: str, name: str, figure: str = "processor_ms") -> dict[int, float]:
@@ -150,27 +149,51 @@ def costs(results: Results, of: str, name: str, figure: str = "processor_ms") ->
 
 def tables(results: Results) -> dict[str, str]:
     """Return the tables of this part: figures and fitted laws, for growing windows and numbers of pads."""
-    lengths = [f"{frames} frames" for frames in costs(results, "window", SHIPPED)]
+    figures, laws = [], []
+    for network, title in NETWORKS.items():
+        p50, p99 = (costs(results, "window", network, figure) for figure in ("p50_ms", "p99_ms"))
+        figures.append((title, *(f"{p50[frames]:.2f} / {p99[frames]:.2f}" for frames in p50)))
+        law, work = (
+            fit(costs(results, "window", network, figure), degree=2)
+            for figure in ("processor_ms", "multiply_adds")
+        )
+        a, b, c = law.coefficients
+        splits = (
+            " / ".join(f"{100 * part / each.at(LENGTHS[-1]):.0f}" for part in each.parts(LENGTHS[-1]))
+            for each in (law, work)
+        )
+        numbers = (f"{a:.3f}", f"{1e3 * b:.2f}", f"{1e6 * c:.1f}", f"{law.largest_miss:.0%}")
+        laws.append((title, *numbers, *splits, f"{b / c:,.0f} frames" if c > 0 else "never"))
+    pad_figures, pad_laws = [], []
+    for pads in costs(results, "pads", "single"):
+        single, batched = (results.get(f"cost/pads/{pads}/{way}") for way in WAYS)
+        times = (f"{way['p50_ms']:.2f} / {way['p99_ms']:.2f}" for way in (single, batched))
+        memory = f"{single['peak_bytes'] / 1e6:.0f} / {batched['peak_bytes'] / 1e6:.0f}"
+        share = f"{batched['processor_ms'] / single['processor_ms']:.0%}"
+        pad_figures.append((pads, *times, share, memory))
+    for way, title in WAYS.items():
+        law = fit(costs(results, "pads", way), degree=1)
+        a, b = law.coefficients
+        within = int((FRAME_MS - a) / b)
+        pad_laws.append((title, f"{a:.3f}", f"{b:.3f}", f"{law.largest_miss:.0%}", within))
     law_headings = (
         *("network", "a, ms", "b, µs a frame", "c, ns a frame²", "largest miss"),
         *("of the time: a / b L / c L², %", "of the multiply-adds, %", "c L² overtakes b L at"),
     )
+    pad_headings = ("pads", *WAYS.values(), "batch against single", "memory single / batch, MB")
+    pad_law_headings = ("way", "a, ms", "b, ms a pad", "largest miss", f"pads within {FRAME_MS:.1f} ms")
     return {
-        "cost-windows": table(("network", *lengths), _window_rows(results)),
-        "cost-window-laws": table(law_headings, _window_laws(results)),
-        "cost-pads": table(
-            ("pads", *WAYS.values(), "batch against single", "memory single / batch, MB"), _pad_rows(results)
-        ),
-        "cost-pad-laws": table(
-            ("way", "a, ms", "b, ms a pad", "largest miss", f"pads within {FRAME_MS:.1f} ms"),
-            _pad_laws(results),
-        ),
+        "cost-windows": table(("network", *(f"{frames} frames" for frames in WINDOWS)), figures),
+        "cost-window-laws": table(law_headings, laws),
+        "cost-pads": table(pad_headings, pad_figures),
+        "cost-pad-laws": table(pad_law_headings, pad_laws),
     }
 
 
 def draw(results: Results, figures: Path) -> None:
     """Draw the times and the laws fitted to them."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
+    figure = Figure(figsize=(12, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
     for colour, (network, title) in zip(COLOURS, NETWORKS.items(), strict=True):
         times = costs(results, "window", network)
         _curve(left, times, fit(times, degree=2).at, colour, title)
@@ -189,70 +212,6 @@ def draw(results: Results, figures: Path) -> None:
     right.set_ylim(bottom=0)
     _ticks(right, PADS)
     figure.savefig(figures / "cost.png", dpi=120)
-    plt.close(figure)
-
-
-def _store(results: Results, timed: Sequence[Timed]) -> None:
-    began_s = time.perf_counter()
-    measured = measure(timed, ANSWERS)
-    for key, values in measured.items():
-        results.put(key, values, (time.perf_counter() - began_s) / len(measured))
-
-
-def _window_rows(results: Results) -> list[list[str]]:
-    def row(network: str) -> list[str]:
-        p50, p99 = (costs(results, "window", network, figure).values() for figure in ("p50_ms", "p99_ms"))
-        return [f"{middle:.2f} / {high:.2f}" for middle, high in zip(p50, p99, strict=True)]
-
-    return [[title, *row(network)] for network, title in NETWORKS.items()]
-
-
-def _window_laws(results: Results) -> list[list[str]]:
-    rows = []
-    for network, title in NETWORKS.items():
-        law, work = (
-            fit(costs(results, "window", network, figure), degree=2)
-            for figure in ("processor_ms", "multiply_adds")
-        )
-        a, b, c = law.coefficients
-        splits = (
-            " / ".join(f"{100 * share:.0f}" for share in each.shares(LENGTHS[-1])) for each in (law, work)
-        )
-        overtakes = f"{b / c:,.0f} frames" if c > 0 else "never"
-        numbers = (f"{a:.3f}", f"{1e3 * b:.2f}", f"{1e6 * c:.1f}", f"{law.largest_miss:.0%}")
-        rows.append([title, *numbers, *splits, overtakes])
-    return rows
-
-
-def _pad_rows(results: Results) -> list[list[str]]:
-    rows = []
-    for pads in costs(results, "pads", "single"):
-        single, batched = (results.get(f"cost/pads/{pads}/{way}") for way in WAYS)
-        times = (f"{way['p50_ms']:.2f} / {way['p99_ms']:.2f}" for way in (single, batched))
-        memory = f"{single['peak_bytes'] / 1e6:.0f} / {batched['peak_bytes'] / 1e6:.0f}"
-        rows.append([str(pads), *times, f"{batched['processor_ms'] / single['processor_ms']:.0%}", memory])
-    return rows
-
-
-def _pad_laws(results: Results) -> list[list[str]]:
-    rows = []
-    for way, title in WAYS.items():
-        law = fit(costs(results, "pads", way), degree=1)
-        a, b = law.coefficients
-        rows.append([title, f"{a:.3f}", f"{b:.3f}", f"{law.largest_miss:.0%}", str(int((FRAME_MS - a) / b))])
-    return rows
-
-
-def _paper(settings: PaperSettings, folder: Path) -> Timed:
-    torch.manual_seed(0)
-    path = folder / f"{settings.variant}-{settings.frames}.onnx"
-    export(PaperTGC(settings, len(GESTURES)).eval(), settings.frames, path)
-    session, counts = open_session(path), hand(settings.frames)[np.newaxis]
-    return Timed(
-        f"cost/window/{settings.frames}/tgc-{settings.variant}",
-        {"multiply_adds": multiply_adds(path, settings.frames)},
-        lambda: session.run(None, {"counts": counts}),
-    )
 
 
 def _answering(classifier: Classifier, windows: np.ndarray, times: int = 1) -> Callable[[], list[np.ndarray]]:

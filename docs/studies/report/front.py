@@ -11,17 +11,15 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product, starmap
 from pathlib import Path
 from statistics import median_low
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from docs.studies.accuracy import PAPER_ACCURACY
 from docs.studies.checks import evaluate
@@ -41,7 +39,7 @@ from docs.studies.report.networks import (
     SHIPPED,
     TimedNetwork,
 )
-from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, trained_cells
+from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, accuracies, trained
 from docs.studies.report.peak import idle_bytes, open_session, peak_bytes
 from docs.studies.report.results import Results, Study, timing_values
 from docs.studies.report.tables23 import TABLE2, TABLE2_FRAMES
@@ -126,8 +124,9 @@ class Row:
 
 def run(study: Study) -> None:
     """Measure every network in one run, unless all have been; missing sizes are trained first."""
-    names = [SHIPPED, *sizes.SHAPES, *map(every.paper_name, every.paper_settings())]
-    names += [every.hughes_name(system, frames) for system in CHALLENGE for frames in LENGTHS]
+    papers = every.paper_settings()
+    challenge = list(product(CHALLENGE, LENGTHS))
+    names = [SHIPPED, *sizes.SHAPES, *map(every.paper_name, papers), *starmap(every.hughes_name, challenge)]
     if all(study.results.has(f"front/{name}/{kind}") for name in names for kind in (FLOAT32, INT8)):
         return
     files = sizes.ready(study.haart, study.checkpoints, study.threads)
@@ -135,14 +134,12 @@ def run(study: Study) -> None:
     began_s = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         networks = every.ours(files, training, Path(folder))
-        for settings in every.paper_settings():
+        for settings in papers:
             networks += every.papers(settings, Path(folder))
-        for system in CHALLENGE:
-            for frames in LENGTHS:
-                networks += every.hughes(system, frames, Path(folder))
+        for system, frames in challenge:
+            networks += every.hughes(system, frames, Path(folder))
         measured = measure(networks, haart.read_test(study.haart), ANSWERS)
-    for key, values in measured.items():
-        study.results.put(key, values, (time.perf_counter() - began_s) / len(measured))
+    study.results.put_together(measured, began_s)
 
 
 def measure(
@@ -159,7 +156,7 @@ def measure(
     }
     measured: dict[str, dict[str, Any]] = {}
     for network in networks:
-        scores = accuracies(network.path, test) if network.family == OURS else {}
+        scores = our_accuracies(network.path, test) if network.family == OURS else {}
         longest = max(network.frames)
         measured[network.key] = {
             "family": network.family,
@@ -182,9 +179,10 @@ def measure(
     return measured
 
 
-def accuracies(path: Path, test: Sequence[Recording]) -> dict[str, float]:
+def our_accuracies(path: Path, test: Sequence[Recording]) -> dict[str, float]:
     """Return the macro accuracy of one of our files at each answered length, by the number of frames."""
-    return evaluate.accuracies([(Classifier.load(path), test)], LENGTHS)
+    live, classifier = haart.realigned(test), Classifier.load(path)
+    return {str(length): evaluate.score([(classifier, live)], length).accuracy for length in LENGTHS}
 
 
 def rows(results: Results) -> list[Row]:
@@ -194,9 +192,8 @@ def rows(results: Results) -> list[Row]:
         _, name, arithmetic = key.split("/")
         cell = results.get(key)
         for frames in map(int, cell["at"]):
-            found.append(
-                Row(name, arithmetic, frames, cell, *_error(results, name, arithmetic, cell, frames))
-            )
+            error, source = _error(results, name, arithmetic, cell, frames)
+            found.append(Row(name, arithmetic, frames, cell, error, source))
     order = {OURS: 0, HUGHES: 1, "public": 2, "printed": 3}
     return sorted(found, key=lambda r: (order[r.family], r.cell["width"], r.cell["blocks"], r.frames))
 
@@ -221,8 +218,8 @@ def printed_error(frames: int, blocks: int) -> float | None:
 
 def trained_accuracies(results: Results, variant: Variant, frames: int, blocks: int) -> list[float]:
     """Return the last epoch's accuracy of networks trained here for as long as the paper's."""
-    cells = trained_cells(results, variant, blocks, frames)
-    return [results.get(cell.key)["accuracies"][-1] for cell in cells if cell.epochs >= PAPER_EPOCHS]
+    cells = trained(results).get((variant, blocks, frames), [])
+    return [accuracies(results, cell)[-1] for cell in cells if cell.epochs >= PAPER_EPOCHS]
 
 
 def tables(results: Results) -> dict[str, str]:
@@ -258,9 +255,8 @@ def tables(results: Results) -> dict[str, str]:
 def draw(results: Results, figures: Path) -> None:
     """Draw error against the time of one answer, a panel for each time."""
     found = rows(results)
-    figure, panels = plt.subplots(
-        1, len(PANELS), figsize=(13, 5.4), layout="constrained", sharex=True, sharey=True
-    )
+    figure = Figure(figsize=(13, 5.4), layout="constrained")
+    panels = figure.subplots(1, len(PANELS), sharex=True, sharey=True)
     for axes, (name, lengths) in zip(panels, PANELS.items(), strict=True):
         _panel(axes, [row for row in found if row.frames in lengths])
         axes.set(title=f"after {name}", xlabel="processor time of one answer, ms", xscale="log")
@@ -272,40 +268,37 @@ def draw(results: Results, figures: Path) -> None:
     handles = {label: handle for pair in legends for handle, label in zip(*pair, strict=True)}
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3, frameon=False)
     figure.savefig(figures / "front.png", dpi=120)
-    plt.close(figure)
 
 
 def _panel(axes: Axes, together: Sequence[Row]) -> None:
     best = front(together)
     style: dict[str, Any] = {"where": "post", "color": "0.6", "linewidth": 5, "alpha": 0.45}
-    label = "the front: none is both faster and better"
-    axes.step([row.processor_ms for row in best], [_percent(row) for row in best], label=label, **style)
+    style["label"] = "the front: none is both faster and better"
+    axes.step([row.processor_ms for row in best], [_percent(row) for row in best], **style)
     blue = COLOURS[OURS]
     for arithmetic, fill, line in ((FLOAT32, blue, "-"), (INT8, "white", ":")):
         ours = [row for row in together if (row.family, row.arithmetic) == (OURS, arithmetic)]
         _points(axes, ours, f"touchd {arithmetic}, by width", blue, marker="o", mfc=fill, linestyle=line)
     touchd_1 = [row for row in together if row.is_touchd_1]
     for row in together:
-        if row.family == OURS and row.arithmetic == FLOAT32:
+        if (row.family, row.arithmetic) == (OURS, FLOAT32):
             # The star of touchd-1 would hide a label to its left.
             is_wider = row.cell["width"] > touchd_1[0].cell["width"]
-            offset, side = ((8, -4), "left") if is_wider else ((-20, -4), "right")
+            style = {"xytext": (8, -4), "ha": "left"} if is_wider else {"xytext": (-20, -4), "ha": "right"}
             place = (row.processor_ms, _percent(row))
-            axes.annotate(
-                f"{row.cell['width']}", place, offset, textcoords="offset points", ha=side, color=blue
-            )
+            axes.annotate(str(row.cell["width"]), place, textcoords="offset points", color=blue, **style)
     _points(axes, touchd_1, "touchd-1", "gold", marker="*", mec=blue, markersize=18, zorder=5)
     challenge = [row for row in together if row.family == HUGHES and row.error is not None]
     _points(axes, challenge, "the challenge's networks, Hughes et al.", "0.35", marker="D")
     for family, code in PAPER.items():
         theirs = [row for row in together if row.family == family and row.error is not None]
-        trained = [row for row in theirs if row.source != PRINTED]
+        made = [row for row in theirs if row.source != PRINTED]
         printed = [row for row in theirs if row.source == PRINTED]
         own = [row for row in printed if row.cell["blocks"] == PAPER_BLOCKS]
         others = [row for row in printed if row.cell["blocks"] != PAPER_BLOCKS]
         colour = COLOURS[family]
         _points(axes, others, f"its figures for other numbers of blocks, {code}", colour, marker=".")
-        _points(axes, trained, f"the paper's network {code}, trained here", colour, marker="s")
+        _points(axes, made, f"the paper's network {code}, trained here", colour, marker="s")
         _points(axes, own, f"the paper's figure, network {code}", colour, marker="X", markersize=11)
 
 
@@ -350,11 +343,10 @@ def answers_of(network: TimedNetwork) -> list[tuple[int, str, Callable[[], objec
         return [(n, ONNX_RUNTIME, partial(classifier.probabilities, hand(n))) for n in network.frames]
     (frames,) = network.frames
     window, session = hand(frames)[None], open_session(network.path)
-    asked: list[tuple[int, str, Callable[[], object]]] = [
-        (frames, ONNX_RUNTIME, lambda: session.run(None, {"counts": window}))
-    ]
-    if (eager := network.eager) is not None:
-        asked.append((frames, PYTORCH, partial(_ask_eagerly, eager, torch.from_numpy(window))))
+    asked: list[tuple[int, str, Callable[[], object]]]
+    asked = [(frames, ONNX_RUNTIME, partial(session.run, None, {"counts": window}))]
+    if network.eager is not None:
+        asked.append((frames, PYTORCH, partial(_ask_eagerly, network.eager, torch.from_numpy(window))))
     return asked
 
 

@@ -22,33 +22,23 @@ from drivers.recording import Recording
 from model.settings import LENGTHS
 
 CALIBRATION_WINDOWS = 128
+WEIGHTS = {"weight_type": QuantType.QInt8, "per_channel": True}
 
 
 def dynamic(model: Path, folder: Path) -> Path:
     """Return an int8 copy, in the folder, whose scales are computed for each answer."""
-    target = folder / f"{model.stem} dynamic.onnx"
-    quantize_dynamic(
-        _plain(model, folder),
-        target,
-        weight_type=QuantType.QInt8,
-        per_channel=True,
-        op_types_to_quantize=["MatMul", "Gemm"],
-    )
+    target, linear = folder / f"{model.stem} dynamic.onnx", ["MatMul", "Gemm"]
+    quantize_dynamic(_plain(model, folder), target, **WEIGHTS, op_types_to_quantize=linear)
     return target
 
 
 def static(model: Path, calibration: Sequence[Recording], folder: Path) -> Path:
     """Return an int8 copy, in the folder, whose scales come from windows of the recordings."""
-    target = folder / f"{model.stem} static.onnx"
+    target, products = folder / f"{model.stem} static.onnx", ["Conv", "MatMul", "Gemm"]
+    activations = {"quant_format": QuantFormat.QDQ, "activation_type": QuantType.QUInt8}
+    reader = _Windows(calibration)
     quantize_static(
-        _plain(model, folder),
-        target,
-        _Windows(calibration),
-        quant_format=QuantFormat.QDQ,
-        weight_type=QuantType.QInt8,
-        activation_type=QuantType.QUInt8,
-        per_channel=True,
-        op_types_to_quantize=["Conv", "MatMul", "Gemm"],
+        _plain(model, folder), target, reader, **WEIGHTS, **activations, op_types_to_quantize=products
     )
     return target
 

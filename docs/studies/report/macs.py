@@ -5,7 +5,7 @@ sums over time are not.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ import onnxruntime
 from drivers.frame import COLUMNS, ROWS
 
 Shapes = Mapping[str, tuple[int, ...]]
+PRODUCTS = ("Conv", "MatMul", "Gemm", "LSTM")
 
 
 def multiply_adds(model: Path, frames: int, windows: int = 1) -> int:
@@ -25,14 +26,14 @@ def multiply_adds(model: Path, frames: int, windows: int = 1) -> int:
     graph = onnx.load(model)
     counted = [node for node in graph.graph.node if node.op_type in PRODUCTS]
     shapes = _shapes(graph, counted, np.zeros((windows, frames, ROWS, COLUMNS), np.float32))
-    return sum(PRODUCTS[node.op_type](node, shapes) for node in counted)
+    return sum(_products(node, shapes) for node in counted)
 
 
 def _shapes(graph: onnx.ModelProto, nodes: list[onnx.NodeProto], counts: np.ndarray) -> Shapes:
     """Return the shapes of the nodes' inputs and outputs."""
-    shapes = {weight.name: tuple(weight.dims) for weight in graph.graph.initializer}
+    shapes = {"counts": counts.shape} | {each.name: tuple(each.dims) for each in graph.graph.initializer}
     named = {name for node in nodes for name in (*node.input, *node.output) if name}
-    inside = sorted(named - shapes.keys() - {"counts"})
+    inside = sorted(named - shapes.keys())
     del graph.graph.output[:]
     graph.graph.output.extend(onnx.helper.make_empty_tensor_value_info(name) for name in inside)
     session = onnxruntime.InferenceSession(graph.SerializeToString(), providers=["CPUExecutionProvider"])
@@ -40,29 +41,16 @@ def _shapes(graph: onnx.ModelProto, nodes: list[onnx.NodeProto], counts: np.ndar
     return {**shapes, **{name: value.shape for name, value in zip(inside, found, strict=True)}}
 
 
-def _convolution(node: onnx.NodeProto, shapes: Shapes) -> int:
-    # Weights are (channels out, channels in a group, *kernel).
-    return math.prod(shapes[node.output[0]]) * math.prod(shapes[node.input[1]][1:])
-
-
-def _matrix_product(node: onnx.NodeProto, shapes: Shapes) -> int:
-    return math.prod(shapes[node.output[0]]) * shapes[node.input[0]][-1]
-
-
-def _linear(node: onnx.NodeProto, shapes: Shapes) -> int:
-    turned = any(attribute.name == "transA" and attribute.i for attribute in node.attribute)
-    return math.prod(shapes[node.output[0]]) * shapes[node.input[0]][0 if turned else 1]
-
-
-def _recurrence(node: onnx.NodeProto, shapes: Shapes) -> int:
-    # Inputs are (steps, windows, width); each meets all weights, as does the state before.
-    steps, windows, _ = shapes[node.input[0]]
-    return steps * windows * sum(math.prod(shapes[weights]) for weights in node.input[1:3])
-
-
-PRODUCTS: Mapping[str, Callable[[onnx.NodeProto, Shapes], int]] = {
-    "Conv": _convolution,
-    "MatMul": _matrix_product,
-    "Gemm": _linear,
-    "LSTM": _recurrence,
-}
+def _products(node: onnx.NodeProto, shapes: Shapes) -> int:
+    first, weights, *others = [shapes[name] for name in node.input if name]
+    out = math.prod(shapes[node.output[0]])
+    match node.op_type:
+        case "Conv":  # weights are (channels out, channels in a group, *kernel)
+            return out * math.prod(weights[1:])
+        case "MatMul":
+            return out * first[-1]
+        case "Gemm":
+            turned = any(attribute.name == "transA" and attribute.i for attribute in node.attribute)
+            return out * first[0 if turned else 1]
+    # An LSTM's inputs are (steps, windows, width); each meets all weights, as does the state before.
+    return math.prod(first[:2]) * (math.prod(weights) + math.prod(others[0]))

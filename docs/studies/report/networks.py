@@ -93,11 +93,9 @@ def ours(sizes: Mapping[str, Path], calibration: Sequence[Recording], folder: Pa
     networks = []
     for name, path in {SHIPPED: HAART_MODEL, **sizes}.items():
         shape = Classifier.load(path).metadata.training["network"]
-        small = int8.static(path, calibration, folder)
-        for arithmetic, file in ((FLOAT32, path), (INT8, small)):
-            networks.append(
-                TimedNetwork(name, OURS, arithmetic, LENGTHS, file, shape["width"], shape["blocks"])
-            )
+        width, blocks = shape["width"], shape["blocks"]
+        for arithmetic, file in ((FLOAT32, path), (INT8, int8.static(path, calibration, folder))):
+            networks.append(TimedNetwork(name, OURS, arithmetic, LENGTHS, file, width, blocks))
     return networks
 
 

@@ -1,5 +1,6 @@
 """The cells of the paper's tables 2 and 3: which of its networks are trained, how long, from which seed."""
 
+import re
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -18,6 +19,8 @@ STORED_FOLDER = "report"
 PAPER_EPOCHS = 100
 
 Variant = Literal["public", "printed"]
+Network = tuple[Variant, int, int]
+"""Variant, blocks and frames of one of the paper's networks."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +41,15 @@ class PaperCell:
     @property
     def key(self) -> str:
         """The cell's key among the results."""
-        return f"{_prefix(self.variant, self.blocks, self.frames)}epochs{self.epochs}/seed{self.seed}"
+        network = f"{self.variant}/blocks{self.blocks}/frames{self.frames}"
+        return f"{PREFIX}{network}/epochs{self.epochs}/seed{self.seed}"
+
+    def stored(self, docs: Path, kind: str = "npz") -> Path:
+        """Return where what is kept of the cell lies.
+
+        npz: the last epoch's probabilities of the test windows, (N, 7) float16, and labels (N,); pt: weights.
+        """
+        return docs / STORED_FOLDER / f"{self.training}-epochs{self.epochs}.{kind}"
 
 
 class GridEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -52,10 +63,9 @@ class GridEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def cells(self) -> list[PaperCell]:
         """Return every combination, seeds first, so that each cell of a table is filled before its spread."""
-        combinations = product(self.seeds, self.frames, self.blocks)
         return [
             PaperCell(self.variant, blocks, frames, self.epochs, seed)
-            for seed, frames, blocks in combinations
+            for seed, frames, blocks in product(self.seeds, self.frames, self.blocks)
         ]
 
 
@@ -77,45 +87,34 @@ def read_grid(path: Path = GRID) -> Grid:
         raise SettingsError(f"{path}: {error}") from error
 
 
-def trained_cells(results: Results, variant: Variant, blocks: int, frames: int) -> list[PaperCell]:
-    """Return the cells trained longest, one a seed, all for as many epochs; empty when there is none."""
-    found = [parse(key) for key in results.keys(_prefix(variant, blocks, frames))]
-    longest = max((cell.epochs for cell in found), default=0)
-    return [cell for cell in found if cell.epochs == longest]
+def trained(results: Results) -> dict[Network, list[PaperCell]]:
+    """Return the cells of every trained network that were trained longest, one a seed.
+
+    Public networks first, by frames, by blocks.
+    """
+    networks: dict[Network, list[PaperCell]] = {}
+    cells = [parse(key) for key in results.keys(PREFIX)]
+    for cell in sorted(cells, key=lambda cell: (cell.variant != "public", cell.frames, cell.blocks)):
+        networks.setdefault((cell.variant, cell.blocks, cell.frames), []).append(cell)
+    return {
+        network: [cell for cell in own if cell.epochs == max(each.epochs for each in own)]
+        for network, own in networks.items()
+    }
 
 
-def trained_networks(results: Results) -> list[tuple[Variant, int, int]]:
-    """Return variant, blocks and frames of every trained network: public first, by frames, by blocks."""
-    found = {(cell.variant, cell.blocks, cell.frames) for cell in map(parse, results.keys(PREFIX))}
-    return sorted(found, key=lambda network: (network[0] != "public", network[2], network[1]))
+def accuracies(results: Results, cell: PaperCell) -> list[float]:
+    """Return the macro accuracy on the test windows after each epoch."""
+    measured: list[float] = results.get(cell.key)["accuracies"]
+    return measured
 
 
 def parse(key: str) -> PaperCell:
     """Return the cell that a key names."""
-    _, variant, blocks, frames, epochs, seed = key.split("/")
-    return PaperCell(
-        variant="printed" if variant == "printed" else "public",
-        blocks=int(blocks.removeprefix("blocks")),
-        frames=int(frames.removeprefix("frames")),
-        epochs=int(epochs.removeprefix("epochs")),
-        seed=int(seed.removeprefix("seed")),
-    )
+    variant: Variant = "printed" if "/printed/" in key else "public"
+    blocks, frames, epochs, seed = map(int, re.findall(r"\d+", key))
+    return PaperCell(variant, blocks, frames, epochs, seed)
 
 
 def describe(variant: Variant, blocks: int) -> str:
     """Return which of the paper's networks it is, in words."""
     return f"{variant}, {blocks} block{'s' if blocks > 1 else ''}"
-
-
-def predictions_path(docs: Path, cell: PaperCell) -> Path:
-    """Return where the last epoch's probabilities of the test windows lie: (N, 7) float16, labels (N,)."""
-    return docs / STORED_FOLDER / f"{cell.training}-epochs{cell.epochs}.npz"
-
-
-def layout_path(docs: Path, key: str) -> Path:
-    """Return where a representation's layout lies: points (N, 2) float16, labels (N,)."""
-    return docs / STORED_FOLDER / f"tsne-{key.removeprefix('representation/').replace('/', '-')}.npz"
-
-
-def _prefix(variant: Variant, blocks: int, frames: int) -> str:
-    return f"{PREFIX}{variant}/blocks{blocks}/frames{frames}/"

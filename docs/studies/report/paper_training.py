@@ -8,7 +8,7 @@ figure and the unbiased one, of the last epoch of a number fixed beforehand.
 import fcntl
 import logging
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from docs.studies.report.paper_cells import STORED_FOLDER, Grid, PaperCell, predictions_path
+from docs.studies.report.paper_cells import Grid, PaperCell
 from docs.studies.report.paper_tgc import PaperSettings, PaperTGC
 from docs.studies.report.results import Study
 from docs.studies.training import haart, metrics
@@ -46,8 +46,7 @@ class PaperTraining:
         self.test = test
         torch.manual_seed(cell.seed)
         self.rng = torch.Generator().manual_seed(cell.seed)
-        settings = PaperSettings(cell.variant, cell.frames, cell.blocks)
-        self.network = PaperTGC(settings, len(GESTURES)).to(device)
+        self.network = _network(cell).to(device)
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=grid.learning_rate)
         self.losses: list[float] = []
         self.accuracies: list[float] = []
@@ -101,6 +100,15 @@ class PaperTraining:
         torch.set_rng_state(state["torch_rng"])
         self.losses, self.accuracies, self.seconds = state["losses"], state["accuracies"], state["seconds"]
 
+    def finish(self, cell: PaperCell, path: Path) -> None:
+        """Train to the cell's last epoch, saving each."""
+        with tqdm(total=cell.epochs, initial=self.epoch, unit="epoch", desc=cell.training) as progress:
+            while self.epoch < cell.epochs:
+                self.run_epoch()
+                self.save(path)
+                progress.set_postfix(loss=f"{self.losses[-1]:.3f}", test=f"{self.accuracies[-1]:.3f}")
+                progress.update()
+
 
 def train(study: Study, grid: Grid, cell: PaperCell) -> None:
     """Train the cell to its last epoch, from its checkpoint where there is one, and store its results.
@@ -124,56 +132,41 @@ def train(study: Study, grid: Grid, cell: PaperCell) -> None:
         if paper.epoch > cell.epochs:
             log.warning("%s: trained for %d epochs already; left as it is", cell.training, paper.epoch)
             return
-        _finish(study, grid, cell, paper, folder / CHECKPOINT_NAME)
-
-
-def _finish(study: Study, grid: Grid, cell: PaperCell, paper: PaperTraining, path: Path) -> None:
-    with tqdm(total=cell.epochs, initial=paper.epoch, unit="epoch", desc=cell.training) as progress:
-        while paper.epoch < cell.epochs:
-            paper.run_epoch()
-            paper.save(path)
-            progress.set_postfix(loss=f"{paper.losses[-1]:.3f}", test=f"{paper.accuracies[-1]:.3f}")
-            progress.update()
-    probabilities = answer(paper.network, paper.test.counts, paper.device)
-    stored = predictions_path(study.docs, cell)
+        paper.finish(cell, folder / CHECKPOINT_NAME)
+    probabilities = answer(paper.network, test.counts, device)
+    stored = cell.stored(study.docs)
     stored.parent.mkdir(parents=True, exist_ok=True)
     np.savez_compressed(
-        stored, probabilities=probabilities.astype(np.float16), labels=paper.test.labels.astype(np.uint8)
+        stored, probabilities=probabilities.astype(np.float16), labels=test.labels.astype(np.uint8)
     )
     values = {
-        "windows": len(paper.test.labels),
+        "windows": len(test.labels),
         "parameters": sum(parameter.numel() for parameter in paper.network.parameters()),
         "learning_rate": grid.learning_rate,
         "batch": grid.batch,
         "bfloat16": grid.bfloat16,
         "framing": "published",
-        "device": paper.device,
+        "device": device,
         "losses": [round(loss, 4) for loss in paper.losses],
         "accuracies": [round(accuracy, 5) for accuracy in paper.accuracies],
     }
     study.results.put(cell.key, values, paper.seconds)
 
 
-def is_at(study: Study, cell: PaperCell) -> bool:
-    """Return whether the training's checkpoint is at hand and of the cell's last epoch."""
+def trained(study: Study, cell: PaperCell) -> PaperTGC | None:
+    """Return the network of a training, ready to answer; None where its checkpoint is not at this cell.
+
+    Raises CheckpointError.
+    """
     path = study.checkpoints / cell.training / CHECKPOINT_NAME
-    return path.exists() and len(_load(path)["accuracies"]) == cell.epochs
-
-
-def trained(study: Study, cell: PaperCell) -> PaperTGC:
-    """Return the network of a training that is at this cell, ready to answer; raises CheckpointError."""
-    state = _load(study.checkpoints / cell.training / CHECKPOINT_NAME)
-    network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
-    network.load_state_dict(state["network"])
-    return network.eval()
+    if not path.exists() or len((state := _load(path))["accuracies"]) != cell.epochs:
+        return None
+    return _network(cell, state["network"])
 
 
 def load_kept(docs: Path, cell: PaperCell) -> PaperTGC:
     """Return a network that is kept with the page, in float16, ready to answer in float32."""
-    network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
-    path = docs / STORED_FOLDER / f"{cell.training}-epochs{cell.epochs}.pt"
-    network.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
-    return network.eval()
+    return _network(cell, torch.load(cell.stored(docs, "pt"), map_location="cpu", weights_only=True))
 
 
 def answer(network: PaperTGC, counts: NDArray[np.uint16], device: str = "cpu") -> NDArray[np.float64]:
@@ -182,10 +175,9 @@ def answer(network: PaperTGC, counts: NDArray[np.uint16], device: str = "cpu") -
     with torch.no_grad():
         batches = [
             torch.softmax(network(batch.to(device)), dim=-1).cpu()
-            for batch in torch.split(_float(counts), TEST_BATCH)
+            for batch in torch.split(torch.from_numpy(counts.astype(np.float32)), TEST_BATCH)
         ]
-    probabilities: NDArray[np.float64] = torch.cat(batches).numpy().astype(np.float64)
-    return probabilities
+    return np.asarray(torch.cat(batches), dtype=np.float64)
 
 
 def macro_accuracy(probabilities: NDArray[np.float64], labels: NDArray[np.int64]) -> float:
@@ -193,8 +185,11 @@ def macro_accuracy(probabilities: NDArray[np.float64], labels: NDArray[np.int64]
     return metrics.macro_accuracy(probabilities.argmax(axis=1).astype(np.int64), labels, len(GESTURES))
 
 
-def _float(counts: NDArray[np.uint16]) -> Tensor:
-    return torch.from_numpy(counts.astype(np.float32))
+def _network(cell: PaperCell, weights: Mapping[str, Tensor] | None = None) -> PaperTGC:
+    network = PaperTGC(PaperSettings(cell.variant, cell.frames, cell.blocks), len(GESTURES))
+    if weights is not None:
+        network.load_state_dict(weights)
+    return network.eval()
 
 
 def _load(path: Path) -> dict[str, Any]:

@@ -6,13 +6,9 @@ t-SNE (van der Maaten and Hinton 2008) lays it out in the plane.
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from matplotlib.axes import Axes
@@ -24,14 +20,7 @@ from torch import Tensor, nn
 from docs.studies.accuracy import draw_shares
 from docs.studies.marked import table
 from docs.studies.report import paper_training
-from docs.studies.report.paper_cells import (
-    PaperCell,
-    describe,
-    layout_path,
-    predictions_path,
-    trained_cells,
-    trained_networks,
-)
+from docs.studies.report.paper_cells import STORED_FOLDER, PaperCell, describe, trained
 from docs.studies.report.results import Results, Study, percent
 from docs.studies.report.tables23 import our_key
 from docs.studies.training import checkpoint, haart, metrics
@@ -44,9 +33,6 @@ FRAMES = 144
 PERPLEXITY = 30.0
 BATCH = 64
 OURS = "representation/ours"
-CONFUSION_PICTURE = "report-confusion.png"
-TSNE_PICTURE = "report-tsne.png"
-COLOURS = tuple(f"C{number}" for number in range(len(GESTURES)))
 
 
 def run(study: Study) -> None:
@@ -55,55 +41,62 @@ def run(study: Study) -> None:
     if not study.results.has(OURS):
         _lay_out(study, OURS, our_representation())
     paper = shown_cell(study.results)
-    if paper is None or study.results.has(paper_key(paper)):
+    if study.results.has(paper_key(paper)):
         return
-    if paper_training.is_at(study, paper):
-        _lay_out(study, paper_key(paper), paper_training.trained(study, paper).features)
-    else:
+    network = paper_training.trained(study, paper)
+    if network is None:
         log.warning("%s: its last epoch is not in %s; no t-SNE of it", paper.training, study.checkpoints)
+    else:
+        _lay_out(study, paper_key(paper), network.features)
 
 
 def tables(results: Results) -> dict[str, str]:
     """Return how often the nearest window of another participant shows the same gesture."""
-    paper = shown_cell(results)
-    keys = {"touchd": OURS} if paper is None else {name(paper): paper_key(paper), "touchd": OURS}
     rows = [
         (network, results.get(key)["features"], percent([results.get(key)["nearest_agree"]]))
-        for network, key in keys.items()
-        if results.has(key)
+        for network, key in _laid_out(results).items()
     ]
     heading = "windows whose nearest one of another participant is of the same gesture, %"
     return {"representation": table(("network", "width", heading), rows)}
 
 
 def draw(results: Results, figures: Path) -> None:
-    """Draw the confusion matrices, and the layouts, where they are there."""
+    """Draw the confusion matrices in percent of each true gesture, and the layouts coloured by gesture."""
     paper = shown_cell(results)
-    confusions, layouts = {}, {}
-    if paper is not None:
-        confusions[name(paper)] = stored_confusion(predictions_path(figures.parent, paper))
-        if results.has(paper_key(paper)):
-            layouts[name(paper)] = layout_path(figures.parent, paper_key(paper))
-    own = our_key("published", FRAMES)
-    if results.has(own):
-        confusions["touchd"] = np.array(results.get(own)["confusions"][0])
-    if results.has(OURS):
-        layouts["touchd"] = layout_path(figures.parent, OURS)
-    draw_confusions(confusions, figures / CONFUSION_PICTURE)
-    draw_layouts(layouts, figures / TSNE_PICTURE)
+    confusions = {
+        name(paper): stored_confusion(paper.stored(figures.parent)),
+        "touchd": np.array(results.get(our_key("published", FRAMES))["confusions"][0]),
+    }
+    figure, panels = _panels(confusions, height=5.0)
+    for axes, counts in zip(panels, confusions.values(), strict=True):
+        draw_shares(axes, counts, GESTURES)
+    panels[0].set_ylabel("true gesture")
+    figure.savefig(figures / "report-confusion.png", dpi=110)
+
+    layouts = _laid_out(results)
+    figure, panels = _panels(layouts, height=5.2)
+    for axes, key in zip(panels, layouts.values(), strict=True):
+        with np.load(layout_path(figures.parent, key)) as layout:
+            points, labels = layout["points"].astype(np.float32), layout["labels"]
+        for number, gesture in enumerate(GESTURES):
+            axes.plot(*points[labels == number].T, ".", color=f"C{number}", markersize=4, label=gesture)
+        axes.set(xticks=[], yticks=[])
+    entries = panels[0].get_legend_handles_labels()
+    figure.legend(*entries, loc="outside lower center", ncols=len(GESTURES), markerscale=2)
+    figure.savefig(figures / "report-tsne.png", dpi=110)
 
 
-def shown_cell(results: Results) -> PaperCell | None:
+def shown_cell(results: Results) -> PaperCell:
     """Return the trained cell that stands for the paper's network: the longest trained, then the deepest.
 
     Seven and eight blocks are excluded, as the paper's own choice is six.
     """
     cells = [
-        trained_cells(results, variant, blocks, frames)[0]
-        for variant, blocks, frames in trained_networks(results)
+        cells[0]
+        for (_, blocks, frames), cells in trained(results).items()
         if frames == FRAMES and blocks <= 6
     ]
-    return max(cells, key=lambda cell: (cell.epochs, cell.blocks, cell.variant == "public"), default=None)
+    return max(cells, key=lambda cell: (cell.epochs, cell.blocks, cell.variant == "public"))
 
 
 def name(cell: PaperCell) -> str:
@@ -129,6 +122,18 @@ def nearest_agree(features: NDArray[np.float64], windows: Windows) -> float:
 def paper_key(cell: PaperCell) -> str:
     """Return the key of the paper's layout among the results."""
     return f"representation/{cell.key}"
+
+
+def layout_path(docs: Path, key: str) -> Path:
+    """Return where a representation's layout lies: points (N, 2) float16, labels (N,)."""
+    return docs / STORED_FOLDER / f"tsne-{key.removeprefix('representation/').replace('/', '-')}.npz"
+
+
+def _laid_out(results: Results) -> dict[str, str]:
+    """Return the keys of the layouts by their networks; the paper's only where its weights were at hand."""
+    paper = shown_cell(results)
+    keys = {name(paper): paper_key(paper), "touchd": OURS}
+    return {network: key for network, key in keys.items() if results.has(key)}
 
 
 def _lay_out(study: Study, key: str, represent: Callable[[Tensor], Tensor]) -> None:
@@ -157,42 +162,9 @@ def stored_confusion(path: Path) -> NDArray[np.int64]:
         return metrics.confusion(predicted, stored["labels"].astype(np.int64), len(GESTURES))
 
 
-def draw_confusions(confusions: Mapping[str, NDArray[np.int64]], path: Path) -> None:
-    """Draw confusion counts (7, 7) in percent of each true gesture, one panel a network."""
-    figure, panels = _panels(len(confusions), height=5.0)
-    for axes, (name, counts) in zip(panels, confusions.items(), strict=False):
-        draw_shares(axes, counts, GESTURES)
-        axes.set_title(name, fontsize=10)
-    panels[0].set_ylabel("true gesture")
-    _save(figure, path)
-
-
-def draw_layouts(layouts: Mapping[str, Path], path: Path) -> None:
-    """Draw stored points (N, 2) coloured by their gestures, one panel a network."""
-    figure, panels = _panels(len(layouts), height=5.2)
-    for axes, (name, stored) in zip(panels, layouts.items(), strict=False):
-        with np.load(stored) as layout:
-            points, labels = layout["points"].astype(np.float32), layout["labels"]
-        for gesture, colour in enumerate(COLOURS):
-            of_gesture = points[labels == gesture]
-            axes.plot(
-                of_gesture[:, 0], of_gesture[:, 1], ".", color=colour, markersize=4, label=GESTURES[gesture]
-            )
-        axes.set(xticks=[], yticks=[])
-        axes.set_title(name, fontsize=10)
-    if layouts:
-        entries = panels[0].get_legend_handles_labels()
-        figure.legend(*entries, loc="outside lower center", ncols=len(GESTURES), markerscale=2)
-    _save(figure, path)
-
-
-def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    figure, panels = plt.subplots(
-        1, max(count, 1), figsize=(5.2 * max(count, 1), height), layout="constrained", squeeze=False
-    )
-    return figure, list(panels[0])
-
-
-def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+def _panels(titles: Collection[str], height: float) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(5.2 * len(titles), height), layout="constrained")
+    panels = figure.subplots(1, len(titles), squeeze=False)[0]
+    for axes, title in zip(panels, titles, strict=True):
+        axes.set_title(title, fontsize=10)
+    return figure, list(panels)

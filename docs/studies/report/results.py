@@ -3,10 +3,11 @@
 import fcntl
 import os
 import platform
+import re
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from importlib import metadata
@@ -74,11 +75,22 @@ class Results:
             date=datetime.now(timezone.utc).strftime("%Y-%m-%d"),
         )
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self._alone():
+        # The folder is locked, as a lock on the file would be lost when it is replaced.
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX)
             cells = {**self._read(), key: cell}
-            ordered = {name: cells[name] for name in sorted(cells)}
+            # One line a cell, so that a change to one cell is a change to one line.
+            lines = [b": ".join(map(msgspec.json.encode, (name, cells[name]))) for name in sorted(cells)]
             with whole_file(self.path) as partial:
-                partial.write_bytes(_one_line_a_cell(ordered))
+                partial.write_bytes(b"{\n" + b",\n".join(lines) + b"\n}\n")
+        finally:
+            os.close(folder)
+
+    def put_together(self, measured: Mapping[str, dict[str, Any]], began_s: float) -> None:
+        """Put cells that were measured in one run, which began then by `time.perf_counter`."""
+        for key, values in measured.items():
+            self.put(key, values, (time.perf_counter() - began_s) / len(measured))
 
     def _read(self) -> dict[str, Cell]:
         try:
@@ -87,16 +99,6 @@ class Results:
             return {}
         except (OSError, msgspec.DecodeError) as error:
             raise ResultsError(f"{self.path}: no file of results ({error}); move it away") from error
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        # The folder is locked, as a lock on the file would be lost when it is replaced.
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            fcntl.flock(folder, fcntl.LOCK_EX)
-            yield
-        finally:
-            os.close(folder)
 
 
 @dataclass(frozen=True)
@@ -128,12 +130,6 @@ def timing_values(timing: Timing) -> dict[str, float]:
     return {name: round(getattr(timing, name), 4) for name in ("p50_ms", "p99_ms", "processor_ms")}
 
 
-def _one_line_a_cell(cells: dict[str, Cell]) -> bytes:
-    # So that a change to one cell is a change to one line.
-    lines = [msgspec.json.encode(name) + b": " + msgspec.json.encode(cell) for name, cell in cells.items()]
-    return b"{\n" + b",\n".join(lines) + b"\n}\n"
-
-
 def command() -> str:
     """Return the command line that this process was started with, folders by their last names only."""
     program = Path(sys.argv[0])
@@ -159,22 +155,14 @@ def commit() -> str:
 
 
 def machine() -> str:
-    """Return the processor, its cores and the libraries' versions."""
-    versions = []
-    for name in LIBRARIES:
-        try:
-            versions.append(f"{name} {metadata.version(name)}")
-        except metadata.PackageNotFoundError:
-            continue
-    python = f"Python {platform.python_version()}"
-    return ", ".join([f"{processor()}, {os.cpu_count()} cores", python, *versions])
-
-
-def processor() -> str:
-    """Return the processor's name, as Linux tells it, else the architecture."""
+    """Return the processor, as Linux names it, its cores and the libraries' versions."""
     try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        named = re.search(r"^model name\s*:\s*(.+)", Path("/proc/cpuinfo").read_text("utf-8"), re.MULTILINE)
     except OSError:
-        lines = []
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
+        named = None
+    processor = named[1].strip() if named else platform.machine()
+    versions = [
+        f"{name} {found.version}" for name in LIBRARIES for found in metadata.distributions(name=name)
+    ]
+    cores, python = f"{os.cpu_count()} cores", f"Python {platform.python_version()}"
+    return ", ".join([processor, cores, python, *versions])

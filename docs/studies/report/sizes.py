@@ -13,7 +13,7 @@ from docs.studies.training.recipe import HAART_RECIPE, Job, Recipe, final_jobs, 
 from docs.studies.training.ship import export_checkpoint
 from docs.studies.training.studies import Folders
 from docs.studies.training.train import train_studies
-from model.settings import LENGTHS, NetworkSettings
+from model.settings import LENGTHS
 
 # The small ones, kept with the code; large ones are trained on demand.
 SIZES_FOLDER = Path(__file__).parents[3] / "model" / "weights" / "haart" / "sizes"
@@ -29,15 +29,11 @@ SHAPES: Mapping[str, Mapping[str, int]] = {
 def jobs(recipe: Recipe) -> list[Job]:
     """Return one training a size: the shipped network's own, but for the widths."""
     shipped = final_jobs(recipe)[0].settings
+    replace = msgspec.structs.replace
     return [
-        Job(name, msgspec.structs.replace(shipped, name=name, network=widened(shipped.network, shape)))
+        Job(name, replace(shipped, name=name, network=replace(shipped.network, **shape)))
         for name, shape in SHAPES.items()
     ]
-
-
-def widened(network: NetworkSettings, shape: Mapping[str, int]) -> NetworkSettings:
-    """Return the network's settings with other widths, all else alike."""
-    return msgspec.structs.replace(network, **shape)
 
 
 def ready(haart_folder: Path, runs: Path, threads: int, stored: Path = SIZES_FOLDER) -> dict[str, Path]:

@@ -10,28 +10,29 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.model_selection import GroupKFold, LeaveOneGroupOut, cross_val_score
 
+from docs.studies.accuracy import PAPER_ACCURACY
+from docs.studies.checks import evaluate
 from docs.studies.marked import table
 from docs.studies.report import challenge_balli as balli
 from docs.studies.report import challenge_gaus as gaus
 from docs.studies.report import challenge_hughes
 from docs.studies.report import challenge_ta as ta
 from docs.studies.report.challenge_balli import SEARCH_TREES
+from docs.studies.report.challenge_features import forest
 from docs.studies.report.challenge_hughes import AUTOENCODER_RNN, CNN, CRNN
-from docs.studies.report.paper_cells import PAPER_EPOCHS, Variant, describe, trained_cells, trained_networks
+from docs.studies.report.paper_cells import PAPER_EPOCHS, accuracies, describe, trained
 from docs.studies.report.results import Results, Study, percent
-from docs.studies.report.tables23 import accuracies, model_files
+from docs.studies.report.tables23 import model_files
 from docs.studies.training import haart, metrics
 from docs.studies.training.haart import GESTURES, PUBLISHED_FRAMES, Windows
 from docs.studies.training.metrics import Floats, Labels
@@ -42,16 +43,18 @@ from model.training.threads import one_torch_thread
 PREFIX = "table1/"
 LENGTHS = (432, 144, 81, 54)
 SCORES = ("accuracy", "macro_accuracy")
-PAPER_TGC = 72.8
+PAPER_TGC = PAPER_ACCURACY[144]
 LEFT_OUT_OF_NETWORKS = ("P10", "P3")
 SMOOTHED_EPOCHS = 3
 SEARCH_FOLDS = 3
-ANSWER_BATCH = 64
 
 Settings = dict[str, Any]
 Features = Callable[[NDArray[np.uint16]], Floats]
 Build = Callable[[Settings, int], Any]
 """Settings and seed to an untrained classifier of scikit-learn."""
+Answer = Callable[[int], Labels]
+"""A length to the class named for each of its test windows (N,)."""
+Part = Literal["training", "test"]
 
 
 class Data:
@@ -59,7 +62,7 @@ class Data:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._made: dict[tuple[Features, int, str], Floats] = {}
+        self._made: dict[tuple[Features, Part, int], Floats] = {}
 
     @cached_property
     def training(self) -> list[Recording]:
@@ -71,12 +74,15 @@ class Data:
         """The test participants' recordings."""
         return haart.read_test(self.folder)
 
-    def features(self, make: Features, frames: int, part: Literal["training", "test"]) -> Floats:
+    def windows(self, part: Part, frames: int = PUBLISHED_FRAMES) -> Windows:
+        """Return one part's windows of a length."""
+        return haart.cut(self.training if part == "training" else self.test, frames)
+
+    def features(self, make: Features, part: Part, frames: int = PUBLISHED_FRAMES) -> Floats:
         """Return the features of one part's windows."""
-        key = (make, frames, part)
+        key = (make, part, frames)
         if key not in self._made:
-            recordings = self.training if part == "training" else self.test
-            self._made[key] = make(haart.cut(recordings, frames).counts)
+            self._made[key] = make(self.windows(part, frames).counts)
         return self._made[key]
 
 
@@ -99,10 +105,8 @@ class System(ABC):
         """Return the settings that do best on the training recordings, and their scores."""
 
     @abstractmethod
-    def answers(
-        self, data: Data, chosen: Settings, seed: int, lengths: Sequence[int]
-    ) -> Iterator[tuple[int, Labels]]:
-        """Train, and yield each length with the class named for each test window (N,)."""
+    def train(self, data: Data, settings: Settings, seed: int) -> Answer:
+        """Return what answers the test windows of each length."""
 
     def in_words(self, settings: Settings) -> str:
         """Return chosen settings in words."""
@@ -119,37 +123,29 @@ class HandMade(System):
 
     def choose(self, data: Data) -> Settings:
         """Return the option that does best when each participant in turn is left out."""
-        whole = haart.cut(data.training, PUBLISHED_FRAMES)
-        features = data.features(self.features, PUBLISHED_FRAMES, "training")
+        whole, features = data.windows("training"), data.features(self.features, "training")
         scores = [left_out_accuracy(self.build(each, 0), features, whole) for each in self.options]
         best = int(np.argmax(scores))
         tried = [[str(option), round(score, 4)] for option, score in zip(self.options, scores, strict=True)]
         return {"settings": self.options[best], "left_out_accuracy": round(scores[best], 4), "tried": tried}
 
-    def answers(
-        self, data: Data, chosen: Settings, seed: int, lengths: Sequence[int]
-    ) -> Iterator[tuple[int, Labels]]:
-        """Train a classifier a length."""
-        for frames in lengths:
-            labels = haart.cut(data.training, frames).labels
-            features = data.features(self.features, frames, "training")
-            fitted = self.build(chosen["settings"], seed).fit(features, labels)
-            named = fitted.predict(data.features(self.features, frames, "test"))
-            yield frames, np.asarray(named, dtype=np.int64)
+    def train(self, data: Data, settings: Settings, seed: int) -> Answer:
+        def answer(frames: int) -> Labels:
+            features = data.features(self.features, "training", frames)
+            fitted = self.build(settings, seed).fit(features, data.windows("training", frames).labels)
+            return np.asarray(fitted.predict(data.features(self.features, "test", frames)), dtype=np.int64)
+
+        return answer
 
 
 @dataclass(frozen=True)
 class Searched(HandMade):
-    """A forest on few features, searched for once, over whole recordings. names: of all the features."""
+    """A forest on few features, searched for once, over whole recordings. most: how many at most."""
 
-    names: tuple[str, ...] = field(kw_only=True)
     most: int = 10
 
     def choose(self, data: Data) -> Settings:
         """Return the features that the floating search ends with."""
-        whole = haart.cut(data.training, PUBLISHED_FRAMES)
-        features = data.features(self.features, PUBLISHED_FRAMES, "training")
-
         # Not in the extra `train`, which is enough for all else.
         from mlxtend.feature_selection import SequentialFeatureSelector
 
@@ -160,13 +156,14 @@ class Searched(HandMade):
             scoring="accuracy",
             cv=GroupKFold(SEARCH_FOLDS),
         )
-        search.fit(features, whole.labels, groups=whole.participants)
+        whole = data.windows("training")
+        search.fit(data.features(self.features, "training"), whole.labels, groups=whole.participants)
         found, score = sorted(search.k_feature_idx_), search.k_score_
         return {"settings": {"features": found}, "left_out_accuracy": round(score, 4)}
 
     def in_words(self, settings: Settings) -> str:
         """Return the names of the features."""
-        return ", ".join(self.names[feature] for feature in settings["features"])
+        return ", ".join(balli.NAMES[feature] for feature in settings["features"])
 
 
 @dataclass(frozen=True)
@@ -179,28 +176,21 @@ class DeepSystem(System):
         """Return the epochs after which two participants left out were answered best, smoothed over three."""
         training = haart.cut(haart.without(data.training, LEFT_OUT_OF_NETWORKS), PUBLISHED_FRAMES)
         left_out = haart.cut(haart.only(data.training, LEFT_OUT_OF_NETWORKS), PUBLISHED_FRAMES)
-        with one_torch_thread():
-            curve = [
-                float((challenge_hughes.answers(network, left_out.counts) == left_out.labels).mean())
-                for network in challenge_hughes.epochs(self.algorithm, training, 0, self.most_epochs)
-            ]
+        curve = [
+            float((challenge_hughes.answers(network, left_out.counts) == left_out.labels).mean())
+            for network in challenge_hughes.epochs(self.algorithm, training, 0, self.most_epochs)
+        ]
         smooth = np.convolve(curve, np.ones(SMOOTHED_EPOCHS) / SMOOTHED_EPOCHS, mode="valid")
-        epochs = int(smooth.argmax()) + SMOOTHED_EPOCHS
         return {
-            "settings": {"epochs": epochs},
+            "settings": {"epochs": int(smooth.argmax()) + SMOOTHED_EPOCHS},
             "left_out_accuracy": round(float(smooth.max()), 4),
             "tried": [round(each, 4) for each in curve],
         }
 
-    def answers(
-        self, data: Data, chosen: Settings, seed: int, lengths: Sequence[int]
-    ) -> Iterator[tuple[int, Labels]]:
-        """Train once, and ask at every length."""
-        whole = haart.cut(data.training, PUBLISHED_FRAMES)
-        with one_torch_thread():
-            *_, network = challenge_hughes.epochs(self.algorithm, whole, seed, chosen["settings"]["epochs"])
-            for frames in lengths:
-                yield frames, challenge_hughes.answers(network, haart.cut(data.test, frames).counts)
+    def train(self, data: Data, settings: Settings, seed: int) -> Answer:
+        whole = data.windows("training")
+        *_, network = challenge_hughes.epochs(self.algorithm, whole, seed, settings["epochs"])
+        return lambda frames: challenge_hughes.answers(network, data.windows("test", frames).counts)
 
 
 @dataclass(frozen=True)
@@ -208,50 +198,34 @@ class Shipped(System):
     """Our network, from its file of the seed; nothing is trained or chosen here."""
 
     def choose(self, data: Data) -> Settings:
-        """Return nothing: everything was settled in training."""
         return {"settings": {}}
 
-    def answers(
-        self, data: Data, chosen: Settings, seed: int, lengths: Sequence[int]
-    ) -> Iterator[tuple[int, Labels]]:
-        """Ask the file at every length."""
+    def train(self, data: Data, settings: Settings, seed: int) -> Answer:
         classifier = Classifier.load(model_files()[seed])
-        for frames in lengths:
-            counts = haart.cut(data.test, frames).counts
-            named = [
-                classifier.batch_probabilities(counts[start : start + ANSWER_BATCH]).argmax(axis=1)
-                for start in range(0, len(counts), ANSWER_BATCH)
-            ]
-            yield frames, np.concatenate(named).astype(np.int64)
+        return lambda frames: evaluate.answer(classifier, data.windows("test", frames).counts).argmax(axis=1)
 
 
 def left_out_accuracy(estimator: Any, features: Floats, windows: Windows) -> float:
     """Return the accuracy on participants left out one at a time."""
-    people = windows.participants
-    return float(
-        cross_val_score(estimator, features, windows.labels, groups=people, cv=LeaveOneGroupOut()).mean()
-    )
+    people, one_out = windows.participants, LeaveOneGroupOut()
+    return float(cross_val_score(estimator, features, windows.labels, groups=people, cv=one_out).mean())
 
 
 BALLI = "Balli Altuglu and Altun 2015"
 TA = "Ta et al. 2015"
 GAUS = "Gaus et al. 2015"
 HUGHES = "Hughes et al. 2017"
-FOREST = "Random forest"
+FOREST, BOOSTING = "Random forest", "Multiboosting"
 
 SYSTEMS: tuple[System, ...] = (
-    Searched(
-        "balli-forest", BALLI, FOREST, 61.5, features=balli.features, build=balli.forest, names=balli.NAMES
-    ),
-    HandMade("ta-forest", TA, FOREST, 70.9, features=ta.features, build=ta.forest, options=ta.FORESTS),
+    Searched("balli-forest", BALLI, FOREST, 61.5, features=balli.features, build=balli.forest),
+    HandMade("ta-forest", TA, FOREST, 70.9, features=ta.features, build=forest, options=ta.FORESTS),
     HandMade("ta-svm", TA, "SVM", 68.5, (0,), features=ta.features, build=ta.machine, options=ta.MACHINES),
-    HandMade(
-        "gaus-forest", GAUS, FOREST, 66.5, features=gaus.features, build=gaus.forest, options=gaus.FORESTS
-    ),
+    HandMade("gaus-forest", GAUS, FOREST, 66.5, features=gaus.features, build=forest, options=gaus.FORESTS),
     HandMade(
         "gaus-boosting",
         GAUS,
-        "Multiboosting",
+        BOOSTING,
         64.5,
         features=gaus.features,
         build=gaus.boosting,
@@ -272,7 +246,8 @@ def run(study: Study) -> None:
         for seed in system.seeds:
             missing = [each for each in LENGTHS if not study.results.has(cell_key(system, each, seed))]
             if missing:
-                measure(study.results, data, system, seed, missing)
+                with one_torch_thread():
+                    measure(study.results, data, system, seed, missing)
 
 
 def measure(results: Results, data: Data, system: System, seed: int, lengths: Sequence[int]) -> None:
@@ -281,13 +256,11 @@ def measure(results: Results, data: Data, system: System, seed: int, lengths: Se
     if not results.has(chosen_key(system)):
         results.put(chosen_key(system), system.choose(data), time.perf_counter() - began)
         began = time.perf_counter()
-    for frames, named in system.answers(data, results.get(chosen_key(system)), seed, lengths):
-        labels = haart.cut(data.test, frames).labels
-        values = {
-            **scores(named, labels),
-            "windows": len(labels),
-            "answers": "".join(map(str, named.tolist())),
-        }
+    answer = system.train(data, results.get(chosen_key(system))["settings"], seed)
+    for frames in lengths:
+        named, labels = answer(frames), data.windows("test", frames).labels
+        answers = "".join(map(str, named.tolist()))
+        values = {**scores(named, labels), "windows": len(labels), "answers": answers}
         results.put(cell_key(system, frames, seed), values, time.perf_counter() - began)
         began = time.perf_counter()
 
@@ -320,52 +293,43 @@ def tables(results: Results) -> dict[str, str]:
     headings = ["researchers", "classifier", "published"]
     for frames in LENGTHS:
         headings += [f"{frames} frames", "macro"]
-    rows = []
+    rows, chosen = [], []
     for system in SYSTEMS:
-        row = [
-            system.researchers,
-            system.algorithm,
-            "" if system.published is None else f"{system.published:.1f}",
-        ]
-        for frames in LENGTHS:
-            row += [percent(scores_of(results, system.key, frames, score)) or "not run" for score in SCORES]
-        rows.append(row)
-    chosen = []
-    for system in SYSTEMS:
-        if results.has(chosen_key(system)) and results.get(chosen_key(system))["settings"]:
-            found = results.get(chosen_key(system))
+        who = (system.researchers, system.algorithm)
+        scored = [scores_of(results, system.key, *each) for each in product(LENGTHS, SCORES)]
+        rows.append((*who, system.published or "", *(percent(each) or "not run" for each in scored)))
+        found = results.get(chosen_key(system)) if results.has(chosen_key(system)) else {"settings": {}}
+        if found["settings"]:
             left_out = f"{100 * found['left_out_accuracy']:.1f}"
-            words = system.in_words(found["settings"])
-            chosen.append((system.researchers, system.algorithm, words, left_out))
+            chosen.append((*who, system.in_words(found["settings"]), left_out))
     return {
         "table1": table(headings, [*rows, *_paper_rows(results)]),
         "table1-chosen": table(("researchers", "classifier", "chosen", "left out"), chosen),
     }
 
 
-def _paper_rows(results: Results) -> Iterator[list[str]]:
-    empty = [""] * 2 * len(LENGTHS)
-    yield ["Ren et al. 2023", "TGC, Transformer", f"{PAPER_TGC} (144 frames)", *empty]
-    networks = {(variant, blocks) for variant, blocks, _ in trained_networks(results)}
-    for variant, blocks in sorted(networks, key=lambda network: (network[0] != "public", -network[1])):
-        row = ["Ren et al., made again", f"TGC, {describe(variant, blocks)}", ""]
-        for frames in LENGTHS:
-            row += ["", _last_epoch(results, variant, blocks, frames)]
-        if any(row[3:]):
-            yield row
-
-
-def _last_epoch(results: Results, variant: Variant, blocks: int, frames: int) -> str:
-    cells = trained_cells(results, variant, blocks, frames)
-    if not cells:
-        return ""
-    last = percent([accuracies(results, cell)[-1] for cell in cells])
-    return f"{last} (epoch {cells[0].epochs} of {PAPER_EPOCHS})"
+def _paper_rows(results: Results) -> Iterator[Sequence[object]]:
+    yield "Ren et al. 2023", "TGC, Transformer", f"{PAPER_TGC} (144 frames)", *[""] * 2 * len(LENGTHS)
+    networks = trained(results)
+    shapes = {(variant, blocks) for variant, blocks, _ in networks}
+    for variant, blocks in sorted(shapes, key=lambda shape: (shape[0] != "public", -shape[1])):
+        found = [networks.get((variant, blocks, frames), []) for frames in LENGTHS]
+        last = [
+            f"{percent([accuracies(results, cell)[-1] for cell in cells])} "
+            f"(epoch {cells[0].epochs} of {PAPER_EPOCHS})"
+            if cells
+            else ""
+            for cells in found
+        ]
+        if any(last):
+            cells_of_row = [cell for each in last for cell in ("", each)]
+            yield "Ren et al., made again", f"TGC, {describe(variant, blocks)}", "", *cells_of_row
 
 
 def draw(results: Results, figures: Path) -> None:
     """Draw a line a system: what was published, and what ours gives at each length, with its spread."""
-    figure, axes = plt.subplots(figsize=(7.4, 5.2), layout="constrained")
+    figure = Figure(figsize=(7.4, 5.2), layout="constrained")
+    axes = figure.subplots()
     places = np.arange(len(SYSTEMS))[::-1]
     for number, frames in enumerate(LENGTHS):
         for place, system in zip(places, SYSTEMS, strict=True):
@@ -385,4 +349,3 @@ def draw(results: Results, figures: Path) -> None:
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     figure.savefig(figures / "report-challenge.png", dpi=120)
-    plt.close(figure)

@@ -5,27 +5,18 @@ The paper does not print the length of its windows in table 2; 144 frames are ta
 
 import time
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import torch
+from matplotlib.figure import Figure
 
+from docs.studies.accuracy import TABLE3
 from docs.studies.checks import evaluate
 from docs.studies.checks.evaluate import REPORTED_LENGTHS
 from docs.studies.marked import table
 from docs.studies.report import paper_training
-from docs.studies.report.paper_cells import (
-    PAPER_EPOCHS,
-    PaperCell,
-    Variant,
-    describe,
-    read_grid,
-    trained_cells,
-    trained_networks,
-)
+from docs.studies.report.paper_cells import PAPER_EPOCHS, PaperCell, accuracies, describe, read_grid, trained
 from docs.studies.report.results import Results, Study, percent
 from docs.studies.training import haart
 from docs.studies.training.ship import HAART_MODEL, SEEDS_FOLDER
@@ -34,26 +25,16 @@ from model.classifier import Classifier
 
 FRAMINGS = ("published", "realigned")
 TABLE2_FRAMES = 144
-TABLE2 = {
-    1: "65.6 ± 2.3",
-    2: "65.9 ± 4.8",
-    3: "67.9 ± 1.6",
-    4: "68.6 ± 2.0",
-    5: "68.9 ± 1.8",
-    6: "69.8 ± 2.2",
-    7: "69.5 ± 0.8",
-    8: "69.4 ± 0.9",
-}
-TABLE3 = {
-    9: "57.0 ± 1.9",
-    27: "66.6 ± 1.3",
-    54: "70.8 ± 1.5",
-    72: "71.1 ± 1.4",
-    108: "72.3 ± 1.2",
-    144: "72.8 ± 1.8",
-    216: "71.6 ± 1.0",
-}
-"""Percent, six blocks; what it calls 1.5 seconds are 72 frames. It has no 81."""
+TABLE2 = dict(
+    enumerate(
+        (
+            *("65.6 ± 2.3", "65.9 ± 4.8", "67.9 ± 1.6", "68.6 ± 2.0"),
+            *("68.9 ± 1.8", "69.8 ± 2.2", "69.5 ± 0.8", "69.4 ± 0.9"),
+        ),
+        start=1,
+    )
+)
+"""Percent, by blocks."""
 HEADINGS = ("network", "seeds", "epochs", "best epoch on test", "last epoch")
 
 
@@ -69,26 +50,28 @@ def run(study: Study) -> None:
 
 def tables(results: Results) -> dict[str, str]:
     """Return both tables, and how each of the paper's networks was made."""
-    networks = trained_networks(results)
+    networks = trained(results)
     by_length = [
-        [str(frames), f"{frames / FRAME_RATE_HZ:.2f}", TABLE3.get(frames, ""), *row, *_own(results, frames)]
+        (frames, f"{frames / FRAME_RATE_HZ:.2f}", TABLE3.get(frames, ""), *row, *_own(results, frames))
         for frames in REPORTED_LENGTHS
-        for row in _rows(results, [network for network in networks if network[2] == frames])
+        for row in _rows(results, [cells for network, cells in networks.items() if network[2] == frames])
     ]
     by_blocks = [
-        [str(blocks), printed, *row]
+        (blocks, printed, *row)
         for blocks, printed in TABLE2.items()
-        for row in _rows(results, [network for network in networks if network[1:] == (blocks, TABLE2_FRAMES)])
+        for row in _rows(
+            results, [cells for network, cells in networks.items() if network[1:] == (blocks, TABLE2_FRAMES)]
+        )
     ]
     made = [
-        [
-            *(describe(cell.variant, cell.blocks), str(cell.frames), str(cell.epochs), str(cell.seed)),
+        (
+            *(describe(cell.variant, cell.blocks), cell.frames, cell.epochs, cell.seed),
             f"{results.get(cell.key)['parameters']:,}",
             f"{results.cell(cell.key).seconds / 3600:.1f}",
             results.cell(cell.key).commit,
-        ]
-        for network in networks
-        for cell in trained_cells(results, *network)
+        )
+        for cells in networks.values()
+        for cell in cells
     ]
     return {
         "table3": table(
@@ -101,9 +84,10 @@ def tables(results: Results) -> dict[str, str]:
 
 def draw(results: Results, figures: Path) -> None:
     """Draw the paper's networks' test accuracy after each epoch that was trained."""
-    figure, axes = plt.subplots(figsize=(7.4, 4.2), layout="constrained")
-    for variant, blocks, frames in trained_networks(results):
-        for number, cell in enumerate(trained_cells(results, variant, blocks, frames)):
+    figure = Figure(figsize=(7.4, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for (variant, blocks, frames), cells in trained(results).items():
+        for number, cell in enumerate(cells):
             learnt = [100 * accuracy for accuracy in accuracies(results, cell)]
             name = f"{describe(variant, blocks)}, {frames} frames"
             (line,) = axes.plot(range(1, len(learnt) + 1), learnt, label=name if number == 0 else None)
@@ -114,13 +98,6 @@ def draw(results: Results, figures: Path) -> None:
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     figure.savefig(figures / "report-learning.png", dpi=120)
-    plt.close(figure)
-
-
-def accuracies(results: Results, cell: PaperCell) -> list[float]:
-    """Return the macro accuracy on the test windows after each epoch."""
-    measured: list[float] = results.get(cell.key)["accuracies"]
-    return measured
 
 
 def model_files() -> list[Path]:
@@ -134,12 +111,7 @@ def our_key(framing: str, frames: int) -> str:
 
 
 def _score_ours(study: Study) -> None:
-    missing = [
-        (framing, frames)
-        for framing in FRAMINGS
-        for frames in REPORTED_LENGTHS
-        if not study.results.has(our_key(framing, frames))
-    ]
+    missing = [each for each in product(FRAMINGS, REPORTED_LENGTHS) if not study.results.has(our_key(*each))]
     if not missing:
         return
     published = haart.read_test(study.haart)
@@ -160,13 +132,13 @@ def _own(results: Results, frames: int) -> list[str]:
     return [percent(results.get(our_key(framing, frames))["accuracies"]) for framing in FRAMINGS]
 
 
-def _rows(results: Results, networks: Sequence[tuple[Variant, int, int]]) -> list[list[str]]:
+def _rows(results: Results, networks: Sequence[Sequence[PaperCell]]) -> list[Sequence[object]]:
     """Return what stands under HEADINGS, a row a network; one that says so where there is none."""
-    found = []
-    for variant, blocks, frames in networks:
-        cells = trained_cells(results, variant, blocks, frames)
-        best = percent([max(accuracies(results, cell)) for cell in cells])
-        last = percent([accuracies(results, cell)[-1] for cell in cells])
-        epochs = f"{cells[0].epochs} of {PAPER_EPOCHS}"
-        found.append([describe(variant, blocks), str(len(cells)), epochs, best, f"**{last}**"])
-    return found or [["not trained", "", "", "", ""]]
+    found: list[Sequence[object]] = []
+    for cells in networks:
+        name, epochs = describe(cells[0].variant, cells[0].blocks), f"{cells[0].epochs} of {PAPER_EPOCHS}"
+        best, last = (
+            percent([of(accuracies(results, cell)) for cell in cells]) for of in (max, lambda each: each[-1])
+        )
+        found.append((name, len(cells), epochs, best, f"**{last}**"))
+    return found or [("not trained", "", "", "", "")]

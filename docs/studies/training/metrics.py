@@ -23,8 +23,7 @@ def class_accuracies(predicted: Labels, labels: Labels, classes: int) -> Floats:
     """Return each class's share of right answers (classes,); nan where a class does not occur."""
     counts = confusion(predicted, labels, classes)
     with np.errstate(invalid="ignore"):
-        shares: Floats = np.diag(counts) / counts.sum(axis=1)
-    return shares
+        return np.asarray(np.diag(counts) / counts.sum(axis=1))
 
 
 def macro_accuracy(predicted: Labels, labels: Labels, classes: int) -> float:
@@ -43,10 +42,10 @@ def expected_calibration_error(probabilities: Floats, labels: Labels) -> float:
     confidence = probabilities.max(axis=1)
     right = probabilities.argmax(axis=1) == labels
     bins = np.minimum((confidence * CALIBRATION_BINS).astype(int), CALIBRATION_BINS - 1)
-    gaps = [
+    gaps = (
         abs(confidence[bins == b].mean() - right[bins == b].mean()) * (bins == b).mean()
         for b in np.unique(bins)
-    ]
+    )
     return float(sum(gaps))
 
 
@@ -62,11 +61,3 @@ def participant_interval(
     draws = rng.integers(len(each), size=(BOOTSTRAP_DRAWS, len(each)))
     low, high = np.percentile(each[draws].mean(axis=1), [2.5, 97.5])
     return float(low), float(high)
-
-
-def restrict(probabilities: Floats, kept: NDArray[np.int64]) -> Floats:
-    """Return probabilities (N, classes) renormalised over the `kept` classes, zero elsewhere."""
-    scene = np.zeros_like(probabilities)
-    scene[:, kept] = probabilities[:, kept]
-    renormalised: Floats = scene / np.maximum(scene.sum(axis=1, keepdims=True), 1e-12)
-    return renormalised
