@@ -111,6 +111,21 @@ def test_a_checkpoint_with_a_removed_setting_is_readable(
     assert checkpoint.load(tmp_path / CHECKPOINT_NAME).settings == SETTINGS
 
 
+@pytest.mark.parametrize(
+    ("instruction", "dtype"),
+    [("avx512_bf16", torch.bfloat16), ("amx_bf16", torch.bfloat16), ("avx2", torch.float32)],
+)
+def test_bfloat16_is_used_only_where_the_processor_has_it(
+    instruction: str, dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cpu.get_capabilities", lambda: {instruction: True}, raising=False)
+    training = Training(recordings(), msgspec.structs.replace(SETTINGS, bfloat16=True), "cpu")
+    seen: set[torch.dtype] = set()
+    training.network.stem.embed.register_forward_hook(lambda *given: seen.add(given[2].dtype))
+    training.run_epoch()
+    assert seen == {dtype}
+
+
 @pytest.mark.parametrize("epochs_before", [1, 2])
 def test_an_interrupted_training_ends_in_the_same_network(
     finished: tuple[Checkpoint, Path], tmp_path: Path, epochs_before: int

@@ -26,6 +26,7 @@ from docs.studies.report.results import Study
 from docs.studies.training import haart, metrics
 from docs.studies.training.checkpoint import CheckpointError
 from docs.studies.training.haart import GESTURES, Windows
+from docs.studies.training.train import computes_bfloat16, fastest_device
 from drivers.whole_file import whole_file
 
 log = logging.getLogger(__name__)
@@ -39,7 +40,7 @@ class PaperTraining:
 
     def __init__(self, cell: PaperCell, grid: Grid, training: Windows, test: Windows, device: str) -> None:
         self.batch = grid.batch
-        self.bfloat16 = grid.bfloat16
+        self.bfloat16 = grid.bfloat16 and computes_bfloat16(device)
         self.device = device
         self.inputs = torch.from_numpy(training.counts.astype(np.float32))
         self.targets = torch.from_numpy(training.labels)
@@ -123,7 +124,7 @@ def train(study: Study, grid: Grid, cell: PaperCell) -> None:
             log.warning("%s: another process is training it; left to that one", cell.training)
             return
         torch.set_num_threads(study.threads)
-        device = "cuda" if torch.cuda.is_available() else "cpu"
+        device = fastest_device()
         training = haart.cut(haart.read_training(study.haart), cell.frames)
         test = haart.cut(haart.read_test(study.haart), cell.frames)
         paper = PaperTraining(cell, grid, training, test, device)
@@ -144,7 +145,7 @@ def train(study: Study, grid: Grid, cell: PaperCell) -> None:
         "parameters": sum(parameter.numel() for parameter in paper.network.parameters()),
         "learning_rate": grid.learning_rate,
         "batch": grid.batch,
-        "bfloat16": grid.bfloat16,
+        "bfloat16": paper.bfloat16,
         "framing": "published",
         "device": device,
         "losses": [round(loss, 4) for loss in paper.losses],

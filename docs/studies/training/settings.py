@@ -34,7 +34,7 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     balance_people: bool = False
     """Whether every person is drawn equally often, however many recordings there are."""
     bfloat16: bool = False
-    """Whether the layers compute in bfloat16 while training."""
+    """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
     compiled: bool = False
     """Whether the step is compiled: 1.6 times as fast on a CPU, but takes a C++ compiler and a minute."""
     network: NetworkSettings = NetworkSettings()
