@@ -67,6 +67,17 @@ def test_a_hand_that_stays_is_one_touch(pad: TrackedPad, hand: Scans) -> None:
     assert release.reason == "released"
 
 
+def test_a_touch_that_begins_gently_is_dated_to_its_first_counts(pad: TrackedPad) -> None:
+    began, rising = pad.index, np.minimum(np.arange(54, dtype=np.float32) / 27, 1)
+    (onset,) = pad.feel(palm(1.0) * rising[:, None, None])
+    assert 0 <= onset.first_index - began <= 5
+
+
+def test_a_hand_that_presses_less_is_still_there(pad: TrackedPad) -> None:
+    onset, release = pad.touched(palm(2.0, counts=200.0), palm(8.0, counts=100.0), 2.0)
+    assert release.last_index - onset.first_index == 10 * 54 - 1
+
+
 @pytest.mark.parametrize("deviation_counts", [2.0, 3.0])
 def test_a_noisier_pad_at_rest_is_no_touch(deviation_counts: float) -> None:
     noise = np.random.default_rng(7).normal(0, deviation_counts, (54 * 20, 8, 8)).astype(np.float32)
