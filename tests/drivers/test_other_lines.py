@@ -20,7 +20,7 @@ from rigs.wait import wait_for
 
 from drivers.frame import Frame
 from drivers.pad import network
-from drivers.pad.format import PRESETS, PadFormat, layout_of
+from drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
 from drivers.pad.network import GONE_S
 from drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from drivers.pad.protocol import parser_of
@@ -269,6 +269,16 @@ def test_a_late_reply_is_not_taken_for_another() -> None:
                 pad.late_s = 0.0
     whole = {answered(described, number) for number in range(len(STREAM.counts) - 1)}
     assert {frame.pressure.tobytes() for frame in frames} <= whole
+
+
+def test_a_damaged_reply_is_refused_whole_and_once() -> None:
+    described = msgspec.structs.replace(POLLED[1], checksum="xor8")
+    parser, reply = parser_of(described), encode_frame(described, STREAM.counts[0], 0)
+    for now_s, sent in enumerate([reply[:-1] + bytes([reply[-1] ^ 1]), reply]):
+        parser.ask(float(now_s))
+        frames = parser.feed(sent, float(now_s))
+    assert len(frames) == 1
+    assert (parser.counts.bad, parser.counts.bad_checksum, parser.counts.bytes_dropped) == (1, 1, len(reply))
 
 
 def test_a_polled_pad_on_tcp_is_asked_too() -> None:
