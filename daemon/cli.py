@@ -54,6 +54,10 @@ MOVED = ("data", "export", "evaluate", "stability", "report", "speed")
 """Commands for researchers, which a clone of the repository has and an installed touchd has not."""
 
 
+class UsageError(TouchdError):
+    """The command line names no command."""
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours, 130 when a signal cut it short."""
     given = sys.argv[1:] if arguments is None else arguments
@@ -91,12 +95,12 @@ def _run(words: Sequence[str]) -> int:
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
         return 0
     if name in MOVED:
-        raise TouchdError(f"{name} is for researchers: python -m docs.studies {name}, in the repository")
+        raise UsageError(f"{name} is for researchers: python -m docs.studies {name}, in the repository")
     commands = {command.name: command for command in COMMANDS}
     if name not in commands:
         near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)
         advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
-        raise TouchdError(f"{name} is no command; {advice}")
+        raise UsageError(f"{name} is no command; {advice}")
     return int(importlib.import_module(commands[name].module).main(rest))
 
 

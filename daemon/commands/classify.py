@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from daemon.commands.settings import add_settings, settings_of
 from daemon.events import Event, TouchBegan, TouchEnded, encode
 from daemon.pipeline import Pipeline
-from daemon.playback.stream import add_arguments, chosen_stream
-from daemon.playback.stream import play as play
+from daemon.playback.stream import add_arguments, chosen_stream, play
 from daemon.setup.parts import load_model
 from daemon.setup.words import Language, Vocabulary, name_of
 from daemon.terminal.describe import describe

@@ -18,6 +18,10 @@ from drivers.recording import SUFFIXES, read_provenance, read_recordings, realig
 from drivers.whole_file import whole_file
 
 
+class ConvertError(TouchdError):
+    """The file cannot be converted; the message is one line that says why."""
+
+
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd convert",
@@ -35,9 +39,9 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     file, out = options.file, options.out
     if out.suffix not in (".csv", ".mcap"):
-        raise TouchdError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
+        raise ConvertError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
     if out.exists():
-        raise TouchdError(f"{out}: is there already; give another --out, or move it away")
+        raise ConvertError(f"{out}: is there already; give another --out, or move it away")
     if out.suffix == ".mcap":
         # Before the work, as it may not be installed.
         import daemon.convert.mcap  # noqa: F401
@@ -48,7 +52,7 @@ def main(arguments: Sequence[str]) -> int:
             else:
                 _convert_journal(file, partial)
     except OSError as error:
-        raise TouchdError(f"{out}: {error.strerror}; give another --out") from error
+        raise ConvertError(f"{out}: {error.strerror}; give another --out") from error
     sys.stdout.write(f"{out}\n")
     return 0
 

@@ -81,8 +81,10 @@ def table_of(scores: Sequence[tuple[Rung, PadScore]]) -> str:
     lab = scores[0][1]
     rows = [
         (
-            *(rung.name, f"{rung.described.rows}x{rung.described.columns}"),
-            *(f"{each.felt} of {each.touches}", f"{each.right} of {each.touches}"),
+            rung.name,
+            f"{rung.described.rows}x{rung.described.columns}",
+            f"{each.felt} of {each.touches}",
+            f"{each.right} of {each.touches}",
             "**ruined**" if each.is_ruined(lab) else "",
         )
         for rung, each in scores

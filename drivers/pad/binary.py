@@ -10,8 +10,8 @@ sums low bytes only, so a flip in bit 8 or 9 of a value passes.
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.pad.clock import Damage, Reading
 from drivers.pad.format import PadFormat, checksum, decode_cells
+from drivers.pad.framing import Damage, Reading
 from drivers.pad.parser import FrameParser
 
 

@@ -15,54 +15,12 @@ one frame time and none is lost, even when damaged frames fall between. The sing
 restarts within 250 ms of its last start cannot be told from one that did not.
 """
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
-
-from drivers.frame import CLOCK_MODULUS, Counts
-
-Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
+from drivers.frame import CLOCK_MODULUS
+from drivers.pad.framing import ProtocolCounts, Reading
 
 # Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
 MAX_STEP_MS = 250
 MAX_HELD = 8
-
-
-@dataclass
-class ProtocolCounts:
-    """What a parser delivered and refused since it was made.
-
-    Damage between two intact frames is counted once or more, a lone damaged frame mostly once.
-    frames: delivered. bad_framing: stretches of up to one frame's length in which no frame begins (a broken
-    header, garbage, a malformed line). bad_checksum, bad_value (above full scale), bad_time (disagrees with
-    the sensor's clock): frames refused for that. duplicates: frames that repeat a clock already taken.
-    bytes_dropped: bytes that belong to no well-formed frame.
-    """
-
-    frames: int = 0
-    bad_framing: int = 0
-    bad_checksum: int = 0
-    bad_value: int = 0
-    bad_time: int = 0
-    duplicates: int = 0
-    bytes_dropped: int = 0
-
-    @property
-    def bad(self) -> int:
-        """Frames refused as damaged, for whatever reason; a duplicate is not damage."""
-        return self.bad_framing + self.bad_checksum + self.bad_value + self.bad_time
-
-    def refuse(self, damage: Damage, dropped: int = 0) -> None:
-        """Count a frame that is refused, and the bytes dropped with it."""
-        setattr(self, damage, getattr(self, damage) + 1)
-        self.bytes_dropped += dropped
-
-
-class Reading(NamedTuple):
-    """A well-formed frame whose clock is still to be judged; fields as in `Frame`."""
-
-    sensor_ms: int
-    host_s: float
-    pressure: Counts
 
 
 class ClockCheck:

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.frame import Frame
-from drivers.pad.clock import ArrivalClock, ClockCheck, ProtocolCounts, Reading
+from drivers.pad.clock import ArrivalClock, ClockCheck
 from drivers.pad.format import PadFormat, layout_of
+from drivers.pad.framing import ProtocolCounts, Reading
 
 # A pad that has not answered by then is polled again.
 REPLY_S = 0.2

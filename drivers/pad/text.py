@@ -11,8 +11,8 @@ import re
 import numpy as np
 
 from drivers.frame import CLOCK_MODULUS
-from drivers.pad.clock import Reading
 from drivers.pad.format import PadFormat
+from drivers.pad.framing import Reading
 from drivers.pad.parser import FrameParser
 
 # A number has at most ten digits (the clock); the rest is room for separators and alignment.

@@ -14,11 +14,11 @@ from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from daemon.commands.classify import play
 from daemon.decide import DecisionSettings
 from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from daemon.pad.steps import work_off
 from daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
+from daemon.playback.stream import play
 from daemon.touch import TouchSettings
 from drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
 from drivers.pad.grid import RingSettings

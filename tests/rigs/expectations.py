@@ -11,11 +11,11 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from daemon.commands.classify import play
 from daemon.config import Settings
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from daemon.pipeline import Pipeline
 from daemon.playback.stream import DEMO_RECORDING as DEMO
+from daemon.playback.stream import play
 from daemon.setup.parts import load_model
 from docs.studies.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 from drivers.recording import Stream, read_recordings, splice

@@ -41,11 +41,27 @@ SAMPLED_FRAMES = 18
 GESTURES = ("stroke", "pat", "constant", "tickle", "rub", "scratch")
 SEED = 1
 
-SUMS_TO_1, FLOAT64, BATCH, LATER, CHUNKED = "sums to 1", "float64", "batch", "later frames", "in chunks"
-THREADS, REPEATED, TYPES, REFUSED, SLOWDOWN = "2 threads", "repeated", "uint16", "refused", "slowdown"
+SUMS_TO_1 = "sums to 1"
+FLOAT64 = "float64"
+BATCH = "batch"
+LATER = "later frames"
+CHUNKED = "in chunks"
+THREADS = "2 threads"
+REPEATED = "repeated"
+TYPES = "uint16"
+REFUSED = "refused"
+SLOWDOWN = "slowdown"
 TOLERANCES = {
-    **{SUMS_TO_1: 1e-6, FLOAT64: 1e-4, BATCH: 1e-6, LATER: 1e-6, CHUNKED: 1e-5, THREADS: 1e-6},
-    **{REPEATED: 0.0, TYPES: 0.0, REFUSED: 0.0, SLOWDOWN: 1.5},
+    SUMS_TO_1: 1e-6,
+    FLOAT64: 1e-4,
+    BATCH: 1e-6,
+    LATER: 1e-6,
+    CHUNKED: 1e-5,
+    THREADS: 1e-6,
+    REPEATED: 0.0,
+    TYPES: 0.0,
+    REFUSED: 0.0,
+    SLOWDOWN: 1.5,
 }
 
 

@@ -26,8 +26,17 @@ SEARCH_TREES = 20
 SERIES = ("mean pressure", "greatest count", "row", "column", "touched area")
 OF_IMAGE = ("row", "column", "long axis", "short axis", "eccentricity", "hardest share")
 OF_SERIES = (
-    *("mean", "deviation", "least", "greatest", "median", "skewness", "kurtosis"),
-    *("Hurst exponent", "activity", "mobility", "complexity"),
+    "mean",
+    "deviation",
+    "least",
+    "greatest",
+    "median",
+    "skewness",
+    "kurtosis",
+    "Hurst exponent",
+    "activity",
+    "mobility",
+    "complexity",
     *(f"autoregression {lag}" for lag in range(1, ORDER + 1)),
 )
 NAMES = (

@@ -177,8 +177,14 @@ def tables(results: Results) -> dict[str, str]:
         within = int((FRAME_MS - a) / b)
         pad_laws.append((title, f"{a:.3f}", f"{b:.3f}", f"{law.largest_miss:.0%}", within))
     law_headings = (
-        *("network", "a, ms", "b, µs a frame", "c, ns a frame²", "largest miss"),
-        *("of the time: a / b L / c L², %", "of the multiply-adds, %", "c L² overtakes b L at"),
+        "network",
+        "a, ms",
+        "b, µs a frame",
+        "c, ns a frame²",
+        "largest miss",
+        "of the time: a / b L / c L², %",
+        "of the multiply-adds, %",
+        "c L² overtakes b L at",
     )
     pad_headings = ("pads", *WAYS.values(), "batch against single", "memory single / batch, MB")
     pad_law_headings = ("way", "a, ms", "b, ms a pad", "largest miss", f"pads within {FRAME_MS:.1f} ms")

@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 
 from daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
-from daemon.pipeline import STAGES
 from docs.studies.sessions.plan import PlannedSession, Stretch
 from drivers.frame import FRAME_RATE_HZ
 
@@ -113,11 +112,13 @@ def score(played: Sequence[Played]) -> SessionScore:
 
     first_s = [next(a.elapsed_s for a in fate.answers if a.told) for fate in fates if fate.told]
     return SessionScore(
-        **{
-            name: percent(getattr(fate, name) for fate in fates)
-            for name in ("missed", "merged", "split", "open")
-        },
-        **{stage: at(stage) for stage in STAGES},
+        missed=percent(fate.missed for fate in fates),
+        merged=percent(fate.merged for fate in fates),
+        split=percent(fate.split for fate in fates),
+        open=percent(fate.open for fate in fates),
+        early=at("early"),
+        revised=at("revised"),
+        final=at("final"),
         last=percent(fate.told[-1:] == [fate.gesture] for fate in fates),
         first=percent(fate.told[:1] == [fate.gesture] for fate in fates),
         harmful=percent(any(a == fate.gesture != b for a, b in pairwise(fate.told)) for fate in fates),

@@ -14,12 +14,26 @@ from docs.studies.tracker.figures import HeldOut, OnsetPoint, TouchReport, measu
 from docs.studies.training.haart import read_test, read_training, realigned
 
 POINT_HEADER = (
-    *("onset level", "touches", "missed", "over 1 s late", "delay, median ms", "delay, p90 ms"),
+    "onset level",
+    "touches",
+    "missed",
+    "over 1 s late",
+    "delay, median ms",
+    "delay, p90 ms",
     "false (per 10 min)",
 )
 GESTURE_HEADER = (
-    *("gesture", "touches", "missed", "split", "ended early", "not released in 3 s", "delay, median ms"),
-    *("p90 ms", "from the splice, median ms", "p90 ms", "first frame"),
+    "gesture",
+    "touches",
+    "missed",
+    "split",
+    "ended early",
+    "not released in 3 s",
+    "delay, median ms",
+    "p90 ms",
+    "from the splice, median ms",
+    "p90 ms",
+    "first frame",
 )
 
 

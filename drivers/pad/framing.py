@@ -1,0 +1,46 @@
+"""What every parser shares: the count of what was refused, and frames before their clock is judged."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from drivers.frame import Counts
+
+Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
+
+
+@dataclass
+class ProtocolCounts:
+    """What a parser delivered and refused since it was made.
+
+    Damage between two intact frames is counted once or more, a lone damaged frame mostly once.
+    frames: delivered. bad_framing: stretches of up to one frame's length in which no frame begins (a broken
+    header, garbage, a malformed line). bad_checksum, bad_value (above full scale), bad_time (disagrees with
+    the sensor's clock): frames refused for that. duplicates: frames that repeat a clock already taken.
+    bytes_dropped: bytes that belong to no well-formed frame.
+    """
+
+    frames: int = 0
+    bad_framing: int = 0
+    bad_checksum: int = 0
+    bad_value: int = 0
+    bad_time: int = 0
+    duplicates: int = 0
+    bytes_dropped: int = 0
+
+    @property
+    def bad(self) -> int:
+        """Frames refused as damaged, for whatever reason; a duplicate is not damage."""
+        return self.bad_framing + self.bad_checksum + self.bad_value + self.bad_time
+
+    def refuse(self, damage: Damage, dropped: int = 0) -> None:
+        """Count a frame that is refused, and the bytes dropped with it."""
+        setattr(self, damage, getattr(self, damage) + 1)
+        self.bytes_dropped += dropped
+
+
+class Reading(NamedTuple):
+    """A well-formed frame whose clock is still to be judged; fields as in `Frame`."""
+
+    sensor_ms: int
+    host_s: float
+    pressure: Counts
