@@ -1,7 +1,6 @@
 """The accuracy page: the machine-written scores as tables and pictures for people."""
 
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +111,7 @@ def _summary(scores: Scores) -> str:
         errors = ", ".join(f"{row.calibration_error:.3f}" for row in answers)
         rows.append((title, *(f"**{_percent(row.accuracy)}**" for row in answers), errors))
     lengths = [f"{length / 54:.2f} s ({length} frames)" for length in LENGTHS]
-    return _table(("", *lengths, "calibration error"), rows)
+    return table(("", *lengths, "calibration error"), rows)
 
 
 def _evaluation(evaluation: Evaluation) -> str:
@@ -130,7 +129,7 @@ def _evaluation(evaluation: Evaluation) -> str:
             _shares("person", [row.per_participant for row in rows]),
             _shares("condition", [row.per_condition for row in rows]),
             f"After {LENGTHS[-1]} frames, when the pad or the hand is not what it was in training:",
-            _table(("disturbance", "accuracy", "change in points"), disturbed),
+            table(("disturbance", "accuracy", "change in points"), disturbed),
         )
     )
 
@@ -139,7 +138,9 @@ def _lengths(evaluation: Evaluation) -> str:
     published = {row.frames: _percent(row.accuracy) for row in evaluation.published}
     rows = [
         (
-            *(row.frames, f"{row.frames / 54:.2f}", PAPER_ACCURACY.get(row.frames, "")),
+            row.frames,
+            f"{row.frames / 54:.2f}",
+            PAPER_ACCURACY.get(row.frames, ""),
             f"**{_percent(row.accuracy)}**",
             " to ".join(map(_percent, row.interval)),
             published.get(row.frames, ""),
@@ -148,17 +149,12 @@ def _lengths(evaluation: Evaluation) -> str:
         for row in evaluation.realigned
     ]
     headings = ("frames", "seconds", "paper (test)", "realigned", "95 % interval", "published")
-    return _table((*headings, "calibration error"), rows)
+    return table((*headings, "calibration error"), rows)
 
 
 def _shares(heading: str, shares: Sequence[dict[str, float]], *more: Sequence[str]) -> str:
     rows = [(name, *(_percent(each[name]) for each in shares)) for name in sorted(shares[0])]
-    return _table((heading, *(f"{length} frames" for length in LENGTHS)), [*rows, *more])
-
-
-def _table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as this page has its tables: a tight rule, and a narrow empty cell at its beginning."""
-    return re.sub(r"\A\|  \|", "| |", table(headings, rows).replace(" --- ", "---"))
+    return table((heading, *(f"{length} frames" for length in LENGTHS)), [*rows, *more])
 
 
 def _at(evaluation: Evaluation, length: int) -> Score:
