@@ -44,16 +44,17 @@ class FrameStem(nn.Module):
     """Embed each frame and its change since the one before: (B, T, 8, 8) counts to (B, T, width)."""
 
     plane_weights: Tensor
-    plane_biases: Tensor
+    span: Tensor
 
     def __init__(self, stem_width: int, width: int, dropout: float, smooth_frames: int) -> None:
         super().__init__()
-        weights, biases = _planes(smooth_frames)
-        self.past = weights.shape[2] - 1
+        weights = _planes(smooth_frames)
+        planes, frames = weights.shape
+        self.past = frames - 1
         self.register_buffer("plane_weights", weights, persistent=False)
-        self.register_buffer("plane_biases", biases, persistent=False)
+        self.register_buffer("span", torch.arange(frames), persistent=False)
         self.convolutions = nn.Sequential(
-            nn.Conv2d(len(weights), stem_width, 3, padding=1),
+            nn.Conv2d(planes, stem_width, 3, padding=1),
             nn.ReLU(),
             nn.AvgPool2d(2),
             nn.Conv2d(stem_width, 2 * stem_width, 3, padding=1),
@@ -67,24 +68,28 @@ class FrameStem(nn.Module):
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) counts."""
         level = self.level(counts)
-        return self.embed_level(level, self.before(level))
+        return self.embed_level(level, level[:, :1].expand(-1, self.past, -1, -1))
 
     def level(self, counts: Tensor) -> Tensor:
-        """Return counts on the scale on which the network sees them."""
-        return torch.log1p(counts / KNEE_COUNTS)
-
-    def before(self, level: Tensor) -> Tensor:
-        """Return the levels (B, past, 8, 8) that stand for those before a touch: its first, repeated."""
-        return level[:, :1].expand(-1, self.past, -1, -1)
+        """Return counts on the scale on which the network sees them, less the recordings' mean."""
+        return torch.log(counts + KNEE_COUNTS) - (math.log(KNEE_COUNTS) + LEVEL_MEAN)
 
     def embed_level(self, level: Tensor, last: Tensor) -> Tensor:
-        """Return (B, T, width) from (B, T, 8, 8) levels and those before them, (B, past, 8, 8)."""
+        """Return (B, T, width) from (B, T, 8, 8) levels and those before them, (B, past, 8, 8).
+
+        A touch's first frame stands for those before it.
+        """
         B, T = level.shape[:2]
-        seen = torch.cat([last, level], dim=1).reshape(B, 1, -1, ROWS * COLUMNS)
-        planes = functional.conv2d(seen, self.plane_weights, self.plane_biases)  # (B, planes, T, 64)
-        pixels = planes.transpose(1, 2).reshape(B * T, -1, ROWS, COLUMNS)
-        features = self.convolutions(pixels).reshape(B, T, -1)
-        embedded: Tensor = self.norm(self.dropout(self.embed(features)))
+        seen = torch.cat([last, level], dim=1)
+        places = torch.arange(T, device=level.device)[:, None] + self.span
+        pixels = seen.index_select(1, places.flatten()).reshape(B * T, -1, ROWS, COLUMNS)
+        # The planes are linear in the levels, and so is the convolution that sees them: one convolution.
+        first, *others = self.convolutions
+        weight = torch.einsum("opyx,pt->otyx", first.get_parameter("weight"), self.plane_weights)
+        features = functional.conv2d(pixels, weight, first.get_parameter("bias"), padding=1)
+        for layer in others:
+            features = layer(features)
+        embedded: Tensor = self.norm(self.dropout(self.embed(features.reshape(B * T, -1)).reshape(B, T, -1)))
         return embedded
 
 
@@ -111,10 +116,11 @@ class GatedConvolution(nn.Module):
         B, T, width = x.shape
         # One matrix product: of a few frames, ONNX Runtime's convolution takes up to three times as long.
         places = torch.arange(T, device=x.device)[:, None] + self.taps
-        seen = padded.index_select(1, places.flatten()).reshape(B, T, 3 * width)
+        seen = padded.index_select(1, places.flatten()).reshape(B * T, 3 * width)
         weight = self.convolution.weight.transpose(1, 2).flatten(1)
         signal, gate = functional.linear(seen, weight, self.convolution.bias).chunk(2, dim=-1)
-        updated: Tensor = self.norm(x + self.dropout(self.project(torch.tanh(signal) * torch.sigmoid(gate))))
+        change = self.project(torch.tanh(signal) * torch.sigmoid(gate)).reshape(B, T, width)
+        updated: Tensor = self.norm(x + self.dropout(change))
         return updated
 
 
@@ -220,11 +226,12 @@ class TGC(nn.Module):
     def summary(mean: Tensor, variance: Tensor, highest: Tensor) -> Tensor:
         """Return (..., 3 * width), what the dense layers see, of (..., width) each."""
         deviation = torch.sqrt(variance.clamp_min(VARIANCE_FLOOR))
-        return torch.cat([mean, deviation, highest], dim=-1)
+        moments = torch.cat([mean, deviation], dim=-1).to(highest.dtype)
+        return torch.cat([moments, highest], dim=-1)
 
 
-def _planes(smooth_frames: int) -> tuple[Tensor, Tensor]:
-    """Return what the stem sees of a taxel's last levels: weights (planes, 1, past + 1, 1), biases (planes,).
+def _planes(smooth_frames: int) -> Tensor:
+    """Return (planes, frames): what the first convolution sees of a taxel's last levels, the newest last.
 
     They are its level and the change since the frame before; with smooth_frames, also the mean over so many
     frames and its change since as many before.
@@ -235,5 +242,4 @@ def _planes(smooth_frames: int) -> tuple[Tensor, Tensor]:
         now = torch.zeros(2 * spans[-1])
         now[-span:] = 1.0 / span
         weights += [now / LEVEL_SPREAD, (now - now.roll(-span)) / CHANGE_SPREAD]
-    biases = torch.tensor([-LEVEL_MEAN / LEVEL_SPREAD, 0.0] * len(spans))
-    return torch.stack(weights)[:, None, :, None], biases
+    return torch.stack(weights)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import onnx
 import torch
 from torch import Tensor
@@ -96,7 +97,7 @@ def _grafted(adapted: Adapted, metadata: ModelMetadata) -> onnx.ModelProto:
     proto = onnx.load(SHIPPED_MODEL)
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     values = {f"network.dense.{name}": value for name, value in adapted.head.state_dict().items()}
-    values |= interpolation(temperatures)
+    values["temperatures"] = by_frames(temperatures)
     for tensor in proto.graph.initializer:
         value = values.pop(tensor.name.removeprefix("calibrated."), None)
         if value is not None:
@@ -110,14 +111,8 @@ def _grafted(adapted: Adapted, metadata: ModelMetadata) -> onnx.ModelProto:
     return proto
 
 
-def interpolation(temperatures: Mapping[int, float]) -> dict[str, Tensor]:
-    """Return what a model file interpolates its temperature by, from temperatures by length.
-
-    first: at the least length. lengths: in order. bends: the slope that begins at each length, less the one
-    that ends there.
-    """
-    lengths = torch.tensor(sorted(temperatures), dtype=torch.float32)
-    values = torch.tensor([temperatures[int(length)] for length in lengths], dtype=torch.float32)
-    slopes = torch.diff(values) / torch.diff(lengths)
-    bends = torch.diff(slopes, prepend=torch.zeros(1), append=torch.zeros(1))
-    return {"first": values[0], "lengths": lengths, "bends": bends}
+def by_frames(temperatures: Mapping[int, float]) -> Tensor:
+    """Return a temperature for each number of frames from 1 to the last calibrated length, interpolated."""
+    lengths = sorted(temperatures)
+    values = [temperatures[length] for length in lengths]
+    return torch.from_numpy(np.interp(np.arange(1, lengths[-1] + 1), lengths, values).astype(np.float32))

@@ -99,13 +99,15 @@ class Daemon:
         return self.events
 
     def stop(self) -> int:
-        """Stop it, and return its exit code; may be repeated."""
+        """Stop it, kill it where it hangs, and return its exit code; may be repeated."""
         if self.process.poll() is None:
             self.process.terminate()
-        code = self.process.wait(WITHIN_S)
-        self._reader.join()
-        self._daemon.stop()
-        return code
+        try:
+            return self.process.wait(WITHIN_S)
+        finally:
+            self.process.kill()
+            self._reader.join()
+            self._daemon.stop()
 
     def __enter__(self) -> "Daemon":
         return self

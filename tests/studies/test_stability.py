@@ -101,11 +101,10 @@ def test_an_answer_does_not_drift_over_hundreds_of_hours(classifier: Classifier,
     _, exact_state = exact.step(hand(400), exact.initial_state())
     for times in (1, 1_000, 3_000, 30_000, 100_000):
         # The state after these frames repeated `times` times.
-        longer = np.array([[[1], [times], [1]]], np.float64)
-        older = {"pooled": state["pooled"] * longer, "frames": np.array([400.0 * times])}
+        older = {"sums": state["sums"] * times, "frames": state["frames"] * times}
         answer, _ = classifier.step(hand(9), {**state, **older})
-        pooled, frames = (torch.from_numpy(older[name]) for name in ("pooled", "frames"))
-        expected, _ = exact.step(hand(9), exact_state._replace(pooled=pooled, frames=frames))
+        sums, frames = (torch.from_numpy(older[name]) for name in ("sums", "frames"))
+        expected, _ = exact.step(hand(9), exact_state._replace(sums=sums, frames=frames))
         assert np.abs(answer - expected).max() <= TOLERANCES[stability.BATCH]
 
 

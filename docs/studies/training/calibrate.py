@@ -23,16 +23,18 @@ BATCH = 64
 
 
 Answers = Mapping[int, tuple[Floats, Labels]]
-"""One network's about unseen participants: each length's logits (N, classes) and labels (N,)."""
+"""One network's about unseen people: each length's logits (N, classes) and labels (N,)."""
 
 
 def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
-    """Ask a network about a study's people whom its training left out, at every answered length.
+    """Ask a network about a study's people whom its training left out; see `ask`."""
+    return ask(saved, haart.only(recordings, saved.settings.left_out))
 
-    recordings: as they are scored, whole scans.
-    """
-    held, network = haart.only(recordings, saved.settings.left_out), saved.build()
-    windows = {length: haart.cut(held, length) for length in LENGTHS}
+
+def ask(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
+    """Ask a network about recordings, whole scans as they are scored, at every answered length."""
+    network = saved.build()
+    windows = {length: haart.cut(recordings, length) for length in LENGTHS}
     return {length: (_logits(network, cut.counts), cut.labels) for length, cut in windows.items()}
 
 

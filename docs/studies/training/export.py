@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from docs.studies.training.stepwise import TGCState, initial_state, step
 from drivers.frame import COLUMNS, ROWS
-from model.adapt.ship import interpolation
+from model.adapt.ship import by_frames
 from model.classifier import METADATA_KEY, ModelMetadata
 from model.tgc import TGC
 
@@ -24,31 +24,22 @@ class CalibratedTGC(nn.Module):
     temperature scaling), constant outside them, so that one file answers at every length.
     """
 
-    first: Tensor
-    lengths: Tensor
-    bends: Tensor
+    temperatures: Tensor
 
     def __init__(self, network: TGC, temperatures: Mapping[int, float]) -> None:
         super().__init__()
         self.network = network
-        for name, tensor in interpolation(temperatures).items():
-            self.register_buffer(name, tensor)
+        self.register_buffer("temperatures", by_frames(temperatures))
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, classes) probabilities."""
-        frames = torch.ones_like(counts[0, :, 0, 0]).sum()
-        return torch.softmax(self.network(counts) / self._temperature(frames), dim=-1)
+        return torch.softmax(self.network(counts) / self.temperatures[: counts.shape[1]][-1], dim=-1)
 
     def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
         """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
         logits, state = step(self.network, counts, state)
-        temperature = self._temperature(state.frames.to(logits.dtype))
-        return torch.softmax(logits / temperature, dim=-1), state
-
-    def _temperature(self, frames: Tensor) -> Tensor:
-        # Past the last length the bends cancel; in float32 the error would grow with the frames.
-        frames = torch.minimum(frames, self.lengths[-1])
-        return self.first + (self.bends * torch.relu(frames - self.lengths)).sum()
+        place = torch.clamp(state.frames - 1, max=len(self.temperatures) - 1)
+        return torch.softmax(logits / self.temperatures.index_select(0, place), dim=-1), state
 
 
 class _Step(nn.Module):
@@ -64,12 +55,14 @@ class _Step(nn.Module):
         level: Tensor,
         motion: Tensor,
         memory: list[Tensor],
-        pooled: Tensor,
+        sums: Tensor,
+        highest: Tensor,
         frames: Tensor,
     ) -> tuple[Tensor, ...]:
-        state = TGCState(level, motion, tuple(memory), pooled, frames)
+        state = TGCState(level, motion, tuple(memory), sums, highest, frames)
         probabilities, after = self.calibrated.step(counts, state)
-        return probabilities, after.level, after.motion, *after.memory, after.pooled, after.frames
+        tensors = after.level, after.motion, *after.memory, after.sums, after.highest, after.frames
+        return probabilities, *tensors
 
 
 def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
@@ -81,12 +74,21 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     calibrated = CalibratedTGC(network, temperatures).eval()
     start = initial_state(network)
-    names = ["level", "motion", *(f"memory{i}" for i in range(len(start.memory))), "pooled", "frames"]
+    memories = [f"memory{i}" for i in range(len(start.memory))]
+    names = ["level", "motion", *memories, "sums", "highest", "frames"]
     batch, frames = torch.export.Dim("batch"), torch.export.Dim("frames", min=1)
     memory = [torch.zeros(1, kept.shape[1], 30, kept.shape[3]) for kept in start.memory]
     program = torch.onnx.export(
         _Step(calibrated).eval(),
-        (torch.zeros(2, 144, ROWS, COLUMNS), start.level, start.motion, memory, start.pooled, start.frames),
+        (
+            torch.zeros(2, 144, ROWS, COLUMNS),
+            start.level,
+            start.motion,
+            memory,
+            start.sums,
+            start.highest,
+            start.frames,
+        ),
         dynamo=True,
         verbose=False,
         opset_version=OPSET,
@@ -97,7 +99,8 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
             "level": {},
             "motion": {},
             "memory": [{2: torch.export.Dim(f"kept{i}", min=0)} for i in range(len(memory))],
-            "pooled": {},
+            "sums": {},
+            "highest": {},
             "frames": {},
         },
     )
@@ -110,7 +113,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
         if entry.name not in ("counts", "frames"):
             entry.type.tensor_type.shape.dim[0].dim_param = "touches"
     # An input that has an initializer may be left out (ONNX IR, "default values").
-    flat = (start.level, start.motion, *start.memory, start.pooled, start.frames)
+    flat = (start.level, start.motion, *start.memory, start.sums, start.highest, start.frames)
     proto.graph.initializer.extend(
         onnx.numpy_helper.from_array(tensor.numpy(), name) for name, tensor in zip(names, flat, strict=True)
     )

@@ -17,9 +17,9 @@ from docs.studies.accuracy import ONE_OUT, PLACES, SEEDS
 from docs.studies.folders import study_parser
 from docs.studies.marked import fill, table
 from docs.studies.training import checkpoint, haart
-from docs.studies.training.calibrate import accuracies, ask_left_out
+from docs.studies.training.calibrate import accuracies, ask, ask_left_out
 from docs.studies.training.checkpoint import Checkpoint
-from docs.studies.training.recipe import Recipe, fold_jobs, read_recipe
+from docs.studies.training.recipe import Recipe, final_jobs, fold_jobs, read_recipe
 from docs.studies.training.settings import Study
 from docs.studies.training.ship import trained
 from docs.studies.training.studies import Folders
@@ -32,7 +32,7 @@ TITLES: dict[Study, str] = {"haart": "HAART, training participants", "second": "
 FRAMES = tuple(f"{length} frames" for length in LENGTHS)
 SEEDS_DESCRIPTION = """How far the figures of people left out depend on the seed (docs/accuracy.md).
 
-The recipe's folds are trained again with other seeds, and each answers the people that it never saw.
+The recipe's networks are trained again with other seeds, and each answers the people that it never saw.
 """
 SHOWN_SEEDS = (0, 1, 2)
 EPOCHS = 12
@@ -92,18 +92,20 @@ def main(arguments: Sequence[str]) -> int:
 def seeds(arguments: Sequence[str]) -> int:
     """Train the folds with other seeds where that is not done yet, score them, fill the page's table."""
     recipe, folders, options = _read("seeds", SEEDS_DESCRIPTION, arguments)
-    networks = {
-        seed: [
-            trained(job, folders, options.runs, options.threads)
-            for job in fold_jobs(msgspec.structs.replace(recipe, seeds=(seed,)))
-        ]
-        for seed in SHOWN_SEEDS
-    }
-    rows: list[tuple[object, ...]] = []
+    recipes = [msgspec.structs.replace(recipe, seeds=(seed,)) for seed in SHOWN_SEEDS]
+    shipped, networks = (
+        [[trained(job, folders, options.runs, options.threads) for job in jobs(each)] for each in recipes]
+        for jobs in (final_jobs, fold_jobs)
+    )
+    test = haart.realigned(haart.read_test(folders.haart))
+    scored = {"HAART, test participants": [accuracies([ask(each, test)]) for (each,) in shipped]}
     for study, held in folders.to_score_on(recipe.settings.studies).items():
-        shares = [accuracies([ask_left_out(fold, held) for fold in folds]) for folds in networks.values()]
+        scored[f"{TITLES[study]} left out"] = [
+            accuracies([ask_left_out(fold, held) for fold in folds]) for folds in networks
+        ]
+    rows: list[tuple[object, ...]] = []
+    for title, shares in scored.items():
         percents = 100 * np.array([[share[str(length)] for length in LENGTHS] for share in shares])
-        title = f"{TITLES[study]} left out"
         for seed, row in zip(SHOWN_SEEDS, percents, strict=True):
             rows.append((title, seed, *(f"{percent:.1f}" for percent in row)))
         spread = zip(percents.mean(axis=0), percents.std(axis=0, ddof=1), strict=True)

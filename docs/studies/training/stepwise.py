@@ -22,14 +22,16 @@ class TGCState(NamedTuple):
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
     level: (B, past, 8, 8) log counts of the last frames that the stem sees. motion: (B, past, width) last
     inputs of the gated convolutions, one after another. memory: keys and values of each encoder block,
-    (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. pooled: (B, 3, width) float64, each feature's
-    mean, sum of squared deviations and maximum. frames: (1,) float64, their number.
+    (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. sums: (B, 1, 2 * width) float64, of each
+    feature and of its square. highest: (B, 1, width), each feature's maximum. frames: (1,) int64, their
+    number.
     """
 
     level: Tensor
     motion: Tensor
     memory: tuple[Tensor, ...]
-    pooled: Tensor
+    sums: Tensor
+    highest: Tensor
     frames: Tensor
 
 
@@ -37,22 +39,21 @@ def initial_state(network: TGC) -> TGCState:
     """Return the state before the first frame."""
     width, heads = network.settings.width, network.settings.heads
     past = sum(layer.past for layer in _layers(network.motion, GatedConvolution))
-    pooled = torch.zeros(1, 3, width, dtype=torch.float64)
-    pooled[:, 2] = torch.finfo(torch.float32).min
     memory = torch.zeros(1, 2 * heads, 0, width // heads)
     return TGCState(
         level=torch.zeros(1, network.stem.past, ROWS, COLUMNS),
         motion=torch.zeros(1, past, width),
         memory=(memory,) * network.settings.blocks,
-        pooled=pooled,
-        frames=torch.zeros(1, dtype=torch.float64),
+        sums=torch.zeros(1, 1, 2 * width, dtype=torch.float64),
+        highest=torch.full((1, 1, width), torch.finfo(torch.float32).min),
+        frames=torch.zeros(1, dtype=torch.int64),
     )
 
 
 def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
     """Return (B, classes) logits over all frames up to now, and the state after (B, T, 8, 8) counts."""
     levels = network.stem.level(counts)
-    last = torch.where(state.frames > 0, state.level, network.stem.before(levels))
+    last = torch.where(state.frames > 0, state.level, levels[:, :1])
     x = network.stem.embed_level(levels, last)
     pasts = []
     layers = _layers(network.motion, GatedConvolution)
@@ -69,32 +70,16 @@ def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCStat
         length = key_value.shape[2]
         kept = torch.sym_min(length, MEMORY_FRAMES)
         memories.append(key_value.narrow(2, length - kept, kept))
-    pooled, frames = _pool(state, x)
-    mean, squares, highest = pooled.to(x.dtype).chunk(3, dim=1)
-    summary = network.summary(mean, squares / frames.to(x.dtype), highest)
-    logits: Tensor = network.dense(summary[:, 0])
+    # In float64 the sums of hours still move by what one frame adds, and their difference cancels nothing.
+    exact = x.double()
+    sums = state.sums + torch.cat([exact, exact * exact], dim=-1).sum(dim=1, keepdim=True)
+    highest = torch.maximum(state.highest, x.amax(dim=1, keepdim=True))
+    frames = state.frames + x.shape[1]
+    mean, squares = (sums / frames.double()).chunk(2, dim=-1)
+    logits: Tensor = network.dense(network.summary(mean, squares - mean * mean, highest)[:, 0])
     seen = torch.cat([last, levels], dim=1)[:, -network.stem.past :]
-    return logits, TGCState(seen, torch.cat(pasts, dim=1), tuple(memories), pooled, frames)
+    return logits, TGCState(seen, torch.cat(pasts, dim=1), tuple(memories), sums, highest, frames)
 
 
 def _layers(modules: nn.Sequential, kind: type[Layer]) -> list[Layer]:
     return [module for module in modules if isinstance(module, kind)]
-
-
-def _pool(state: TGCState, x: Tensor) -> tuple[Tensor, Tensor]:
-    """Return `pooled` and `frames` after (B, T, width) features, merged as in Chan et al. 1983.
-
-    In float64, so that a mean over hours still moves by what one frame adds to it.
-    """
-    mean = x.mean(dim=1, keepdim=True)
-    squares = (x - mean).square().sum(dim=1, keepdim=True)
-    new = torch.scalar_tensor(x.shape[1], dtype=torch.float64)
-    before_mean, before_squares, before_highest = state.pooled.chunk(3, dim=1)
-    frames = state.frames + new
-    off = mean.double() - before_mean
-    pooled = [
-        before_mean + off * (new / frames),
-        before_squares + squares.double() + off * off * (state.frames * new / frames),
-        torch.maximum(before_highest, x.amax(dim=1, keepdim=True).double()),
-    ]
-    return torch.cat(pooled, dim=1), frames
