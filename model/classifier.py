@@ -154,7 +154,7 @@ class Classifier:
         ]
 
     def _run(self, counts: NDArray[np.float32], state: State) -> tuple[NDArray[np.float64], State]:
-        # Arrays, not ONNX Runtime's own values: to wrap those it gives back takes a quarter of a step's time.
+        # Plain arrays: wrapping ONNX Runtime's own values takes a quarter of a step's time.
         names = ["probabilities", *(f"next_{name}" for name in self.states)]
         answers, *after = self.session.run(names, {"counts": counts, **state})
         return np.asarray(answers, dtype=np.float64), dict(zip(self.states, after, strict=True))

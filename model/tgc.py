@@ -44,7 +44,7 @@ class FrameStem(nn.Module):
     """Embed each frame and its change since the one before: (B, T, 8, 8) counts to (B, T, width)."""
 
     plane_weights: Tensor
-    span: Tensor
+    taps: Tensor
 
     def __init__(self, stem_width: int, width: int, dropout: float, smooth_frames: int) -> None:
         super().__init__()
@@ -52,7 +52,7 @@ class FrameStem(nn.Module):
         planes, frames = weights.shape
         self.past = frames - 1
         self.register_buffer("plane_weights", weights, persistent=False)
-        self.register_buffer("span", torch.arange(frames), persistent=False)
+        self.register_buffer("taps", torch.arange(frames), persistent=False)
         self.convolutions = nn.Sequential(
             nn.Conv2d(planes, stem_width, 3, padding=1),
             nn.ReLU(),
@@ -72,6 +72,7 @@ class FrameStem(nn.Module):
 
     def level(self, counts: Tensor) -> Tensor:
         """Return counts on the scale on which the network sees them, less the recordings' mean."""
+        # log(1 + counts / KNEE_COUNTS) - LEVEL_MEAN, with an operator less.
         return torch.log(counts + KNEE_COUNTS) - (math.log(KNEE_COUNTS) + LEVEL_MEAN)
 
     def embed_level(self, level: Tensor, last: Tensor) -> Tensor:
@@ -81,9 +82,8 @@ class FrameStem(nn.Module):
         """
         B, T = level.shape[:2]
         seen = torch.cat([last, level], dim=1)
-        places = torch.arange(T, device=level.device)[:, None] + self.span
-        pixels = seen.index_select(1, places.flatten()).reshape(B * T, -1, ROWS, COLUMNS)
-        # The planes are linear in the levels, and so is the convolution that sees them: one convolution.
+        pixels = _at(seen, T, self.taps).reshape(B * T, -1, ROWS, COLUMNS)
+        # Planes and convolution are both linear in the levels, so one convolution does both.
         first, *others = self.convolutions
         weight = torch.einsum("opyx,pt->otyx", first.get_parameter("weight"), self.plane_weights)
         features = functional.conv2d(pixels, weight, first.get_parameter("bias"), padding=1)
@@ -115,8 +115,7 @@ class GatedConvolution(nn.Module):
         """Return (B, T, width) from as many frames x; padded: the same with the `past` frames before them."""
         B, T, width = x.shape
         # One matrix product: of a few frames, ONNX Runtime's convolution takes up to three times as long.
-        places = torch.arange(T, device=x.device)[:, None] + self.taps
-        seen = padded.index_select(1, places.flatten()).reshape(B * T, 3 * width)
+        seen = _at(padded, T, self.taps).reshape(B * T, 3 * width)
         weight = self.convolution.weight.transpose(1, 2).flatten(1)
         signal, gate = functional.linear(seen, weight, self.convolution.bias).chunk(2, dim=-1)
         change = self.project(torch.tanh(signal) * torch.sigmoid(gate)).reshape(B, T, width)
@@ -228,6 +227,12 @@ class TGC(nn.Module):
         deviation = torch.sqrt(variance.clamp_min(VARIANCE_FLOOR))
         moments = torch.cat([mean, deviation], dim=-1).to(highest.dtype)
         return torch.cat([moments, highest], dim=-1)
+
+
+def _at(frames: Tensor, T: int, taps: Tensor) -> Tensor:
+    """Return (B, T * taps, ...): for each of T frames in a row, those at the taps after it."""
+    places = torch.arange(T, device=frames.device)[:, None] + taps
+    return frames.index_select(1, places.flatten())
 
 
 def _planes(smooth_frames: int) -> Tensor:

@@ -33,7 +33,8 @@ class CalibratedTGC(nn.Module):
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, classes) probabilities."""
-        return torch.softmax(self.network(counts) / self.temperatures[: counts.shape[1]][-1], dim=-1)
+        place = min(counts.shape[1], len(self.temperatures)) - 1
+        return torch.softmax(self.network(counts) / self.temperatures[place], dim=-1)
 
     def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
         """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
@@ -54,15 +55,14 @@ class _Step(nn.Module):
         counts: Tensor,
         level: Tensor,
         motion: Tensor,
-        memory: list[Tensor],
+        memory: tuple[Tensor, ...],
         sums: Tensor,
         highest: Tensor,
         frames: Tensor,
     ) -> tuple[Tensor, ...]:
-        state = TGCState(level, motion, tuple(memory), sums, highest, frames)
+        state = TGCState(level, motion, memory, sums, highest, frames)
         probabilities, after = self.calibrated.step(counts, state)
-        tensors = after.level, after.motion, *after.memory, after.sums, after.highest, after.frames
-        return probabilities, *tensors
+        return probabilities, *_flat(after)
 
 
 def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
@@ -77,18 +77,10 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     memories = [f"memory{i}" for i in range(len(start.memory))]
     names = ["level", "motion", *memories, "sums", "highest", "frames"]
     batch, frames = torch.export.Dim("batch"), torch.export.Dim("frames", min=1)
-    memory = [torch.zeros(1, kept.shape[1], 30, kept.shape[3]) for kept in start.memory]
+    memory = tuple(torch.zeros(1, kept.shape[1], 30, kept.shape[3]) for kept in start.memory)
     program = torch.onnx.export(
         _Step(calibrated).eval(),
-        (
-            torch.zeros(2, 144, ROWS, COLUMNS),
-            start.level,
-            start.motion,
-            memory,
-            start.sums,
-            start.highest,
-            start.frames,
-        ),
+        (torch.zeros(2, 144, ROWS, COLUMNS), *start._replace(memory=memory)),
         dynamo=True,
         verbose=False,
         opset_version=OPSET,
@@ -98,7 +90,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
             "counts": {0: batch, 1: frames},
             "level": {},
             "motion": {},
-            "memory": [{2: torch.export.Dim(f"kept{i}", min=0)} for i in range(len(memory))],
+            "memory": tuple({2: torch.export.Dim(f"kept{i}", min=0)} for i in range(len(memory))),
             "sums": {},
             "highest": {},
             "frames": {},
@@ -113,15 +105,19 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
         if entry.name not in ("counts", "frames"):
             entry.type.tensor_type.shape.dim[0].dim_param = "touches"
     # An input that has an initializer may be left out (ONNX IR, "default values").
-    flat = (start.level, start.motion, *start.memory, start.sums, start.highest, start.frames)
     proto.graph.initializer.extend(
-        onnx.numpy_helper.from_array(tensor.numpy(), name) for name, tensor in zip(names, flat, strict=True)
+        onnx.numpy_helper.from_array(tensor.numpy(), name)
+        for name, tensor in zip(names, _flat(start), strict=True)
     )
     entry = proto.metadata_props.add()
     entry.key, entry.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
     onnx.checker.check_model(proto)
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(proto, path)
+
+
+def _flat(state: TGCState) -> tuple[Tensor, ...]:
+    return state.level, state.motion, *state.memory, state.sums, state.highest, state.frames
 
 
 def _forget_where_it_was_made(proto: onnx.ModelProto) -> None:

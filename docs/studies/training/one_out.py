@@ -5,7 +5,7 @@ each study, and is scored on that one: nearer to the shipped network, which lear
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from docs.studies.marked import fill, table
 from docs.studies.training import checkpoint, haart
 from docs.studies.training.calibrate import accuracies, ask, ask_left_out
 from docs.studies.training.checkpoint import Checkpoint
-from docs.studies.training.recipe import Recipe, final_jobs, fold_jobs, read_recipe
+from docs.studies.training.recipe import Job, Recipe, final_jobs, fold_jobs, read_recipe
 from docs.studies.training.settings import Study
 from docs.studies.training.ship import trained
 from docs.studies.training.studies import Folders
@@ -90,18 +90,21 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def seeds(arguments: Sequence[str]) -> int:
-    """Train the folds with other seeds where that is not done yet, score them, fill the page's table."""
+    """Train the networks with other seeds where that is not done yet, score them, fill the page's table."""
     recipe, folders, options = _read("seeds", SEEDS_DESCRIPTION, arguments)
     recipes = [msgspec.structs.replace(recipe, seeds=(seed,)) for seed in SHOWN_SEEDS]
-    shipped, networks = (
-        [[trained(job, folders, options.runs, options.threads) for job in jobs(each)] for each in recipes]
-        for jobs in (final_jobs, fold_jobs)
-    )
+
+    def networks(jobs: Callable[[Recipe], list[Job]]) -> list[list[Checkpoint]]:
+        return [
+            [trained(job, folders, options.runs, options.threads) for job in jobs(each)] for each in recipes
+        ]
+
+    shipped, left_out = networks(final_jobs), networks(fold_jobs)
     test = haart.realigned(haart.read_test(folders.haart))
     scored = {"HAART, test participants": [accuracies([ask(each, test)]) for (each,) in shipped]}
     for study, held in folders.to_score_on(recipe.settings.studies).items():
         scored[f"{TITLES[study]} left out"] = [
-            accuracies([ask_left_out(fold, held) for fold in folds]) for folds in networks
+            accuracies([ask_left_out(fold, held) for fold in folds]) for folds in left_out
         ]
     rows: list[tuple[object, ...]] = []
     for title, shares in scored.items():

@@ -20,7 +20,7 @@ class TGCState(NamedTuple):
     """What the network keeps of the frames so far; bounded, whatever their number.
 
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
-    level: (B, past, 8, 8) log counts of the last frames that the stem sees. motion: (B, past, width) last
+    level: (B, past, 8, 8) levels of the last frames that the stem sees. motion: (B, past, width) last
     inputs of the gated convolutions, one after another. memory: keys and values of each encoder block,
     (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. sums: (B, 1, 2 * width) float64, of each
     feature and of its square. highest: (B, 1, width), each feature's maximum. frames: (1,) int64, their
@@ -70,7 +70,7 @@ def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCStat
         length = key_value.shape[2]
         kept = torch.sym_min(length, MEMORY_FRAMES)
         memories.append(key_value.narrow(2, length - kept, kept))
-    # In float64 the sums of hours still move by what one frame adds, and their difference cancels nothing.
+    # In float64 one frame still changes the sums of hours, and the variance from them is exact enough.
     exact = x.double()
     sums = state.sums + torch.cat([exact, exact * exact], dim=-1).sum(dim=1, keepdim=True)
     highest = torch.maximum(state.highest, x.amax(dim=1, keepdim=True))
