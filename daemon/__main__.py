@@ -1,7 +1,7 @@
-"""`python -m daemon` is `touchd`, wherever the command itself is not on the PATH."""
+"""`python -m touchd.daemon` is `touchd`, wherever the command itself is not on the PATH."""
 
 import sys
 
-from daemon.cli import main
+from touchd.daemon.cli import main
 
 sys.exit(main())

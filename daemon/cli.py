@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import NamedTuple
 
-from daemon.terminal.own_name import own_name
-from drivers.errors import TouchdError
-from drivers.extras import extra_of, how_to_install
+from touchd.daemon.terminal.own_name import own_name
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.extras import extra_of, how_to_install
 
 # What the C library says.
 NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
@@ -29,8 +29,13 @@ class Command(NamedTuple):
     """A subcommand: `main(arguments)` of a module, imported only when it is called, returns the exit code."""
 
     name: str
-    module: str
+    place: str
     help: str
+
+    @property
+    def module(self) -> str:
+        """The module's import name."""
+        return f"touchd.{self.place}"
 
 
 COMMANDS = (
@@ -95,7 +100,9 @@ def _run(words: Sequence[str]) -> int:
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
         return 0
     if name in MOVED:
-        raise UsageError(f"{name} is for researchers: python -m docs.studies {name}, in the repository")
+        raise UsageError(
+            f"{name} is for researchers: python -m touchd.model.studies {name}, in the repository"
+        )
     commands = {command.name: command for command in COMMANDS}
     if name not in commands:
         near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)

@@ -7,19 +7,19 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
-from daemon.decide import DecisionSettings
-from daemon.pipeline import PipelineSettings
-from daemon.setup.strict_yaml import StrictYamlError, convert
-from daemon.setup.words import Language, Vocabulary, vocabulary
-from daemon.touch import TouchSettings
-from drivers.errors import TouchdError
-from drivers.frame import DEFAULT_PAD
-from drivers.pad.format import PRESETS, PadFormat, Side
-from drivers.pad.grid import RingSettings
-from drivers.paths import written_out
-from drivers.robot.actions import ActionRule, Words
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
+from touchd.daemon.decide import DecisionSettings
+from touchd.daemon.pipeline import PipelineSettings
+from touchd.daemon.setup.strict_yaml import StrictYamlError, convert
+from touchd.daemon.setup.words import Language, Vocabulary, vocabulary
+from touchd.daemon.touch import TouchSettings
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.pad.format import PRESETS, PadFormat, Side
+from touchd.drivers.pad.grid import RingSettings
+from touchd.drivers.paths import written_out
+from touchd.drivers.robot.actions import ActionRule, Words
+from touchd.drivers.robot.settings import RobotSettings
 
 RENAMED = {"touch": {"onset_level": "onset_threshold", "release_level": "release_threshold"}}
 
@@ -77,7 +77,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene for the pipeline, and what the robot does in it: see `drivers.robot.actions`."""
+    """A scene for the pipeline, and what the robot does in it: see `touchd.drivers.robot.actions`."""
 
     actions: tuple[ActionRule, ...] = ()
 

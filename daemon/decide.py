@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.events import UNCERTAIN, Stage
-from drivers.frame import FRAME_RATE_HZ
+from touchd.daemon.events import UNCERTAIN, Stage
+from touchd.drivers.frame import FRAME_RATE_HZ
 
 NO_TOUCH = "notouch"
 
@@ -66,7 +66,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The answer at one stage; the fields are those of `daemon.events.Prediction`."""
+    """The answer at one stage; the fields are those of `touchd.daemon.events.Prediction`."""
 
     stage: Stage
     gesture: str

@@ -5,8 +5,8 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from daemon.pad.feel import Feel
-from drivers.frame import DEFAULT_PAD
+from touchd.daemon.pad.feel import Feel
+from touchd.drivers.frame import DEFAULT_PAD
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]

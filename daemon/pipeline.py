@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.decide import NO_TOUCH, Decision, DecisionSettings
-from daemon.events import (
+from touchd.daemon.decide import NO_TOUCH, Decision, DecisionSettings
+from touchd.daemon.events import (
     UNCERTAIN,
     EndReason,
     Event,
@@ -26,15 +26,15 @@ from daemon.events import (
     one_line,
     timestamp,
 )
-from daemon.pad.age import Age, Feeling
-from daemon.pad.feel import FeelMeter
-from daemon.pad.held import LEFT_ANYHOW_FRAMES
-from daemon.pad.steps import Heard, Step, Work, work_off
-from daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
-from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
-from drivers.pad.grid import GridFrame, Ring, RingSettings
-from drivers.pad.sensor_state import SensorState
-from model.classifier import Classifier, State
+from touchd.daemon.pad.age import Age, Feeling
+from touchd.daemon.pad.feel import FeelMeter
+from touchd.daemon.pad.held import LEFT_ANYHOW_FRAMES
+from touchd.daemon.pad.steps import Heard, Step, Work, work_off
+from touchd.daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from touchd.drivers.pad.grid import GridFrame, Ring, RingSettings
+from touchd.drivers.pad.sensor_state import SensorState
+from touchd.model.classifier import Classifier, State
 
 log = logging.getLogger(__name__)
 

@@ -12,17 +12,17 @@ import typing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
-from daemon.bridges.bridge import Bridge
-from daemon.config import Settings
-from daemon.events import LivePrediction
-from daemon.health import Health
-from daemon.pad.steps import work_off
-from daemon.setup.destinations import scenes_of
-from daemon.setup.parts import Pad, Parts
-from daemon.sinks import EventFanout, Sink
-from drivers.frame import Frame
-from drivers.pad.sensor import SensorState
-from drivers.queue import Signal
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.config import Settings
+from touchd.daemon.events import LivePrediction
+from touchd.daemon.health import Health
+from touchd.daemon.pad.steps import work_off
+from touchd.daemon.setup.destinations import scenes_of
+from touchd.daemon.setup.parts import Pad, Parts
+from touchd.daemon.sinks import EventFanout, Sink
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.sensor import SensorState
+from touchd.drivers.queue import Signal
 
 # How often the loop looks at the stop flag, and at frames of an untouched pad, which do not wake it.
 IDLE_S = 0.25
@@ -36,7 +36,7 @@ REPLACED_STOP_S = 1.0
 PATIENCE_S = 5.0
 
 if typing.TYPE_CHECKING:
-    from daemon.terminal.view import View
+    from touchd.daemon.terminal.view import View
 
 log = logging.getLogger(__name__)
 

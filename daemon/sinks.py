@@ -13,11 +13,20 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, encode, epoch_s, timestamp
-from daemon.kept.journal import Journal
-from drivers.queue import DroppingQueue
-from drivers.robot.link import RobotLink
-from drivers.robot.message import RobotMessage
+from touchd.daemon.events import (
+    Event,
+    Prediction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    encode,
+    epoch_s,
+    timestamp,
+)
+from touchd.daemon.kept.journal import Journal
+from touchd.drivers.queue import DroppingQueue
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.message import RobotMessage
 
 log = logging.getLogger(__name__)
 

@@ -18,14 +18,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.events import EndReason
-from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
-from daemon.pad.held import END_STRIDE_FRAMES, HeldTouch
-from daemon.pad.light import STEP_FRAMES, LightContact, beyond_one_wire, is_in_common
-from daemon.pad.sight import ASK_FRAMES, NoTouch, Sight
-from daemon.pad.wire import LOOK_FRAMES, LooseWire
-from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.grid import GridFrame
+from touchd.daemon.events import EndReason
+from touchd.daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
+from touchd.daemon.pad.held import END_STRIDE_FRAMES, HeldTouch
+from touchd.daemon.pad.light import STEP_FRAMES, LightContact, beyond_one_wire, is_in_common
+from touchd.daemon.pad.sight import ASK_FRAMES, NoTouch, Sight
+from touchd.daemon.pad.wire import LOOK_FRAMES, LooseWire
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.pad.grid import GridFrame
 
 # A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
 SMOOTH_FRAMES = 3

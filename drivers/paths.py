@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from drivers.errors import TouchdError
+from touchd.drivers.errors import TouchdError
 
 
 class PathError(TouchdError):

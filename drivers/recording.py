@@ -20,8 +20,8 @@ from typing import IO, Literal, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import TouchdError, os_errors_as
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 CELLS = ROWS * COLUMNS
 SUFFIXES = (".csv", ".csv.gz")

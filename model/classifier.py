@@ -12,8 +12,8 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from drivers.errors import TouchdError, os_errors_as
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
+from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 
 SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
 MAX_FILE_BYTES = 32 * 1024 * 1024

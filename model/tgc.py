@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from drivers.frame import COLUMNS, ROWS
-from model.settings import NetworkSettings
+from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.model.settings import NetworkSettings
 
 VARIANCE_FLOOR = 1e-5
 # A distance at which even the least of the attention's slopes leaves no weight.

@@ -10,7 +10,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 
-from model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 if TYPE_CHECKING:
     from rigs.live_rig import Served
@@ -65,7 +65,7 @@ def served() -> Iterator["Served"]:
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
     """Run torch on one thread, so that its sums are reproducible."""
-    from model.training.threads import one_torch_thread
+    from touchd.model.adapt.threads import one_torch_thread
 
     with one_torch_thread():
         yield

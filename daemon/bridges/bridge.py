@@ -5,11 +5,11 @@ import threading
 import time
 from abc import abstractmethod
 
-from daemon.events import Event
-from daemon.sinks import QueuedSink
-from drivers.backoff import Backoff
-from drivers.errors import TouchdError
-from drivers.frame import Frame
+from touchd.daemon.events import Event
+from touchd.daemon.sinks import QueuedSink
+from touchd.drivers.backoff import Backoff
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.frame import Frame
 
 # One second of frames; more would only delay events.
 MOST_FRAMES = 54
@@ -36,7 +36,7 @@ class Bridge(QueuedSink[Event | Frame]):
         self.frames_hz = frames_hz
         self._next_frame_s = 0.0
         self._peer_is_there = threading.Event()
-        self._log = logging.getLogger(f"daemon.bridges.{name}")
+        self._log = logging.getLogger(f"touchd.daemon.bridges.{name}")
         self._was_away = False
         self._is_unsteady = False
         self._there_since_s = 0.0

@@ -3,13 +3,13 @@
 import importlib
 from collections.abc import Mapping
 
-from daemon.bridges.bridge import Bridge, BridgeError
-from daemon.bridges.settings import MqttSettings, Section
-from daemon.config import Settings
-from daemon.decide import NO_TOUCH
-from daemon.events import one_line
-from drivers.extras import how_to_install
-from model.classifier import Classifier
+from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.settings import MqttSettings, Section
+from touchd.daemon.config import Settings
+from touchd.daemon.decide import NO_TOUCH
+from touchd.daemon.events import one_line
+from touchd.drivers.extras import how_to_install
+from touchd.model.classifier import Classifier
 
 # A bridge's section name and content, its pad, and the gestures that it announces.
 Key = tuple[str, Section, str, tuple[str, ...]]
@@ -33,7 +33,7 @@ def make_bridges(
 
 def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> Bridge:
     try:
-        module = importlib.import_module(f"daemon.bridges.{name}")
+        module = importlib.import_module(f"touchd.daemon.bridges.{name}")
     except ImportError as error:
         raise BridgeError(f"{name}: {error.name} is not installed: {how_to_install(name)}") from error
     except RuntimeError as error:

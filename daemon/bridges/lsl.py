@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import pylsl
 
-from daemon.bridges.bridge import Bridge
-from daemon.bridges.settings import LslSettings
-from daemon.events import Event, Prediction, epoch_s, kind_of
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.settings import LslSettings
+from touchd.daemon.events import Event, Prediction, epoch_s, kind_of
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 
 LOOKS = 10
 

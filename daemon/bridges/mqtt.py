@@ -12,11 +12,11 @@ import msgspec
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from daemon.bridges.bridge import POLL_S, Bridge, BridgeError, arrival_s
-from daemon.bridges.settings import MqttSettings
-from daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
-from drivers.frame import Frame
-from drivers.paths import written_out
+from touchd.daemon.bridges.bridge import POLL_S, Bridge, BridgeError, arrival_s
+from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
+from touchd.drivers.frame import Frame
+from touchd.drivers.paths import written_out
 
 KEEPALIVE_S = 10
 CONNECT_S = 3.0

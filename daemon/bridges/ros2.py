@@ -19,12 +19,12 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from daemon.bridges.bridge import Bridge, arrival_s
-from daemon.bridges.settings import Ros2Settings
-from daemon.events import Event, Prediction, encode
-from daemon.live.address import own_addresses
-from drivers.backoff import Backoff
-from drivers.frame import COLUMNS, ROWS, Frame
+from touchd.daemon.bridges.bridge import Bridge, arrival_s
+from touchd.daemon.bridges.settings import Ros2Settings
+from touchd.daemon.events import Event, Prediction, encode
+from touchd.daemon.live.address import own_addresses
+from touchd.drivers.backoff import Backoff
+from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 BYTES_PER_TAXEL = 2
 # DDS chooses a network when it begins: how often to look for another, and to try where there is none.

@@ -11,10 +11,10 @@ import msgspec
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from daemon.bridges.bridge import Bridge
-from daemon.bridges.settings import RosbridgeSettings
-from daemon.events import Event, Prediction, encode
-from drivers.frame import COLUMNS, ROWS, Frame
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.settings import RosbridgeSettings
+from touchd.daemon.events import Event, Prediction, encode
+from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 CONNECTION: Mapping[str, Any] = {
     "open_timeout": 1.0,

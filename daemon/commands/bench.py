@@ -16,18 +16,18 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.commands.run import favour_latency
-from daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
-from daemon.events import Event, Prediction, decode, epoch_s
-from daemon.pipeline import Pipeline
-from daemon.playback.rig import SpawnedDaemon
-from daemon.playback.stream import DEMO_RECORDING, play
-from daemon.setup.destinations import encoder_for
-from daemon.setup.parts import load_model
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ
-from drivers.numbers import within
-from drivers.recording import Stream, read_recordings, splice
+from touchd.daemon.commands.run import favour_latency
+from touchd.daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.events import Event, Prediction, decode, epoch_s
+from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.playback.stream import DEMO_RECORDING, play
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ
+from touchd.drivers.numbers import within
+from touchd.drivers.recording import Stream, read_recordings, splice
 
 QUIET_S = 20.0
 START_S = 30.0

@@ -5,15 +5,15 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 
-from daemon.commands.settings import add_settings, settings_of
-from daemon.events import Event, TouchBegan, TouchEnded, encode
-from daemon.pipeline import Pipeline
-from daemon.playback.stream import add_arguments, chosen_stream, play
-from daemon.setup.parts import load_model
-from daemon.setup.words import Language, Vocabulary, name_of
-from daemon.terminal.describe import describe
-from daemon.terminal.terms import term
-from drivers.recording import NO_TOUCH, Stream
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.events import Event, TouchBegan, TouchEnded, encode
+from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
+from touchd.daemon.setup.parts import load_model
+from touchd.daemon.setup.words import Language, Vocabulary, name_of
+from touchd.daemon.terminal.describe import describe
+from touchd.daemon.terminal.terms import term
+from touchd.drivers.recording import NO_TOUCH, Stream
 
 
 def parser() -> argparse.ArgumentParser:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import shtab
 
-from daemon.terminal.own_name import PROGRAM, own_name
+from touchd.daemon.terminal.own_name import PROGRAM, own_name
 
 
 def parser() -> argparse.ArgumentParser:
@@ -22,7 +22,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the script; returns 0."""
-    from daemon.cli import COMMANDS
+    from touchd.daemon.cli import COMMANDS
 
     shell = parser().parse_args(arguments).shell
     whole = argparse.ArgumentParser(prog=PROGRAM)

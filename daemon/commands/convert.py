@@ -10,12 +10,12 @@ from typing import Any
 
 import msgspec
 
-from daemon.events import Event
-from daemon.kept.journal import JournalError
-from daemon.kept.touches import read_events
-from drivers.errors import TouchdError
-from drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
-from drivers.whole_file import whole_file
+from touchd.daemon.events import Event
+from touchd.daemon.kept.journal import JournalError
+from touchd.daemon.kept.touches import read_events
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
+from touchd.drivers.whole_file import whole_file
 
 
 class ConvertError(TouchdError):
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
         raise ConvertError(f"{out}: is there already; give another --out, or move it away")
     if out.suffix == ".mcap":
         # Before the work, as it may not be installed.
-        import daemon.convert.mcap  # noqa: F401
+        import touchd.daemon.convert.mcap  # noqa: F401
     try:
         with whole_file(out, replace=False) as partial:
             if file.name.endswith(SUFFIXES):
@@ -63,7 +63,7 @@ def _convert_recording(file: Path, out: Path) -> None:
         # Our own layout holds whole scans.
         write_recordings(out, list(map(realign, recordings)), read_provenance(file))
         return
-    from daemon.convert import mcap
+    from touchd.daemon.convert import mcap
 
     with out.open("xb") as target:
         mcap.write_recordings(recordings, target)
@@ -85,7 +85,7 @@ def _convert_journal(file: Path, out: Path) -> None:
             # Made twice, for all rows at once take gigabytes for a journal of years.
             table.writerows(map(_flat, events))
         return
-    from daemon.convert import mcap
+    from touchd.daemon.convert import mcap
 
     with out.open("xb") as messages:
         mcap.write_events(events, messages)

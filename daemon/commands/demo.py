@@ -17,28 +17,28 @@ from pathlib import Path
 import msgspec
 from rich.console import Console
 
-from daemon.config import SceneSettings, Settings
-from daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
-from daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
-from daemon.playback.rig import SpawnedDaemon
-from daemon.playback.stream import DEMO_RECORDING
-from daemon.setup.destinations import encoder_for
-from daemon.setup.words import Language, name_of
-from daemon.sinks import RobotSink
-from daemon.terminal.describe import describe
-from daemon.terminal.own_name import own_name
-from daemon.terminal.terms import term
-from daemon.terminal.view import View
-from drivers.fakes.fake_port import FakePort
-from drivers.fakes.loopback_robot import LoopbackRobot
-from drivers.fakes.services import Call
-from drivers.fakes.stub_robot import StubRobot
-from drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
-from drivers.recording import Stream, read_recordings, splice
-from drivers.robot.actions import Action, ActionRule, Leds
-from drivers.robot.link import RobotLink
-from drivers.robot.session import qi_installed
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.config import SceneSettings, Settings
+from touchd.daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
+from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.playback.stream import DEMO_RECORDING
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.setup.words import Language, name_of
+from touchd.daemon.sinks import RobotSink
+from touchd.daemon.terminal.describe import describe
+from touchd.daemon.terminal.own_name import own_name
+from touchd.daemon.terminal.terms import term
+from touchd.daemon.terminal.view import View
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.loopback_robot import LoopbackRobot
+from touchd.drivers.fakes.services import Call
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
+from touchd.drivers.recording import Stream, read_recordings, splice
+from touchd.drivers.robot.actions import Action, ActionRule, Leds
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.session import qi_installed
+from touchd.drivers.robot.settings import RobotSettings
 
 # The recording lasts 37 s; whatever goes wrong, the demo ends within a minute.
 LONGEST_S = 50.0

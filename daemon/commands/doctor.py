@@ -9,11 +9,11 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from daemon.commands.settings import add_settings, settings_of
-from daemon.doctor.check import Check, Verdict
-from daemon.doctor.examine import examine
-from daemon.terminal.width import text_width
-from drivers.numbers import within
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.doctor.check import Check, Verdict
+from touchd.daemon.doctor.examine import examine
+from touchd.daemon.terminal.width import text_width
+from touchd.drivers.numbers import within
 
 VERDICT_WIDTH, NAME_WIDTH = 11, 11
 STYLES: dict[Verdict, str] = {"ok": "green", "warning": "yellow", "to do": "bold red", "not checked": "dim"}

@@ -11,14 +11,14 @@ from pathlib import Path
 from rich.console import Console
 from serial.tools.list_ports import comports
 
-from daemon.config import DEFAULT_PORT, ConfigError, load
-from daemon.doctor.line import USUAL_BAUDS
-from daemon.doctor.listening import listen
-from daemon.doctor.machine import check_robot
-from daemon.terminal.own_name import own_name
-from drivers.errors import os_errors_as
-from drivers.numbers import within
-from drivers.pad.diagnosis import (
+from touchd.daemon.config import DEFAULT_PORT, ConfigError, load
+from touchd.daemon.doctor.line import USUAL_BAUDS
+from touchd.daemon.doctor.listening import listen
+from touchd.daemon.doctor.machine import check_robot
+from touchd.daemon.terminal.own_name import own_name
+from touchd.drivers.errors import os_errors_as
+from touchd.drivers.numbers import within
+from touchd.drivers.pad.diagnosis import (
     RECENT_BYTES,
     as_yaml,
     caution,
@@ -27,12 +27,12 @@ from drivers.pad.diagnosis import (
     is_certain,
     propose,
 )
-from drivers.pad.format import PRESETS, PadFormat
-from drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
-from drivers.pad.protocol import parser_of
-from drivers.robot.session import RobotError
-from drivers.robot.settings import RobotSettings, read_login
-from drivers.whole_file import whole_file
+from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.robot.session import RobotError
+from touchd.drivers.robot.settings import RobotSettings, read_login
+from touchd.drivers.whole_file import whole_file
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 FIRST_BYTE_S = 3.0

@@ -5,12 +5,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from daemon.commands.settings import add_settings, settings_of
-from daemon.kept.touches import read_journal
-from daemon.playback.stream import add_arguments, chosen_stream
-from daemon.setup.parts import load_model
-from drivers.numbers import within
-from drivers.recording import SUFFIXES
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.kept.touches import read_journal
+from touchd.daemon.playback.stream import add_arguments, chosen_stream
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.numbers import within
+from touchd.drivers.recording import SUFFIXES
 
 MOST_TOUCHES = 100
 
@@ -37,8 +37,8 @@ def main(arguments: Sequence[str]) -> int:
     """Draw the files and name the picture; returns 0."""
     options = parser().parse_args(arguments)
     # Not before, as they need matplotlib.
-    from daemon.plot import journal, recording
-    from daemon.plot.plot import PlotError, save
+    from touchd.daemon.plot import journal, recording
+    from touchd.daemon.plot.plot import PlotError, save
 
     path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
     names = ", ".join(file.name for file in options.files)

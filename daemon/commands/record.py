@@ -6,16 +6,16 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daemon.commands.settings import add_settings, settings_of
-from daemon.kept.recording_file import prepare
-from daemon.recorder.capture import PadReader
-from daemon.recorder.dialogue import HOW, Dialogue, Terms
-from daemon.recorder.label import label, label_of
-from daemon.recorder.session import Session, name
-from daemon.terminal.ask import Stopped, ask_setting
-from daemon.terminal.width import text_width
-from drivers.numbers import within
-from model.adapt.folder import trouble_with
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.kept.recording_file import prepare
+from touchd.daemon.recorder.capture import PadReader
+from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
+from touchd.daemon.recorder.label import label, label_of
+from touchd.daemon.recorder.session import Session, name
+from touchd.daemon.terminal.ask import Stopped, ask_setting
+from touchd.daemon.terminal.width import text_width
+from touchd.drivers.numbers import within
+from touchd.model.adapt.folder import trouble_with
 
 MOST_ROUNDS = 100
 MOST_GESTURES = 50

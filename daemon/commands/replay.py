@@ -8,13 +8,13 @@ from collections.abc import Sequence
 
 import msgspec
 
-from daemon.commands.settings import add_settings, settings_of
-from daemon.playback.stream import add_arguments, chosen_stream
-from daemon.setup.destinations import encoder_for
-from daemon.terminal.own_name import own_name
-from drivers.fakes.fake_port import FakePort
-from drivers.numbers import within
-from drivers.pad.format import PRESETS
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.playback.stream import add_arguments, chosen_stream
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.terminal.own_name import own_name
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.numbers import within
+from touchd.drivers.pad.format import PRESETS
 
 
 def parser() -> argparse.ArgumentParser:

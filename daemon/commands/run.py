@@ -14,13 +14,13 @@ from pathlib import Path
 
 import msgspec
 
-from daemon.config import ConfigError, Settings, load, only_pad
-from daemon.events import Event, RobotEvent, encode
-from daemon.health import Health, Notifier
-from daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
-from daemon.service import Service
-from daemon.setup.reread import Reloader, rereading
-from daemon.sinks import LinesSink, LogHandler, LogSink
+from touchd.daemon.config import ConfigError, Settings, load, only_pad
+from touchd.daemon.events import Event, RobotEvent, encode
+from touchd.daemon.health import Health, Notifier
+from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
+from touchd.daemon.service import Service
+from touchd.daemon.setup.reread import Reloader, rereading
+from touchd.daemon.sinks import LinesSink, LogHandler, LogSink
 
 # How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.
 SWITCH_S = 0.0005
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str]) -> int:
         favour_latency()
         page = urls_of(settings.live, settings.live.port)[0] if settings.live and settings.live.port else ""
         if options.view:
-            from daemon.terminal.view import View
+            from touchd.daemon.terminal.view import View
 
             (name, first), *_ = settings.pads.items()
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
@@ -117,7 +117,7 @@ def _read(options: argparse.Namespace) -> Settings:
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:
     """Return what writes an event as a line for a person, with the pad's name where there are several."""
-    from daemon.terminal.describe import describe
+    from touchd.daemon.terminal.describe import describe
 
     def line(event: Event) -> bytes:
         pad = f"{event.pad}: " if len(settings.pads) > 1 and not isinstance(event, RobotEvent) else ""

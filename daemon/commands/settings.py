@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from daemon.config import Settings, load, only_pad
+from touchd.daemon.config import Settings, load, only_pad
 
 
 def add_settings(

@@ -11,20 +11,20 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
-from daemon.commands.record import LONGEST_S, SHORTEST_S
-from daemon.commands.settings import add_settings, settings_of
-from daemon.config import ConfigError, Settings, load, only_pad
-from daemon.kept.recording_file import prepare
-from daemon.recorder.capture import PadReader
-from daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
-from daemon.recorder.session import Session, Setting, name
-from daemon.setup.parts import load_models
-from daemon.terminal.ask import Stopped, ask, ask_name
-from daemon.terminal.own_name import own_name
-from daemon.terminal.width import text_width
-from drivers.errors import TouchdError, os_errors_as
-from drivers.numbers import within
-from drivers.whole_file import whole_file
+from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.config import ConfigError, Settings, load, only_pad
+from touchd.daemon.kept.recording_file import prepare
+from touchd.daemon.recorder.capture import PadReader
+from touchd.daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
+from touchd.daemon.recorder.session import Session, Setting, name
+from touchd.daemon.setup.parts import load_models
+from touchd.daemon.terminal.ask import Stopped, ask, ask_name
+from touchd.daemon.terminal.own_name import own_name
+from touchd.daemon.terminal.width import text_width
+from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.numbers import within
+from touchd.drivers.whole_file import whole_file
 
 ROUNDS = 2
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -58,10 +58,10 @@ def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0."""
     options = parser().parse_args(arguments)
     # Before three minutes of recording, not after: adapting takes torch.
-    from model.adapt.folder import files_of, read_file
-    from model.adapt.head import AdaptSettings
-    from model.adapt.report import report_lines
-    from model.adapt.ship import adapt_folder, check_output
+    from touchd.model.adapt.folder import files_of, read_file
+    from touchd.model.adapt.head import AdaptSettings
+    from touchd.model.adapt.report import report_lines
+    from touchd.model.adapt.ship import adapt_folder, check_output
 
     console = Console(width=text_width(), highlight=False, markup=False)
     settings = settings_of(options)

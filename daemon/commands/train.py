@@ -33,14 +33,14 @@ def main(arguments: Sequence[str]) -> int:
     if options.extra is None:
         parser().error(
             "name your recordings: --extra FOLDER; a recipe's networks are trained by "
-            "`python -m docs.studies train`, in the repository"
+            "`python -m touchd.model.studies train`, in the repository"
         )
     # Before anything is read, as all that follows needs torch.
     import torch  # noqa: F401
 
-    from model.adapt.head import AdaptSettings
-    from model.adapt.report import report_lines
-    from model.adapt.ship import adapt_folder
+    from touchd.model.adapt.head import AdaptSettings
+    from touchd.model.adapt.report import report_lines
+    from touchd.model.adapt.ship import adapt_folder
 
     output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
     adapted = adapt_folder(options.extra, output, AdaptSettings(seed=options.seed), options.keep_all)

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 from mcap.writer import Writer
 
-from daemon.events import Event, RobotEvent, encode, epoch_s, kind_of
-from drivers.frame import COLUMNS, ROWS, Counts
-from drivers.recording import Recording, realign, set_up
+from touchd.daemon.events import Event, RobotEvent, encode, epoch_s, kind_of
+from touchd.drivers.frame import COLUMNS, ROWS, Counts
+from touchd.drivers.recording import Recording, realign, set_up
 
 NS_PER_MS = 1_000_000
 # Between two recordings.

@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from daemon.config import Settings
-from daemon.doctor.check import Check
-from daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
-from daemon.doctor.listening import listen
-from daemon.doctor.machine import check_model, check_robot, check_service
-from daemon.doctor.pad import (
+from touchd.daemon.config import Settings
+from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
+from touchd.daemon.doctor.listening import listen
+from touchd.daemon.doctor.machine import check_model, check_robot, check_service
+from touchd.daemon.doctor.pad import (
     check_noise,
     check_orientation,
     check_quiet,
@@ -17,7 +17,7 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from drivers.pad.protocol import parser_of
+from touchd.drivers.pad.protocol import parser_of
 
 PRESS_S = 15.0
 # Too few to measure a rate.

@@ -5,16 +5,16 @@ import os
 import numpy as np
 from serial.tools.list_ports import comports
 
-from daemon.config import SensorSettings
-from daemon.doctor.check import Check
-from daemon.doctor.listening import START_S, Heard, listen
-from daemon.doctor.machine import service_runs
-from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.diagnosis import as_yaml, caution, diagnose, is_certain, propose
-from drivers.pad.line_watch import MANY_SHARE
-from drivers.pad.pace import clock_by_ours, pace_of
-from drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
-from drivers.pad.protocol import parser_of
+from touchd.daemon.config import SensorSettings
+from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.listening import START_S, Heard, listen
+from touchd.daemon.doctor.machine import service_runs
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.pad.diagnosis import as_yaml, caution, diagnose, is_certain, propose
+from touchd.drivers.pad.line_watch import MANY_SHARE
+from touchd.drivers.pad.pace import clock_by_ours, pace_of
+from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
+from touchd.drivers.pad.protocol import parser_of
 
 # Usual baud rates, the lab's Mega and Teensy builds first.
 USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.frame import CLOCK_MODULUS, Counts, Frame
-from drivers.pad.diagnosis import RECENT_BYTES
-from drivers.pad.parser import FrameParser
-from drivers.pad.port import Line, SensorError, read_waiting
+from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
+from touchd.drivers.pad.diagnosis import RECENT_BYTES
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.port import Line, SensorError, read_waiting
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0

@@ -7,15 +7,15 @@ import timeit
 
 import numpy as np
 
-from daemon.config import ConfigError, Settings
-from daemon.doctor.check import Check
-from daemon.setup.parts import load_model
-from drivers.frame import COLUMNS, ROWS
-from drivers.paths import PathError
-from drivers.robot.limits import RobotLimits
-from drivers.robot.session import QiSession, RobotError, RobotLost, RobotRefused
-from drivers.robot.settings import RobotSettings, read_login
-from model.classifier import ModelError
+from touchd.daemon.config import ConfigError, Settings
+from touchd.daemon.doctor.check import Check
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.paths import PathError
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.session import QiSession, RobotError, RobotLost, RobotRefused
+from touchd.drivers.robot.settings import RobotSettings, read_login
+from touchd.model.classifier import ModelError
 
 UNIT = "touchd"
 SYSTEMCTL_S = 3.0

@@ -3,15 +3,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.config import Settings
-from daemon.doctor.check import Check
-from daemon.doctor.listening import Heard
-from daemon.pad.baseline import MAX_DEVIATION_COUNTS
-from daemon.touch import Onset, TouchTracker
-from drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
-from drivers.pad.grid import Ring
-from drivers.pad.health import Kind, PadHealth
-from drivers.pad.pace import steps_ms
+from touchd.daemon.config import Settings
+from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.listening import Heard
+from touchd.daemon.pad.baseline import MAX_DEVIATION_COUNTS
+from touchd.daemon.touch import Onset, TouchTracker
+from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
+from touchd.drivers.pad.grid import Ring
+from touchd.drivers.pad.health import Kind, PadHealth
+from touchd.drivers.pad.pace import steps_ms
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT

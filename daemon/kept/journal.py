@@ -6,7 +6,7 @@ import logging
 import os
 from pathlib import Path
 
-from drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.errors import TouchdError, os_errors_as
 
 log = logging.getLogger(__name__)
 

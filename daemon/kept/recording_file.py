@@ -4,9 +4,9 @@ import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from drivers.errors import os_errors_as
-from drivers.recording import Recording, RecordingError, write_recordings
-from drivers.whole_file import PARTIAL, whole_file
+from touchd.drivers.errors import os_errors_as
+from touchd.drivers.recording import Recording, RecordingError, write_recordings
+from touchd.drivers.whole_file import PARTIAL, whole_file
 
 SUFFIX = ".csv.gz"
 

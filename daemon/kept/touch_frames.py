@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daemon.events import TouchBegan, TouchEnded
-from drivers.frame import CLOCK_MODULUS, Frame
-from drivers.pad.pace import clock_ms, pace_of
-from drivers.recording import NO_TOUCH, UNLABELLED, Recording
+from touchd.daemon.events import TouchBegan, TouchEnded
+from touchd.drivers.frame import CLOCK_MODULUS, Frame
+from touchd.drivers.pad.pace import clock_ms, pace_of
+from touchd.drivers.recording import NO_TOUCH, UNLABELLED, Recording
 
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.

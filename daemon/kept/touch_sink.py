@@ -7,11 +7,11 @@ the next answer is a second away or more.
 from collections import defaultdict, deque
 from collections.abc import Mapping
 
-from daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
-from daemon.kept.touch_frames import FeltTouch
-from daemon.kept.touch_store import TouchStore
-from daemon.sinks import QueuedSink
-from drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from touchd.daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.kept.touch_frames import FeltTouch
+from touchd.daemon.kept.touch_store import TouchStore
+from touchd.daemon.sinks import QueuedSink
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 
 # A second of rest, and as long as a touch may have gone on before it is noticed; of a pad of 500 Hz.
 RECENT_MS, RECENT_FRAMES = 3000, 1500

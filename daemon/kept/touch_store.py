@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-from daemon.kept.recording_file import SUFFIX, keep, prepare
-from daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
-from drivers.errors import os_errors_as
-from drivers.frame import DEFAULT_PAD
-from drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
-from drivers.whole_file import PARTIAL
+from touchd.daemon.kept.recording_file import SUFFIX, keep, prepare
+from touchd.daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
+from touchd.drivers.errors import os_errors_as
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
+from touchd.drivers.whole_file import PARTIAL
 
 log = logging.getLogger(__name__)
 

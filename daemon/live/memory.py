@@ -5,8 +5,8 @@ from typing import TypeAlias
 
 import msgspec
 
-from daemon.config import Settings
-from daemon.events import (
+from touchd.daemon.config import Settings
+from touchd.daemon.events import (
     UNCERTAIN,
     Event,
     Prediction,
@@ -16,10 +16,10 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.kept.touches import ReportedTouch
-from daemon.setup.words import name_of
-from drivers.frame import FRAME_RATE_HZ
-from model.classifier import Classifier
+from touchd.daemon.kept.touches import ReportedTouch
+from touchd.daemon.setup.words import name_of
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.model.classifier import Classifier
 
 # What the page knows of a pad: its settings, as the only pad, and its model.
 Scene: TypeAlias = tuple[Settings, Classifier]

@@ -7,9 +7,9 @@ from pathlib import Path
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from daemon.live.address import is_own_host
+from touchd.daemon.live.address import is_own_host
 
-FOLDER = Path(__file__).parent / "page"
+FOLDER = Path(__file__).parent / "static"
 STREAM = "/stream"
 TYPES = {
     ".html": "text/html; charset=utf-8",

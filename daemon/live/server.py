@@ -19,15 +19,15 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
-from daemon.config import LiveSettings
-from daemon.events import Event, LivePrediction, RobotEvent
-from daemon.live.address import own_names, urls_of
-from daemon.live.door import Door
-from daemon.live.memory import Memory, Scene
-from daemon.live.page import Page
-from daemon.live.viewers import Viewers
-from drivers.frame import DEFAULT_PAD, Frame
-from drivers.queue import DroppingQueue
+from touchd.daemon.config import LiveSettings
+from touchd.daemon.events import Event, LivePrediction, RobotEvent
+from touchd.daemon.live.address import own_names, urls_of
+from touchd.daemon.live.door import Door
+from touchd.daemon.live.memory import Memory, Scene
+from touchd.daemon.live.page import Page
+from touchd.daemon.live.viewers import Viewers
+from touchd.drivers.frame import DEFAULT_PAD, Frame
+from touchd.drivers.queue import DroppingQueue
 
 log = logging.getLogger(__name__)
 

@@ -3,9 +3,9 @@
 from collections import deque
 from itertools import pairwise
 
-from daemon.touch import CALIBRATION_FRAMES
-from drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
-from drivers.pad.grid import GridFrame
+from touchd.daemon.touch import CALIBRATION_FRAMES
+from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
+from touchd.drivers.pad.grid import GridFrame
 
 # A frame that arrives later than the one before by more than this, by the pad's clock, was held up.
 HELD_UP_S = 0.1

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 TAXELS = ROWS * COLUMNS
 Taxels = NDArray[np.float32]

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 # A taxel is touched above twice its noise, and above this many counts on a quiet pad.
 TOUCHED_COUNTS = 4.0

@@ -8,8 +8,8 @@ touch's level is no hand, for a resting hand trembles. The figures behind the nu
 
 import numpy as np
 
-from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
-from daemon.pad.sight import ASK_FRAMES, DOUBT, Sight
+from touchd.daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
+from touchd.daemon.pad.sight import ASK_FRAMES, DOUBT, Sight
 
 # The end is checked nine times a second.
 END_STRIDE_FRAMES = 6

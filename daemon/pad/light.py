@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
-from drivers.frame import COLUMNS, ROWS
+from touchd.daemon.pad.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
+from touchd.drivers.frame import COLUMNS, ROWS
 
 BACKDATE_COUNTS = 1.0
 # A baseline's shift is over after two frames; a hand goes on moving.

@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.pad.baseline import Taxels
-from drivers.frame import COLUMNS, ROWS
+from touchd.daemon.pad.baseline import Taxels
+from touchd.drivers.frame import COLUMNS, ROWS
 
 NoTouch = Callable[[NDArray[np.float32]], float]
 Frames = NDArray[np.float32]

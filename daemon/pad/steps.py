@@ -9,7 +9,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from model.classifier import Classifier, State
+from touchd.model.classifier import Classifier, State
 
 Heard: TypeAlias = tuple[NDArray[np.float64], State]
 

@@ -8,8 +8,8 @@ reads says nothing, so that much is taken out.
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.pad.baseline import TAXELS, Taxels
-from drivers.frame import COLUMNS, ROWS
+from touchd.daemon.pad.baseline import TAXELS, Taxels
+from touchd.drivers.frame import COLUMNS, ROWS
 
 # A jump lies between two means of so many frames, in the last so many.
 MEAN_FRAMES = 3

@@ -10,8 +10,8 @@ from typing import IO
 import msgspec
 import yaml
 
-from daemon.config import Settings
-from daemon.events import Event, decode
+from touchd.daemon.config import Settings
+from touchd.daemon.events import Event, decode
 
 STOP_S = 10.0
 
@@ -33,7 +33,7 @@ class SpawnedDaemon:
         path = folder / "touchd.yaml"
         path.write_text(yaml.safe_dump(msgspec.to_builtins(settings)))
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "daemon", "run", "-c", str(path)],
+            [sys.executable, "-m", "touchd.daemon", "run", "-c", str(path)],
             stdout=subprocess.PIPE,
             stderr=log,
             env={**os.environ, **(environment or {})},

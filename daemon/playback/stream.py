@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from daemon.pipeline import Pipeline
-from drivers.frame import FRAME_RATE_HZ, Frame
-from drivers.recording import (
+from touchd.daemon.pipeline import Pipeline
+from touchd.drivers.frame import FRAME_RATE_HZ, Frame
+from touchd.drivers.recording import (
     EVERYTHING,
     NO_TOUCH,
     Recording,

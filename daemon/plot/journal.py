@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from daemon.kept.touches import ReportedTouch
-from daemon.plot.plot import (
+from touchd.daemon.kept.touches import ReportedTouch
+from touchd.daemon.plot.plot import (
     INK,
     LANES,
     PALE,
@@ -19,7 +19,7 @@ from daemon.plot.plot import (
     lane_of,
     new_figure,
 )
-from drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ
 
 TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
 

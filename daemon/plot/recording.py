@@ -11,13 +11,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from daemon.config import Settings
-from daemon.decide import NO_TOUCH
-from daemon.events import UNCERTAIN, Event, TouchBegan
-from daemon.kept.touches import ReportedTouch, gather
-from daemon.pipeline import Pipeline
-from daemon.playback.stream import play
-from daemon.plot.plot import (
+from touchd.daemon.config import Settings
+from touchd.daemon.decide import NO_TOUCH
+from touchd.daemon.events import UNCERTAIN, Event, TouchBegan
+from touchd.daemon.kept.touches import ReportedTouch, gather
+from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.playback.stream import play
+from touchd.daemon.plot.plot import (
     LANES,
     NO_FORMULA,
     PALE,
@@ -30,9 +30,9 @@ from daemon.plot.plot import (
     lane_of,
     new_figure,
 )
-from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import UNLABELLED, Span, Stream
-from model.classifier import Classifier
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.recording import UNLABELLED, Span, Stream
+from touchd.model.classifier import Classifier
 
 ROW_S = 24.0
 LONGEST_S = 300.0

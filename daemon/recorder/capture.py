@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daemon.config import Settings
-from daemon.recorder.session import Setting
-from daemon.touch import Onset, Release, TouchTracker
-from drivers.frame import CLOCK_MODULUS, Frame
-from drivers.pad.grid import Ring, RingSettings
-from drivers.pad.health import PadHealth
-from drivers.pad.line_watch import CLOCK_OFF
-from drivers.pad.pace import clock_by_ours, clock_ms, pace_of
-from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
-from drivers.recording import NO_TOUCH, Recording
+from touchd.daemon.config import Settings
+from touchd.daemon.recorder.session import Setting
+from touchd.daemon.touch import Onset, Release, TouchTracker
+from touchd.drivers.frame import CLOCK_MODULUS, Frame
+from touchd.drivers.pad.grid import Ring, RingSettings
+from touchd.drivers.pad.health import PadHealth
+from touchd.drivers.pad.line_watch import CLOCK_OFF
+from touchd.drivers.pad.pace import clock_by_ours, clock_ms, pace_of
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
+from touchd.drivers.recording import NO_TOUCH, Recording
 
 SILENCE_S = 2.5
 RESTARTED_MS = 1000
@@ -58,7 +58,7 @@ class PadReader:
     def __enter__(self) -> "PadReader":
         check_port(self._settings.sensor.port, self._settings.sensor.baud)
         # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
-        logging.getLogger("drivers").addHandler(logging.NullHandler())
+        logging.getLogger("touchd.drivers").addHandler(logging.NullHandler())
         self._sensor.start()
         return self
 

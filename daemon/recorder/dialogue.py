@@ -9,16 +9,16 @@ from typing import Literal
 
 from rich.console import Console
 
-from daemon.config import Settings
-from daemon.events import timestamp
-from daemon.kept.recording_file import keep
-from daemon.recorder.capture import Capture, Contact, PadLost, PadReader, complaints
-from daemon.recorder.progress import progress
-from daemon.recorder.session import Session, Take
-from daemon.setup.destinations import description_of
-from daemon.terminal.ask import ask
-from drivers.pad.pace import pace_of
-from drivers.recording import RecordingError
+from touchd.daemon.config import Settings
+from touchd.daemon.events import timestamp
+from touchd.daemon.kept.recording_file import keep
+from touchd.daemon.recorder.capture import Capture, Contact, PadLost, PadReader, complaints
+from touchd.daemon.recorder.progress import progress
+from touchd.daemon.recorder.session import Session, Take
+from touchd.daemon.setup.destinations import description_of
+from touchd.daemon.terminal.ask import ask
+from touchd.drivers.pad.pace import pace_of
+from touchd.drivers.recording import RecordingError
 
 # As in HAART: of ten seconds of a repeated gesture, keep the middle eight.
 EDGE_S = 1.0

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from daemon.kept.touch_store import KeptTouch, folder_of, kept_touches, read_frames
-from daemon.kept.touches import read_since
-from daemon.recorder.labelling import LabelFolder, find
-from daemon.recorder.session import Setting
-from daemon.recorder.touch_picture import Offered, draw, list_touches
-from daemon.terminal.ask import ask, ask_setting
-from drivers.frame import DEFAULT_PAD
-from drivers.recording import RecordingError
+from touchd.daemon.kept.touch_store import KeptTouch, folder_of, kept_touches, read_frames
+from touchd.daemon.kept.touches import read_since
+from touchd.daemon.recorder.labelling import LabelFolder, find
+from touchd.daemon.recorder.session import Setting
+from touchd.daemon.recorder.touch_picture import Offered, draw, list_touches
+from touchd.daemon.terminal.ask import ask, ask_setting
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.recording import RecordingError
 
 # Digits first, then letters; l, q, u and w are commands.
 KEYS = "123456789abcdefghijkmnoprstvxyz"
@@ -34,7 +34,7 @@ def label_of(text: str) -> tuple[str, str]:
 def label(console: Console, options: argparse.Namespace) -> None:
     """Label the touches kept beside a journal: those that --label names, else all, asking of each.
 
-    Raises RecordingError and JournalError, and `daemon.terminal.ask.Stopped` when the person wants no more.
+    Raises RecordingError and JournalError, and `Stopped` when the person wants no more.
     """
     journal: Path = options.from_journal
     if len(options.gestures) > len(KEYS):

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from daemon.events import timestamp
-from daemon.kept.recording_file import SUFFIX, keep, prepare
-from daemon.kept.touch_store import KeptTouch, read_frames
-from daemon.recorder.session import Setting
-from drivers.errors import os_errors_as
-from drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
+from touchd.daemon.events import timestamp
+from touchd.daemon.kept.recording_file import SUFFIX, keep, prepare
+from touchd.daemon.kept.touch_store import KeptTouch, read_frames
+from touchd.daemon.recorder.session import Setting
+from touchd.drivers.errors import os_errors_as
+from touchd.drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
 
 RIGHT = ".right"
 

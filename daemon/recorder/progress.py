@@ -12,10 +12,10 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from daemon.terminal.big_words import big
-from daemon.terminal.pad_picture import as_text, level_of, pad_picture
-from daemon.terminal.palette import palette_for
-from drivers.frame import COLUMNS, ROWS, Counts
+from touchd.daemon.terminal.big_words import big
+from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
+from touchd.daemon.terminal.palette import palette_for
+from touchd.drivers.frame import COLUMNS, ROWS, Counts
 
 REFRESH_HZ = 12
 PAD_SCALE = 2

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from daemon.kept.recording_file import SUFFIX
-from drivers.recording import RecordingError, read_recordings
+from touchd.daemon.kept.recording_file import SUFFIX
+from touchd.drivers.recording import RecordingError, read_recordings
 
 # Names are parts of file names, separated by "_", and cells of a CSV file.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")

@@ -11,12 +11,12 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from daemon.events import UNCERTAIN, Prediction
-from daemon.kept.touch_store import KeptFrames, KeptTouch
-from daemon.kept.touches import ReportedTouch
-from daemon.terminal.pad_picture import as_text, level_of, pad_picture
-from daemon.terminal.palette import palette_for
-from drivers.frame import FRAME_RATE_HZ
+from touchd.daemon.events import UNCERTAIN, Prediction
+from touchd.daemon.kept.touch_store import KeptFrames, KeptTouch
+from touchd.daemon.kept.touches import ReportedTouch
+from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
+from touchd.daemon.terminal.palette import palette_for
+from touchd.drivers.frame import FRAME_RATE_HZ
 
 WIDTH = 80
 PAD_SCALE = 2

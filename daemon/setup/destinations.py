@@ -8,24 +8,24 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
 
-from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
-from daemon.kept.journal import Journal
-from daemon.kept.touch_store import TouchStore, folder_of
-from daemon.live.address import listen, require_library
-from drivers.frame import Counts
-from drivers.pad.format import encode_frame
-from drivers.pad.port import at_baud
-from drivers.recording import RecordingError
-from drivers.robot.actions import Kind
-from drivers.robot.link import RobotLink
-from drivers.robot.message import RobotMessage
-from drivers.robot.worker import LinkState
-from model.classifier import Classifier
+from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
+from touchd.daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
+from touchd.daemon.kept.journal import Journal
+from touchd.daemon.kept.touch_store import TouchStore, folder_of
+from touchd.daemon.live.address import listen, require_library
+from touchd.drivers.frame import Counts
+from touchd.drivers.pad.format import encode_frame
+from touchd.drivers.pad.port import at_baud
+from touchd.drivers.recording import RecordingError
+from touchd.drivers.robot.actions import Kind
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.worker import LinkState
+from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
-    from daemon.live.memory import Scene
-    from daemon.live.server import LiveServer
+    from touchd.daemon.live.memory import Scene
+    from touchd.daemon.live.server import LiveServer
 
 BYTES_PER_MB = 1_000_000
 
@@ -99,7 +99,7 @@ def open_live_page(
     if settings.live is None:
         return None
     require_library()
-    from daemon.live.server import LiveServer
+    from touchd.daemon.live.server import LiveServer
 
     if before is not None and before.settings == settings.live:
         # The one before answers until it is replaced; another socket would take half of its visitors.

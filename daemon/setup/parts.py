@@ -12,24 +12,24 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from daemon.bridges.bridge import Bridge
-from daemon.bridges.bridges import Key, make_bridges
-from daemon.config import ConfigError, SceneSettings, Settings
-from daemon.decide import NO_TOUCH
-from daemon.events import UNCERTAIN, Event
-from daemon.kept.touch_sink import TouchSink
-from daemon.pipeline import BEHIND_FRAMES, Pipeline, Viewers
-from daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
-from daemon.sinks import JournalSink, RobotSink, Sink
-from drivers.frame import COLUMNS, ROWS
-from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
-from drivers.pad.watch import PadWatch
-from drivers.queue import Signal
-from model.classifier import SHIPPED_MODEL, Classifier
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.bridges import Key, make_bridges
+from touchd.daemon.config import ConfigError, SceneSettings, Settings
+from touchd.daemon.decide import NO_TOUCH
+from touchd.daemon.events import UNCERTAIN, Event
+from touchd.daemon.kept.touch_sink import TouchSink
+from touchd.daemon.pipeline import BEHIND_FRAMES, Pipeline, Viewers
+from touchd.daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
+from touchd.daemon.sinks import JournalSink, RobotSink, Sink
+from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
+from touchd.drivers.pad.watch import PadWatch
+from touchd.drivers.queue import Signal
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 if typing.TYPE_CHECKING:
-    from daemon.live.server import LiveServer
+    from touchd.daemon.live.server import LiveServer
 
 Emit = Callable[[Event], None]
 

@@ -9,8 +9,8 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from daemon.config import Settings
-from drivers.errors import TouchdError
+from touchd.daemon.config import Settings
+from touchd.drivers.errors import TouchdError
 
 log = logging.getLogger(__name__)
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Literal, TypeAlias
 
-from daemon.decide import NO_TOUCH
-from daemon.events import UNCERTAIN
-from drivers.robot.actions import Words
+from touchd.daemon.decide import NO_TOUCH
+from touchd.daemon.events import UNCERTAIN
+from touchd.drivers.robot.actions import Words
 
 Language: TypeAlias = Literal["en", "de"]
 Vocabulary: TypeAlias = Mapping[str, Words]

@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 from rich.console import Console
 
-from daemon.recorder.session import NAME_RULE, Setting, is_name
+from touchd.daemon.recorder.session import NAME_RULE, Setting, is_name
 
 USUAL = Setting()
 

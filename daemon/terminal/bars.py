@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 from rich.segment import Segment
 
-from daemon.terminal.pad_picture import Line
-from daemon.terminal.palette import Palette
+from touchd.daemon.terminal.pad_picture import Line
+from touchd.daemon.terminal.palette import Palette
 
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 PERCENT_WIDTH = 6

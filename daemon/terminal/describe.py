@@ -1,6 +1,6 @@
 """Events in words, for people at a terminal."""
 
-from daemon.events import (
+from touchd.daemon.events import (
     UNCERTAIN,
     Event,
     Prediction,
@@ -10,9 +10,9 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.setup.words import Language, Vocabulary, name_of
-from daemon.terminal.terms import term
-from drivers.frame import FRAME_RATE_HZ
+from touchd.daemon.setup.words import Language, Vocabulary, name_of
+from touchd.daemon.terminal.terms import term
+from touchd.drivers.frame import FRAME_RATE_HZ
 
 
 def describe(event: Event, words: Vocabulary, language: Language = "en") -> str:

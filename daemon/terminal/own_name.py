@@ -18,4 +18,4 @@ def own_name() -> str:
     if beside.exists():
         here = Path.cwd()
         return shlex.quote(str(beside.relative_to(here) if beside.is_relative_to(here) else beside))
-    return f"{shlex.quote(sys.executable)} -m daemon"
+    return f"{shlex.quote(sys.executable)} -m touchd.daemon"

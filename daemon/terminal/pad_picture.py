@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from rich.segment import Segment
 from rich.text import Text
 
-from daemon.terminal.palette import CHARACTERS, Palette, halves
-from drivers.frame import COLUMNS
+from touchd.daemon.terminal.palette import CHARACTERS, Palette, halves
+from touchd.drivers.frame import COLUMNS
 
 # As on the live page: colours follow the logarithm of pressure, from "light" to "firm" counts.
 LIGHT_COUNTS = 4.0

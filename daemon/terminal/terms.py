@@ -3,7 +3,7 @@
 import typing
 from collections.abc import Mapping
 
-from daemon.setup.words import Language
+from touchd.daemon.setup.words import Language
 
 LANGUAGES: tuple[Language, ...] = typing.get_args(Language)
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from rich.segment import Segment
 from rich.style import Style
 
-from daemon.terminal.pad_picture import Line
-from daemon.terminal.palette import Palette
+from touchd.daemon.terminal.pad_picture import Line
+from touchd.daemon.terminal.palette import Palette
 
 SHORTEST_S = 4.0
 AFTER_FINAL = 1.5

@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.segment import Segment
 from rich.style import Style
 
-from daemon.events import (
+from touchd.daemon.events import (
     Event,
     LivePrediction,
     Prediction,
@@ -24,16 +24,16 @@ from daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from daemon.kept.touches import ReportedTouch
-from daemon.setup.words import Language, Vocabulary, name_of
-from daemon.terminal.bars import bars
-from daemon.terminal.big_words import big
-from daemon.terminal.describe import describe
-from daemon.terminal.pad_picture import Line, level_of, pad_picture
-from daemon.terminal.palette import palette_for
-from daemon.terminal.terms import term
-from daemon.terminal.time_line import Flag, time_line
-from drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
+from touchd.daemon.kept.touches import ReportedTouch
+from touchd.daemon.setup.words import Language, Vocabulary, name_of
+from touchd.daemon.terminal.bars import bars
+from touchd.daemon.terminal.big_words import big
+from touchd.daemon.terminal.describe import describe
+from touchd.daemon.terminal.pad_picture import Line, level_of, pad_picture
+from touchd.daemon.terminal.palette import palette_for
+from touchd.daemon.terminal.terms import term
+from touchd.daemon.terminal.time_line import Flag, time_line
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
 
 REFRESH_HZ = 12
 TOUCHES = 12

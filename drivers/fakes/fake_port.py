@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import FRAME_RATE_HZ, Counts
-from drivers.recording import Stream
+from touchd.drivers.frame import FRAME_RATE_HZ, Counts
+from touchd.drivers.recording import Stream
 
 POLL_S = 0.002
 # pyserial discards waiting input just after opening a port; a reader that does not is given this long.

@@ -16,11 +16,11 @@ from typing import NoReturn
 
 import msgspec
 
-from drivers.fakes.loopback_gate import Gate
-from drivers.fakes.services import SERVICE_NAMES, Call, fake_services
-from drivers.numbers import within
-from drivers.robot.session import Login, RobotError, load_qi
-from drivers.robot.settings import RobotSettings, read_login
+from touchd.drivers.fakes.loopback_gate import Gate
+from touchd.drivers.fakes.services import SERVICE_NAMES, Call, fake_services
+from touchd.drivers.numbers import within
+from touchd.drivers.robot.session import Login, RobotError, load_qi
+from touchd.drivers.robot.settings import RobotSettings, read_login
 
 LONGEST_S = 9999.0
 

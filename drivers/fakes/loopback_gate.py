@@ -14,7 +14,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from drivers.robot.session import Login, RobotError
+from touchd.drivers.robot.session import Login, RobotError
 
 log = logging.getLogger(__name__)
 

@@ -8,8 +8,8 @@ from typing import IO
 
 import msgspec
 
-from drivers.fakes.services import Call
-from drivers.robot.session import RobotError, load_qi
+from touchd.drivers.fakes.services import Call
+from touchd.drivers.robot.session import RobotError, load_qi
 
 START_S = 20.0
 
@@ -31,7 +31,7 @@ class LoopbackRobot:
 
     def start(self) -> None:
         """Switch the robot on; also after stop(), and then it has forgotten everything."""
-        command = [sys.executable, "-m", "drivers.fakes.fake_robot", "--follow-stdin", *self._options]
+        command = [sys.executable, "-m", "touchd.drivers.fakes.fake_robot", "--follow-stdin", *self._options]
         # It ends with its stdin, a pipe from here: no robot outlives a program that was killed.
         process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert process.stdout is not None

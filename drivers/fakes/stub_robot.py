@@ -2,8 +2,8 @@
 
 from collections.abc import Callable
 
-from drivers.fakes.services import Call, fake_services
-from drivers.robot.session import RobotLost, RobotRefused, RobotSession
+from touchd.drivers.fakes.services import Call, fake_services
+from touchd.drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
 
 class StubRobot:

@@ -10,9 +10,9 @@ sums low bytes only, so a flip in bit 8 or 9 of a value passes.
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.pad.format import PadFormat, checksum, decode_cells
-from drivers.pad.framing import Damage, Reading
-from drivers.pad.parser import FrameParser
+from touchd.drivers.pad.format import PadFormat, checksum, decode_cells
+from touchd.drivers.pad.framing import Damage, Reading
+from touchd.drivers.pad.parser import FrameParser
 
 
 class BinaryFrames(FrameParser):

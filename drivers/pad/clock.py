@@ -15,8 +15,8 @@ one frame time and none is lost, even when damaged frames fall between. The sing
 restarts within 250 ms of its last start cannot be told from one that did not.
 """
 
-from drivers.frame import CLOCK_MODULUS
-from drivers.pad.framing import ProtocolCounts, Reading
+from touchd.drivers.frame import CLOCK_MODULUS
+from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
 # Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
 MAX_STEP_MS = 250

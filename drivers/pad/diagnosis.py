@@ -12,11 +12,11 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from drivers.frame import MAX_COUNT
-from drivers.pad.binary import BinaryFrames
-from drivers.pad.clock import MAX_STEP_MS
-from drivers.pad.format import CELL_BITS, PRESETS, PadFormat
-from drivers.pad.protocol import parser_of
+from touchd.drivers.frame import MAX_COUNT
+from touchd.drivers.pad.binary import BinaryFrames
+from touchd.drivers.pad.clock import MAX_STEP_MS
+from touchd.drivers.pad.format import CELL_BITS, PRESETS, PadFormat
+from touchd.drivers.pad.protocol import parser_of
 
 # Enough for a diagnosis: several frames of any geometry.
 RECENT_BYTES = 32768

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import TouchdError
-from drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 Side = Annotated[int, msgspec.Meta(ge=4, le=64)]
 LONGEST_SIDE = 32

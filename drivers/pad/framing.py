@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from drivers.frame import Counts
+from touchd.drivers.frame import Counts
 
 Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
 

@@ -15,9 +15,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, ROWS, Frame
-from drivers.pad.vibration import Vibration
-from drivers.recording import Recording, ideal_clock_ms
+from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+from touchd.drivers.pad.vibration import Vibration
+from touchd.drivers.recording import Recording, ideal_clock_ms
 
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
 # At 5 Hz, faster than a hand pats, a frame 2 ms off its time errs by 6 %; linear interpolation errs by 4 %.

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import CLOCK_MODULUS, COLUMNS, ROWS, Counts, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, ROWS, Counts, Frame
 
 Kind = Literal["frozen", "dead line", "stuck taxel", "saturated", "drift"]
 

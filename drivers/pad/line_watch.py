@@ -4,9 +4,9 @@ import logging
 import math
 from dataclasses import replace
 
-from drivers.frame import CLOCK_MODULUS
-from drivers.pad.parser import FrameParser
-from drivers.pad.watch import SAME_TROUBLE_S
+from touchd.drivers.frame import CLOCK_MODULUS
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.watch import SAME_TROUBLE_S
 
 log = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import CLOCK_MODULUS, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, Frame
 
 # Two frames so much further apart than usual have lost one between them.
 LOST_STEP = 1.75

@@ -6,10 +6,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import Frame
-from drivers.pad.clock import ArrivalClock, ClockCheck
-from drivers.pad.format import PadFormat, layout_of
-from drivers.pad.framing import ProtocolCounts, Reading
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.clock import ArrivalClock, ClockCheck
+from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
 # A pad that has not answered by then is polled again.
 REPLY_S = 0.2

@@ -11,9 +11,9 @@ from typing import TypeAlias
 
 import serial
 
-from drivers.errors import TouchdError
-from drivers.pad.network import NetworkPort, is_network
-from drivers.pad.parser import FrameParser
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.pad.network import NetworkPort, is_network
+from touchd.drivers.pad.parser import FrameParser
 
 Line: TypeAlias = serial.Serial | NetworkPort
 

@@ -1,9 +1,9 @@
 """From the description of a pad to the parser for it."""
 
-from drivers.pad.binary import BinaryFrames, Replies
-from drivers.pad.format import PadFormat
-from drivers.pad.parser import FrameParser
-from drivers.pad.text import TextFrames
+from touchd.drivers.pad.binary import BinaryFrames, Replies
+from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.text import TextFrames
 
 
 def parser_of(described: PadFormat) -> FrameParser:

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.backoff import Backoff
-from drivers.frame import Frame
-from drivers.pad.diagnosis import RECENT_BYTES, diagnose
-from drivers.pad.line_watch import LineWatch
-from drivers.pad.parser import FrameParser
-from drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting, reads_all
-from drivers.pad.sensor_state import Announcer, SensorState
-from drivers.queue import DroppingQueue, Signal
+from touchd.drivers.backoff import Backoff
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.diagnosis import RECENT_BYTES, diagnose
+from touchd.drivers.pad.line_watch import LineWatch
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting, reads_all
+from touchd.drivers.pad.sensor_state import Announcer, SensorState
+from touchd.drivers.queue import DroppingQueue, Signal
 
 __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 
@@ -47,7 +47,7 @@ class FrameQueue(DroppingQueue[Frame | SensorState]):
 
 
 class Sensor:
-    """Reads `port` (see `drivers.pad.port`); puts frames and changes of state into `queue`.
+    """Reads `port` (see `touchd.drivers.pad.port`); puts frames and changes of state into `queue`.
 
     The port is reopened whenever it fails, after FIRST_RETRY_S and then ever longer up to longest_retry_s.
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened

@@ -10,10 +10,10 @@ import re
 
 import numpy as np
 
-from drivers.frame import CLOCK_MODULUS
-from drivers.pad.format import PadFormat
-from drivers.pad.framing import Reading
-from drivers.pad.parser import FrameParser
+from touchd.drivers.frame import CLOCK_MODULUS
+from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.framing import Reading
+from touchd.drivers.pad.parser import FrameParser
 
 # A number has at most ten digits (the clock); the rest is room for separators and alignment.
 MAX_CHARACTERS_A_NUMBER = 12

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import FRAME_RATE_HZ, MAX_COUNT
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
 Counts = NDArray[np.float32]
 

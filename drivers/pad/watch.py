@@ -3,8 +3,8 @@
 import logging
 import math
 
-from drivers.frame import DEFAULT_PAD, Frame
-from drivers.pad.health import Kind, PadHealth
+from touchd.drivers.frame import DEFAULT_PAD, Frame
+from touchd.drivers.pad.health import Kind, PadHealth
 
 log = logging.getLogger(__name__)
 
@@ -14,7 +14,7 @@ LASTS_S = 60.0
 
 
 class PadWatch:
-    """Watches the frames for a pad that is broken (see `drivers.pad.health`) and logs what it finds.
+    """Watches the frames for a pad that is broken (see `touchd.drivers.pad.health`) and logs what it finds.
 
     name: the pad's, logged with it.
     """

@@ -5,11 +5,11 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from threading import Event
 
-from drivers.frame import DEFAULT_PAD
-from drivers.robot.limits import RobotLimits
-from drivers.robot.message import RobotMessage, detail
-from drivers.robot.session import RobotRefused, RobotSession
-from drivers.robot.worker import LinkState, RobotWorker
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.message import RobotMessage, detail
+from touchd.drivers.robot.session import RobotRefused, RobotSession
+from touchd.drivers.robot.worker import LinkState, RobotWorker
 
 
 class EventWorker(RobotWorker[RobotMessage]):

@@ -12,15 +12,15 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from drivers.frame import DEFAULT_PAD
-from drivers.robot.actions import ActionRule, Kind, Words
-from drivers.robot.events import EventWorker
-from drivers.robot.limits import RobotLimits
-from drivers.robot.message import RobotMessage
-from drivers.robot.reactions import Reactions, ReactionWorker
-from drivers.robot.session import OpenSession, QiSession, RobotError, RobotSession, load_qi
-from drivers.robot.settings import RobotSettings, read_login, read_token
-from drivers.robot.worker import LinkState
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.actions import ActionRule, Kind, Words
+from touchd.drivers.robot.events import EventWorker
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.reactions import Reactions, ReactionWorker
+from touchd.drivers.robot.session import OpenSession, QiSession, RobotError, RobotSession, load_qi
+from touchd.drivers.robot.settings import RobotSettings, read_login, read_token
+from touchd.drivers.robot.worker import LinkState
 
 log = logging.getLogger(__name__)
 

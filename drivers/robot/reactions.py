@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Event
 
-from drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, spoken
-from drivers.robot.limits import RobotLimits
-from drivers.robot.message import RobotMessage
-from drivers.robot.session import RobotLost, RobotRefused, RobotSession
-from drivers.robot.worker import RobotWorker
+from touchd.drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, spoken
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.session import RobotLost, RobotRefused, RobotSession
+from touchd.drivers.robot.worker import RobotWorker
 
 log = logging.getLogger(__name__)
 

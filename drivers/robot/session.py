@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from threading import Event
 from typing import Any, Protocol
 
-from drivers.errors import TouchdError
-from drivers.extras import how_to_install
-from drivers.robot.limits import RobotLimits
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.extras import how_to_install
+from touchd.drivers.robot.limits import RobotLimits
 
 # Poll interval for the stop event while waiting.
 SLICE_MS = 50

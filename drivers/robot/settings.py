@@ -10,8 +10,8 @@ from typing import Annotated
 
 import msgspec
 
-from drivers.paths import written_out
-from drivers.robot.session import Login, RobotError
+from touchd.drivers.paths import written_out
+from touchd.drivers.robot.session import Login, RobotError
 
 log = logging.getLogger(__name__)
 

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from contextlib import closing, suppress
 from typing import Generic, Literal, TypeVar
 
-from drivers.backoff import Backoff
-from drivers.queue import DroppingQueue, Signal
-from drivers.robot.limits import RobotLimits
-from drivers.robot.session import RobotLost, RobotRefused, RobotSession
+from touchd.drivers.backoff import Backoff
+from touchd.drivers.queue import DroppingQueue, Signal
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
 log = logging.getLogger(__name__)
 

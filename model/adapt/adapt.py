@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from drivers.recording import NO_TOUCH, Recording
-from model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
-from model.adapt.head import AdaptSettings, fit, rebuilt
-from model.adapt.measure import Answers, Comparison, compare, cross_entropy
-from model.adapt.plan import Fold, plan
-from model.adapt.remembered import Remembered
-from model.classifier import SHIPPED_MODEL, Classifier
-from model.settings import LENGTHS, AugmentationSettings, NetworkSettings
-from model.tgc import TGC
+from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
+from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
+from touchd.model.adapt.measure import Answers, Comparison, compare, cross_entropy
+from touchd.model.adapt.plan import Fold, plan
+from touchd.model.adapt.remembered import Remembered
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.settings import LENGTHS, AugmentationSettings, NetworkSettings
+from touchd.model.tgc import TGC
 
 TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 # Standard deviation of the log of a temperature around the shipped one, before any left-out answer is seen.

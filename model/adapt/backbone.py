@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from drivers.recording import NO_TOUCH, Recording
-from model.settings import LENGTHS, AugmentationSettings
-from model.tgc import TGC
-from model.training.augment import begin_from_rest, crop, vary
+from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.model.adapt.augment import begin_from_rest, crop, vary
+from touchd.model.settings import LENGTHS, AugmentationSettings
+from touchd.model.tgc import TGC
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64

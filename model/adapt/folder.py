@@ -5,10 +5,10 @@ import re
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
-from drivers.errors import TouchdError, os_errors_as
-from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.grid import on_grid
-from drivers.recording import (
+from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.pad.grid import on_grid
+from touchd.drivers.recording import (
     NO_TOUCH,
     SUFFIXES,
     UNLABELLED,
@@ -17,7 +17,7 @@ from drivers.recording import (
     read_recordings,
     realign,
 )
-from model.classifier import LONGEST_LABEL, MOST_LABELS
+from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS
 
 # Shorter, there is not even an early answer to learn from.
 SHORTEST_FRAMES = 54

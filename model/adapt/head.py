@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.adapt.backbone import CropFeatures
-from model.training.schedule import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.adapt.backbone import CropFeatures
+from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

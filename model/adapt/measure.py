@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax, stdtrit
 
-from drivers.recording import Recording
-from model.adapt.plan import LeftOut
-from model.settings import LENGTHS
+from touchd.drivers.recording import Recording
+from touchd.model.adapt.plan import LeftOut
+from touchd.model.settings import LENGTHS
 
 Floats = NDArray[np.float64]
 # Two-sided 95 %.

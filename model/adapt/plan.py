@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.recording import Recording
+from touchd.drivers.recording import Recording
 
 LeftOut = Literal["participants", "recordings", "nothing"]
 MOST_PARTICIPANT_FOLDS = 20

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from model.adapt.backbone import CropFeatures
+from touchd.model.adapt.backbone import CropFeatures
 
 SAMPLES = 128
 ARRAYS = ("means", "directions", "rests")

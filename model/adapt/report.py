@@ -4,9 +4,9 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from model.adapt.adapt import Adapted
-from model.adapt.measure import Comparison, GestureFigures, LengthFigures
-from model.adapt.plan import LeftOut
+from touchd.model.adapt.adapt import Adapted
+from touchd.model.adapt.measure import Comparison, GestureFigures, LengthFigures
+from touchd.model.adapt.plan import LeftOut
 
 # Of three recordings all right, the Wilson interval still reaches down to 44 %; of four, to 51 %.
 FEW_RECORDINGS = 4

@@ -12,16 +12,16 @@ import onnx
 import torch
 from torch import Tensor
 
-from drivers.errors import TouchdError, os_errors_as
-from drivers.frame import FRAME_RATE_HZ
-from drivers.whole_file import whole_file
-from model.adapt.adapt import Adapted, Pretrained, adapt, prepare
-from model.adapt.folder import read_folder
-from model.adapt.head import AdaptSettings
-from model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
-from model.settings import LENGTHS, MAX_LENGTH
-from model.training.origin import code_version, data_hash
-from model.training.threads import one_torch_thread
+from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.whole_file import whole_file
+from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, prepare
+from touchd.model.adapt.folder import read_folder
+from touchd.model.adapt.head import AdaptSettings
+from touchd.model.adapt.origin import code_version, data_hash
+from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
+from touchd.model.settings import LENGTHS, MAX_LENGTH
 
 SUFFIX = ".onnx"
 

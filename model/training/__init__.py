@@ -1,1 +1,1 @@
-"""What every training shares, a lab's and that of the shipped model."""
+"""How the shipped model is made: recordings, recipe, calibration, export, scores."""

@@ -16,12 +16,12 @@ from rigs.sockets import free_port
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from daemon.commands.bench import measure
-from daemon.commands.run import SWITCH_S
-from daemon.config import LiveSettings, Settings
-from daemon.setup.destinations import open_live_page
-from daemon.setup.parts import load_model
-from drivers.frame import FRAME_RATE_HZ, Frame
+from touchd.daemon.commands.bench import measure
+from touchd.daemon.commands.run import SWITCH_S
+from touchd.daemon.config import LiveSettings, Settings
+from touchd.daemon.setup.destinations import open_live_page
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.frame import FRAME_RATE_HZ, Frame
 
 TOUCH_S = 60.0
 LOOP_S = 20.0

@@ -17,9 +17,9 @@ from rich.console import Console
 from rigs.browser import browser, picture, prefer, show_in
 from rigs.live_rig import serving
 
-from daemon.commands.demo import actions_in
-from daemon.config import Settings
-from daemon.events import (
+from touchd.daemon.commands.demo import actions_in
+from touchd.daemon.config import Settings
+from touchd.daemon.events import (
     Event,
     LivePrediction,
     Prediction,
@@ -29,18 +29,18 @@ from daemon.events import (
     TouchBegan,
     timestamp,
 )
-from daemon.pipeline import Clock, Pipeline
-from daemon.playback.stream import DEMO_RECORDING
-from daemon.setup.parts import load_model
-from daemon.setup.words import Language
-from daemon.terminal.terms import term
-from daemon.terminal.view import View
-from drivers.frame import Frame
-from drivers.recording import read_recordings, splice
-from drivers.robot.actions import spoken
-from drivers.robot.message import RobotMessage
-from drivers.robot.reactions import Reactions
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.pipeline import Clock, Pipeline
+from touchd.daemon.playback.stream import DEMO_RECORDING
+from touchd.daemon.setup.parts import load_model
+from touchd.daemon.setup.words import Language
+from touchd.daemon.terminal.terms import term
+from touchd.daemon.terminal.view import View
+from touchd.drivers.frame import Frame
+from touchd.drivers.recording import read_recordings, splice
+from touchd.drivers.robot.actions import spoken
+from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.reactions import Reactions
+from touchd.drivers.robot.settings import RobotSettings
 
 # The page goes grey when frames stop.
 STILL_EVERY_S = 1 / 54

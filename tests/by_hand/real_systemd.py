@@ -18,7 +18,7 @@ import pytest
 from by_hand.debian_machine import KINDS, Emulated, Machine, booted, what_is_missing
 from rigs.expectations import LENGTHS
 
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 
 KIND = KINDS[os.environ.get("TOUCHD_LAB", "container")]
 SLOW_MOTION = 25.0 if KIND is Emulated else 1.0

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 from rigs.robots import GESTURE, Robot, States, linked, message
 
-from daemon.commands.run import favour_latency
-from drivers.robot.actions import Action, ActionRule
-from drivers.robot.link import RobotLink
+from touchd.daemon.commands.run import favour_latency
+from touchd.drivers.robot.actions import Action, ActionRule
+from touchd.drivers.robot.link import RobotLink
 
 # Far more often than answers come, so that calls meet the worker in every phase.
 EVERY_S = 0.005

@@ -27,23 +27,23 @@ from rigs.audit import Audit, Viewer
 from rigs.soak_line import pad
 from rigs.sockets import free_port
 
-from daemon.config import LiveSettings, Settings
-from daemon.events import Event, TouchEnded, encode
-from daemon.kept.journal import Journal
-from daemon.kept.touch_frames import FeltTouch
-from daemon.kept.touch_sink import TouchSink
-from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
-from daemon.pipeline import Pipeline
-from daemon.setup.destinations import description_of, open_live_page
-from daemon.setup.parts import load_model
-from daemon.sinks import JournalSink, RobotSink
-from drivers.fakes.stub_robot import StubRobot
-from drivers.frame import FRAME_RATE_HZ
-from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import SensorState
-from drivers.pad.watch import PadWatch
-from drivers.robot.link import RobotLink
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.config import LiveSettings, Settings
+from touchd.daemon.events import Event, TouchEnded, encode
+from touchd.daemon.kept.journal import Journal
+from touchd.daemon.kept.touch_frames import FeltTouch
+from touchd.daemon.kept.touch_sink import TouchSink
+from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.setup.destinations import description_of, open_live_page
+from touchd.daemon.setup.parts import load_model
+from touchd.daemon.sinks import JournalSink, RobotSink
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.sensor import SensorState
+from touchd.drivers.pad.watch import PadWatch
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.settings import RobotSettings
 
 HOUR_FRAMES = round(3600 * FRAME_RATE_HZ)
 ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8

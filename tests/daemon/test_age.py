@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from daemon.pad.age import Feeling
-from drivers.frame import Frame
+from touchd.daemon.pad.age import Feeling
+from touchd.drivers.frame import Frame
 
 
 def told(feeling: Feeling, times_ms: Iterable[int], clock_factor: int = 1) -> list[str]:

@@ -14,11 +14,19 @@ from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, r
 from rigs.scripted_model import Scripted
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.bridges.bridge import BridgeError
-from daemon.bridges.bridges import make_bridges
-from daemon.bridges.settings import LslSettings, Ros2Settings
-from daemon.config import Settings
-from daemon.events import RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode, timestamp
+from touchd.daemon.bridges.bridge import BridgeError
+from touchd.daemon.bridges.bridges import make_bridges
+from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.config import Settings
+from touchd.daemon.events import (
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    decode,
+    timestamp,
+)
 
 
 def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -27,7 +35,7 @@ def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch: pytest.MonkeyP
             if name == "pylsl":
                 raise RuntimeError("LSL binary library file was not found.\nSee the manual.")
 
-    for name in ("pylsl", "daemon.bridges.lsl"):
+    for name in ("pylsl", "touchd.daemon.bridges.lsl"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr(sys, "meta_path", [Broken(), *sys.meta_path])
     with pytest.raises(BridgeError, match=r"lsl: cannot be used on this machine \(LSL .* found\. See .*\)$"):
@@ -94,7 +102,7 @@ def test_ros2_nodes_find_the_topics_and_hear_them(tmp_path: Path) -> None:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.domain import DomainParticipant
 
-    from daemon.bridges.ros2 import Image, String
+    from touchd.daemon.bridges.ros2 import Image, String
 
     peer = Ros2Peer(tmp_path)
     participant = DomainParticipant(peer.domain)
@@ -136,7 +144,7 @@ def test_ros2_waits_for_a_network_and_ends_without_one(
     pytest.importorskip("cyclonedds")
     from cyclonedds.core import DDSException
 
-    from daemon.bridges import ros2
+    from touchd.daemon.bridges import ros2
 
     monkeypatch.setattr(ros2, "FIRST_RETRY_S", 0.01)
     monkeypatch.setattr(ros2, "LOOK_S", 0.05)
@@ -182,7 +190,7 @@ def test_ros2_waits_for_a_network_and_ends_without_one(
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
     pytest.importorskip("cyclonedds")
     stores = pytest.importorskip("rosbags.typesys")
-    from daemon.bridges.ros2 import String, image
+    from touchd.daemon.bridges.ros2 import String, image
 
     store = stores.get_typestore(stores.Stores.ROS2_JAZZY)
     public = store.types

@@ -21,11 +21,11 @@ from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.bridges.bridge import Bridge, BridgeError
-from daemon.bridges.bridges import Key, make_bridges
-from daemon.bridges.settings import MqttSettings
-from daemon.config import SceneSettings, Settings
-from daemon.events import SensorEvent, TouchEnded, decode, encode
+from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.bridges import Key, make_bridges
+from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.config import SceneSettings, Settings
+from touchd.daemon.events import SensorEvent, TouchEnded, decode, encode
 
 pytest.importorskip("paho.mqtt")
 pytestmark = needs_mosquitto
@@ -284,7 +284,7 @@ def test_a_reload_ends_the_bridge_that_it_replaces(port: int, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_one_broker_carries_fifty_pads(port: int) -> None:
-    from daemon.bridges.mqtt import MqttBridge
+    from touchd.daemon.bridges.mqtt import MqttBridge
 
     pads, touches, each = 50, 20, 5
     with subscribed(port, "touchd/+/event") as messages:

@@ -15,7 +15,7 @@ from rigs.peers import LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, 
 from rigs.wait import WITHIN_S, wait_for
 from websockets.utils import accept_key
 
-from daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.bridge import Bridge
 
 KINDS = {
     "mqtt": ("paho.mqtt", MqttPeer, [needs_mosquitto]),
@@ -137,7 +137,9 @@ def test_a_peer_that_hangs_up_is_not_stormed_and_told_of_once(
     assert len(sizes) <= 12
     # What waits to be acknowledged does not pile up: the state and one event.
     assert max(sizes) < 500
-    told = [record.getMessage() for record in caplog.records if record.name.startswith("daemon.bridges")]
+    told = [
+        record.getMessage() for record in caplog.records if record.name.startswith("touchd.daemon.bridges")
+    ]
     assert sum("connected" in line for line in told) == 1
     # A connection that ends before the first words counts as none.
     assert 1 <= sum("is away" in line for line in told) <= 2
@@ -160,7 +162,7 @@ def test_a_mute_peer_does_not_block_the_bridge(peer: Peer) -> None:
 def test_a_peer_that_takes_nothing_is_left(
     peer: Peer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("daemon.bridges.rosbridge.UNTAKEN_MS", 300)
+    monkeypatch.setattr("touchd.daemon.bridges.rosbridge.UNTAKEN_MS", 300)
     with socket.socket() as door:
         door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         door.bind(("127.0.0.1", peer.port))

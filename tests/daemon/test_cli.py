@@ -18,18 +18,18 @@ from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import needs_qi
 from rigs.wait import WITHIN_S
 
-from daemon import cli
-from daemon.commands import demo
-from daemon.config import ConfigError, SceneSettings
-from daemon.events import RobotAction, TouchBegan, TouchEnded, decode
-from daemon.playback.stream import with_quiet
-from daemon.setup.parts import check_fit
-from daemon.setup.words import vocabulary
-from daemon.terminal.describe import describe
-from docs.studies.__main__ import STUDIES
-from docs.studies.hand import write_simulated
-from drivers.recording import Recording, read_recordings, write_recordings
-from model.classifier import Classifier
+from touchd.daemon import cli
+from touchd.daemon.commands import demo
+from touchd.daemon.config import ConfigError, SceneSettings
+from touchd.daemon.events import RobotAction, TouchBegan, TouchEnded, decode
+from touchd.daemon.playback.stream import with_quiet
+from touchd.daemon.setup.parts import check_fit
+from touchd.daemon.setup.words import vocabulary
+from touchd.daemon.terminal.describe import describe
+from touchd.drivers.recording import Recording, read_recordings, write_recordings
+from touchd.model.classifier import Classifier
+from touchd.model.studies.__main__ import STUDIES
+from touchd.model.studies.hand import write_simulated
 
 Refusal = Callable[..., str]
 
@@ -95,7 +95,7 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
         (f"replay {GESTURES} --participant nobody", "no recording matches"),
-        *((name, f"python -m docs.studies {name}") for name in cli.MOVED),
+        *((name, f"python -m touchd.model.studies {name}") for name in cli.MOVED),
     ],
 )
 def test_a_mistake_is_told_in_one_line(refusal: Refusal, words: str, message: str) -> None:

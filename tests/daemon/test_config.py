@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from msgspec import inspect
 
-from daemon.bridges.settings import LslSettings
-from daemon.config import MAX_BYTES, ConfigError, Settings, load
-from drivers.pad.format import PadFormat
-from model.classifier import SHIPPED_MODEL, Classifier
+from touchd.daemon.bridges.settings import LslSettings
+from touchd.daemon.config import MAX_BYTES, ConfigError, Settings, load
+from touchd.drivers.pad.format import PadFormat
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
 

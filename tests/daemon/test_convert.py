@@ -13,9 +13,9 @@ import pytest
 from rigs.expectations import DEMO
 from rigs.made_events import PREDICTION
 
-from daemon.cli import main
-from daemon.events import TouchBegan, decode, encode, epoch_s
-from drivers.recording import read_recordings, write_recordings
+from touchd.daemon.cli import main
+from touchd.daemon.events import TouchBegan, decode, encode, epoch_s
+from touchd.drivers.recording import read_recordings, write_recordings
 
 EVENTS = [
     TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),

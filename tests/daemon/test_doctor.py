@@ -9,11 +9,11 @@ import serial
 from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
 from rigs.robots import Robot
 
-from daemon import cli
-from daemon.config import SensorSettings, Settings
-from daemon.doctor.examine import examine
-from daemon.doctor.machine import check_model, check_robot, check_service
-from drivers.robot.settings import RobotSettings
+from touchd.daemon import cli
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.doctor.examine import examine
+from touchd.daemon.doctor.machine import check_model, check_robot, check_service
+from touchd.drivers.robot.settings import RobotSettings
 
 ACTIVE = "LoadState=loaded\nActiveState=active\n"
 
@@ -22,7 +22,7 @@ def test_a_sound_pad_passes_every_check(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # On a busy machine the doctor would rightly warn.
-    monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
+    monkeypatch.setattr("touchd.daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     with pad_of(resting(4.0)) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0
     shown = json.loads(capsys.readouterr().out)
@@ -65,7 +65,7 @@ def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch:
 
 def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     for slow_ms, verdict in ((math.inf, "ok"), (0.0, "warning")):
-        monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", slow_ms)
+        monkeypatch.setattr("touchd.daemon.doctor.machine.SLOW_ANSWER_MS", slow_ms)
         assert check_model(SETTINGS).verdict == verdict
     homeless = check_model(Settings(model="~nosuch/model.onnx"))
     assert "~nosuch/model.onnx: no such home is known" in homeless.found

@@ -10,15 +10,15 @@ from rigs.formats import encode_csv_line
 from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
 
-from daemon.config import SensorSettings
-from daemon.doctor.check import Check
-from daemon.doctor.line import check_damage, check_protocol, check_rate
-from daemon.doctor.listening import Heard, listen
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Frame
-from drivers.pad.format import PRESETS
-from drivers.pad.port import open_port
-from drivers.pad.protocol import parser_of
+from touchd.daemon.config import SensorSettings
+from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
+from touchd.daemon.doctor.listening import Heard, listen
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.format import PRESETS
+from touchd.drivers.pad.port import open_port
+from touchd.drivers.pad.protocol import parser_of
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, heard, pad_of, resting, the
 
-from daemon.config import SensorSettings, Settings
-from daemon.doctor.examine import examine
-from daemon.doctor.pad import (
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.doctor.examine import examine
+from touchd.daemon.doctor.pad import (
     check_noise,
     check_orientation,
     check_quiet,
@@ -16,7 +16,7 @@ from daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from docs.studies.hand import simulate
+from touchd.model.studies.hand import simulate
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:

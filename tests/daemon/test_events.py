@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from rigs.made_events import PREDICTION, TIME
 
-from daemon.events import (
+from touchd.daemon.events import (
     EndReason,
     Event,
     EventError,
@@ -26,9 +26,9 @@ from daemon.events import (
     one_line,
     timestamp,
 )
-from daemon.kept.journal import MAX_EVENT_BYTES
-from daemon.pad.feel import Feel
-from model.classifier import ModelMetadata
+from touchd.daemon.kept.journal import MAX_EVENT_BYTES
+from touchd.daemon.pad.feel import Feel
+from touchd.model.classifier import ModelMetadata
 
 EVENTS: list[tuple[Event, str]] = [
     (

@@ -8,9 +8,9 @@ from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import SAY, link_threads, message, needs_qi
 from rigs.wait import WITHIN_S
 
-from drivers.frame import DEFAULT_PAD
-from drivers.robot.link import RobotLink
-from drivers.robot.settings import RobotSettings
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.settings import RobotSettings
 
 pytestmark = needs_qi
 

@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 from rigs.scripted_model import Scripted
 
-from daemon.events import Event, Prediction, TouchEnded
-from daemon.pad.feel import Feel
-from daemon.pipeline import Pipeline, PipelineSettings
-from drivers.frame import Frame
-from drivers.robot.actions import Action, ActionRule
-from drivers.robot.message import RobotMessage
-from drivers.robot.reactions import Reactions
+from touchd.daemon.events import Event, Prediction, TouchEnded
+from touchd.daemon.pad.feel import Feel
+from touchd.daemon.pipeline import Pipeline, PipelineSettings
+from touchd.drivers.frame import Frame
+from touchd.drivers.robot.actions import Action, ActionRule
+from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.reactions import Reactions
 
 RATE_HZ = 54
 

@@ -20,34 +20,34 @@ from rigs.robots import linked
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon import cli
-from daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings, load
-from daemon.doctor.line import check_rate
-from daemon.doctor.listening import Heard
-from daemon.events import Prediction, TouchEnded
-from daemon.live.address import qr_code, urls_of
-from daemon.setup.destinations import open_journal
-from daemon.setup.parts import check_pad, load_model
-from daemon.sinks import RobotSink
-from daemon.terminal.own_name import own_name
-from drivers.extras import how_to_install
-from drivers.fakes.stub_robot import StubRobot
-from drivers.frame import Frame
-from drivers.robot.actions import Action, ActionRule
-from drivers.robot.limits import RobotLimits
+from touchd.daemon import cli
+from touchd.daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings, load
+from touchd.daemon.doctor.line import check_rate
+from touchd.daemon.doctor.listening import Heard
+from touchd.daemon.events import Prediction, TouchEnded
+from touchd.daemon.live.address import qr_code, urls_of
+from touchd.daemon.setup.destinations import open_journal
+from touchd.daemon.setup.parts import check_pad, load_model
+from touchd.daemon.sinks import RobotSink
+from touchd.daemon.terminal.own_name import own_name
+from touchd.drivers.extras import how_to_install
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.frame import Frame
+from touchd.drivers.robot.actions import Action, ActionRule
+from touchd.drivers.robot.limits import RobotLimits
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "systemd" / "touchd.example.yaml"
 # Makes every extra's modules fail to import.
 WITHOUT_EXTRAS = """
 import importlib, importlib.abc, sys
-from drivers.extras import EXTRAS
+from touchd.drivers.extras import EXTRAS
 class Missing(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in {module for modules in EXTRAS.values() for module in modules}:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Missing())
-from daemon import cli
+from touchd.daemon import cli
 """
 
 
@@ -90,7 +90,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
     ],
 )
 def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, said: str) -> None:
-    done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m daemon {command}"])
+    done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m touchd.daemon {command}"])
     assert (done.returncode, said in done.stderr) == (code, True)
     assert len(done.stderr.splitlines()) == bool(said)
 

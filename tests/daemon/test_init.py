@@ -18,13 +18,13 @@ from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from daemon.commands import init
-from daemon.commands.init import main
-from daemon.config import ConfigError, SensorSettings, load
-from daemon.events import SensorEvent, decode
-from daemon.setup.destinations import encoder_for
-from drivers.fakes.fake_port import FakePort
-from drivers.pad.format import PRESETS, PadFormat
+from touchd.daemon.commands import init
+from touchd.daemon.commands.init import main
+from touchd.daemon.config import ConfigError, SensorSettings, load
+from touchd.daemon.events import SensorEvent, decode
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.pad.format import PRESETS, PadFormat
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())

@@ -22,14 +22,14 @@ from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from daemon.config import LiveSettings, SensorSettings, Settings
-from daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
-from daemon.live.address import LiveError
-from daemon.live.memory import PREDICTIONS, TOUCHES, Memory
-from daemon.live.server import CAPACITY, LiveServer
-from daemon.setup.destinations import encoder_for, open_live_page, scenes_of
-from daemon.setup.parts import load_model
-from drivers.fakes.fake_port import FakePort
+from touchd.daemon.config import LiveSettings, SensorSettings, Settings
+from touchd.daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
+from touchd.daemon.live.address import LiveError
+from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory
+from touchd.daemon.live.server import CAPACITY, LiveServer
+from touchd.daemon.setup.destinations import encoder_for, open_live_page, scenes_of
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.fakes.fake_port import FakePort
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=7)
 ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=TIME)
@@ -122,7 +122,7 @@ def test_a_stalled_viewer_does_not_affect_the_others(served: Served, viewer: Cli
 
 
 def test_an_unresponsive_viewer_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daemon.live.server.PING_EVERY_S", 0.2)
+    monkeypatch.setattr("touchd.daemon.live.server.PING_EVERY_S", 0.2)
     with serving() as served, socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S) as dead:
         dead.sendall(HANDSHAKE.format(port=served.port).encode())
         with suppress(ConnectionResetError):

@@ -9,12 +9,12 @@ from rigs.live_rig import Served, frames_among
 from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from daemon import cli
-from daemon.config import ConfigError, LiveSettings
-from daemon.live.address import is_own_host, parse_address
-from daemon.live.page import FOLDER
-from daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
-from daemon.live.viewers import MOST_VIEWERS
+from touchd.daemon import cli
+from touchd.daemon.config import ConfigError, LiveSettings
+from touchd.daemon.live.address import is_own_host, parse_address
+from touchd.daemon.live.page import FOLDER
+from touchd.daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
+from touchd.daemon.live.viewers import MOST_VIEWERS
 
 
 def test_a_viewer_over_the_limit_is_refused(served: Served) -> None:

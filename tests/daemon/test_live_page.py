@@ -23,11 +23,11 @@ from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 
-from daemon.config import LiveSettings, PadSettings
-from daemon.events import Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
-from daemon.setup.words import name_of, vocabulary
-from docs.studies.hand import simulate
-from drivers.recording import Stream, ideal_clock_ms
+from touchd.daemon.config import LiveSettings, PadSettings
+from touchd.daemon.events import Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.setup.words import name_of, vocabulary
+from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.model.studies.hand import simulate
 
 pytestmark = [
     pytest.mark.timeout(300),

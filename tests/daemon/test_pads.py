@@ -22,9 +22,9 @@ from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon import cli
-from daemon.bridges.settings import MqttSettings
-from daemon.config import (
+from touchd.daemon import cli
+from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.config import (
     MAX_PADS,
     ConfigError,
     JournalSettings,
@@ -35,25 +35,25 @@ from daemon.config import (
     load,
     only_pad,
 )
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
-from daemon.health import Health, Notifier
-from daemon.kept.touch_store import folder_of, kept_touches
-from daemon.kept.touches import read_journal
-from daemon.playback.rig import SpawnedDaemon
-from daemon.service import Service
-from daemon.setup.destinations import encoder_for, link_to_robot
-from daemon.setup.parts import Parts
-from daemon.sinks import RobotSink
-from drivers.fakes.fake_port import FakePort
-from drivers.fakes.stub_robot import StubRobot
-from drivers.pad.format import PRESETS
-from drivers.pad.port import open_port, read_waiting
-from drivers.pad.protocol import parser_of
-from drivers.recording import Stream, ideal_clock_ms
-from drivers.robot.actions import ActionRule
-from drivers.robot.link import RobotLink
-from drivers.robot.settings import RobotSettings
-from model.classifier import SHIPPED_MODEL
+from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from touchd.daemon.health import Health, Notifier
+from touchd.daemon.kept.touch_store import folder_of, kept_touches
+from touchd.daemon.kept.touches import read_journal
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.service import Service
+from touchd.daemon.setup.destinations import encoder_for, link_to_robot
+from touchd.daemon.setup.parts import Parts
+from touchd.daemon.sinks import RobotSink
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.pad.format import PRESETS
+from touchd.drivers.pad.port import open_port, read_waiting
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.robot.actions import ActionRule
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.settings import RobotSettings
+from touchd.model.classifier import SHIPPED_MODEL
 
 SPEED, FLOOD_SPEED = 20.0, 40.0
 TIME = "2026-11-20T10:00:00.000Z"
@@ -133,7 +133,7 @@ def test_frames_wait_beside_a_bridge_that_passes_none_on(
         reads.append(len(data))
         return data
 
-    monkeypatch.setattr("drivers.pad.sensor.read_waiting", reading)
+    monkeypatch.setattr("touchd.drivers.pad.sensor.read_waiting", reading)
     still = np.full((60, 8, 8), 20, np.uint16)
     encode = encoder_for(SensorSettings())
     with FakePort(Stream(still, ideal_clock_ms(60), ()), encode, loop=True) as port:

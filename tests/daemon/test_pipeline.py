@@ -14,17 +14,17 @@ from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from daemon.decide import DecisionSettings
-from daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
-from daemon.pad.steps import work_off
-from daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
-from daemon.playback.stream import play
-from daemon.touch import TouchSettings
-from drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
-from drivers.pad.grid import RingSettings
-from drivers.pad.sensor_state import SensorState
-from drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice
-from model.classifier import Classifier, State
+from touchd.daemon.decide import DecisionSettings
+from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.pad.steps import work_off
+from touchd.daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
+from touchd.daemon.playback.stream import play
+from touchd.daemon.touch import TouchSettings
+from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
+from touchd.drivers.pad.grid import RingSettings
+from touchd.drivers.pad.sensor_state import SensorState
+from touchd.drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice
+from touchd.model.classifier import Classifier, State
 
 STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
 TIME = "2026-11-20T10:00:00.000Z"

@@ -13,17 +13,17 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from rigs.made_events import PREDICTION, TIME
 
-from daemon import cli
-from daemon.config import Settings
-from daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
-from daemon.kept.touches import gather, read_journal
-from daemon.plot import journal as plot_journal
-from daemon.plot import recording as plot_recording
-from daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
-from daemon.plot.recording import Trace, feel
-from daemon.setup.parts import load_model
-from docs.studies.hand import simulate, write_simulated
-from drivers.recording import UNLABELLED, Recording, Stream, splice
+from touchd.daemon import cli
+from touchd.daemon.config import Settings
+from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
+from touchd.daemon.kept.touches import gather, read_journal
+from touchd.daemon.plot import journal as plot_journal
+from touchd.daemon.plot import recording as plot_recording
+from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
+from touchd.daemon.plot.recording import Trace, feel
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
+from touchd.model.studies.hand import simulate, write_simulated
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -13,17 +13,17 @@ import pytest
 from rich.console import Console
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 
-from daemon import cli
-from daemon.config import Settings
-from daemon.kept.recording_file import keep, prepare
-from daemon.recorder import dialogue
-from daemon.recorder.capture import Capture, PadReader, complaints
-from daemon.recorder.dialogue import Dialogue, Terms
-from daemon.recorder.session import Session, Setting
-from daemon.terminal.width import text_width
-from docs.studies.hand import simulate
-from drivers.frame import Frame
-from drivers.recording import Recording, RecordingError, read_recordings
+from touchd.daemon import cli
+from touchd.daemon.config import Settings
+from touchd.daemon.kept.recording_file import keep, prepare
+from touchd.daemon.recorder import dialogue
+from touchd.daemon.recorder.capture import Capture, PadReader, complaints
+from touchd.daemon.recorder.dialogue import Dialogue, Terms
+from touchd.daemon.recorder.session import Session, Setting
+from touchd.daemon.terminal.width import text_width
+from touchd.drivers.frame import Frame
+from touchd.drivers.recording import Recording, RecordingError, read_recordings
+from touchd.model.studies.hand import simulate
 
 
 def recording() -> Recording:
@@ -137,9 +137,9 @@ def test_a_recording_that_finds_no_room_waits_until_there_is_some(
 FILL = """
 import sys
 from pathlib import Path
-from daemon.kept.recording_file import keep
-from docs.studies.hand import simulate
-from drivers.recording import RecordingError
+from touchd.daemon.kept.recording_file import keep
+from touchd.model.studies.hand import simulate
+from touchd.drivers.recording import RecordingError
 folder = Path(sys.argv[1])
 (recording,) = simulate((("pat", 0.5),), seed=1)
 (folder / "filler").write_bytes(bytes(40 * 1024))

@@ -15,16 +15,16 @@ from rigs.running_daemon import Daemon, run_daemon
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon import cli
-from daemon.config import JournalSettings, SensorSettings, Settings
-from daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
-from daemon.kept.touch_frames import FeltTouch
-from daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
-from daemon.kept.touches import read_since
-from daemon.playback.stream import with_quiet
-from daemon.recorder.labelling import RIGHT
-from drivers.recording import Recording, read_provenance, read_recordings
-from model.classifier import Classifier
+from touchd.daemon import cli
+from touchd.daemon.config import JournalSettings, SensorSettings, Settings
+from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
+from touchd.daemon.kept.touch_frames import FeltTouch
+from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from touchd.daemon.kept.touches import read_since
+from touchd.daemon.playback.stream import with_quiet
+from touchd.daemon.recorder.labelling import RIGHT
+from touchd.drivers.recording import Recording, read_provenance, read_recordings
+from touchd.model.classifier import Classifier
 
 SPEED = 20.0
 
@@ -315,7 +315,7 @@ def test_deleted_and_damaged_touches_are_passed_over(
     said = listed()
     assert "cannot be read as a recording" in said
     assert "2 of 2: touch 1" in said
-    monkeypatch.setattr("daemon.recorder.label.kept_touches", lambda _: [first, second])
+    monkeypatch.setattr("touchd.daemon.recorder.label.kept_touches", lambda _: [first, second])
     first.path.unlink()
     assert "No such file or directory" in listed()
 

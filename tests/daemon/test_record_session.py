@@ -11,15 +11,15 @@ from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from daemon import cli
-from daemon.config import SensorSettings, Settings
-from daemon.kept.recording_file import keep
-from daemon.recorder.capture import PadLost, PadReader
-from daemon.recorder.session import Session, Setting
-from docs.studies.hand import simulate
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
-from drivers.recording import Stream, ideal_clock_ms, read_recordings
+from touchd.daemon import cli
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.kept.recording_file import keep
+from touchd.daemon.recorder.capture import PadLost, PadReader
+from touchd.daemon.recorder.session import Session, Setting
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Counts
+from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings
+from touchd.model.studies.hand import simulate
 
 SPEED = 6.0
 

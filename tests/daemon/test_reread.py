@@ -19,18 +19,18 @@ from rigs.robots import Robot
 from rigs.running_daemon import SPEED, Daemon
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.config import JournalSettings, PadSettings, SceneSettings, SensorSettings, Settings
-from daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode
-from daemon.health import Health, Notifier
-from daemon.service import Service
-from daemon.setup import reread
-from daemon.setup.destinations import encoder_for
-from daemon.setup.reread import Reloader, rereading
-from daemon.sinks import QueuedSink
-from drivers.fakes.fake_port import FakePort
-from drivers.recording import Stream, ideal_clock_ms
-from drivers.robot.settings import RobotSettings
-from model.classifier import SHIPPED_MODEL
+from touchd.daemon.config import JournalSettings, PadSettings, SceneSettings, SensorSettings, Settings
+from touchd.daemon.events import Event, Prediction, RobotEvent, SensorEvent, TouchBegan, TouchEnded, decode
+from touchd.daemon.health import Health, Notifier
+from touchd.daemon.service import Service
+from touchd.daemon.setup import reread
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.setup.reread import Reloader, rereading
+from touchd.daemon.sinks import QueuedSink
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.robot.settings import RobotSettings
+from touchd.model.classifier import SHIPPED_MODEL
 
 
 @pytest.fixture
@@ -64,7 +64,7 @@ WRONG = {
 def test_a_wrong_configuration_changes_nothing(daemon: Daemon) -> None:
     for text, why in WRONG.items():
         line = reload(daemon, text)
-        assert line.startswith("WARNING daemon.setup.reread: the new configuration is refused")
+        assert line.startswith("WARNING touchd.daemon.setup.reread: the new configuration is refused")
         assert why in line
     assert outline(daemon.finish()) == expected(LENGTHS)
 

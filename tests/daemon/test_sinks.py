@@ -19,11 +19,11 @@ from rigs.programs import Program, ran
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.events import Event, RobotAction, SensorEvent, decode, encode
-from daemon.kept.journal import PAGE_BYTES, Journal, JournalError
-from daemon.sinks import EventFanout, JournalSink, LinesSink, QueuedSink, RobotSink
-from drivers.robot.link import RobotLink
-from drivers.robot.message import RobotMessage
+from touchd.daemon.events import Event, RobotAction, SensorEvent, decode, encode
+from touchd.daemon.kept.journal import PAGE_BYTES, Journal, JournalError
+from touchd.daemon.sinks import EventFanout, JournalSink, LinesSink, QueuedSink, RobotSink
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.message import RobotMessage
 
 
 @pytest.fixture
@@ -242,7 +242,7 @@ def test_a_journal_that_cannot_be_opened_is_one_clear_line(tmp_path: Path) -> No
 FILL_THE_DISK = """
 import json, logging, resource, signal, sys
 from pathlib import Path
-from daemon.kept.journal import Journal
+from touchd.daemon.kept.journal import Journal
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 path = Path(sys.argv[1]) / "events.jsonl"
@@ -287,7 +287,7 @@ def test_a_journal_survives_a_really_full_disk(tmp_path: Path) -> None:
 KILL_MID_WRITE = """
 import random, sys
 from pathlib import Path
-from daemon.kept.journal import Journal
+from touchd.daemon.kept.journal import Journal
 journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
 print("writing", flush=True)
 while True:

@@ -21,23 +21,23 @@ from rigs.scripted_model import Scripted
 from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from daemon.config import JournalSettings, SensorSettings, Settings, load
-from daemon.events import Event, Prediction, TouchEnded, encode
-from daemon.kept.journal import Journal, JournalError
-from daemon.kept.touch_store import TouchStore, kept_touches
-from daemon.kept.touches import read_journal, read_since
-from daemon.pad.age import Age
-from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from daemon.playback.rig import SpawnedDaemon
-from daemon.setup.destinations import encoder_for, link_to_robot, open_journal
-from daemon.sinks import JournalSink, LinesSink, LogSink
-from drivers.errors import TouchdError
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Frame
-from drivers.pad.grid import GridFrame, Ring, RingSettings
-from drivers.recording import Recording, RecordingError, read_recordings, write_recordings
-from drivers.robot.session import RobotError
-from drivers.robot.settings import RobotSettings, read_login
+from touchd.daemon.config import JournalSettings, SensorSettings, Settings, load
+from touchd.daemon.events import Event, Prediction, TouchEnded, encode
+from touchd.daemon.kept.journal import Journal, JournalError
+from touchd.daemon.kept.touch_store import TouchStore, kept_touches
+from touchd.daemon.kept.touches import read_journal, read_since
+from touchd.daemon.pad.age import Age
+from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.setup.destinations import encoder_for, link_to_robot, open_journal
+from touchd.daemon.sinks import JournalSink, LinesSink, LogSink
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.grid import GridFrame, Ring, RingSettings
+from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
+from touchd.drivers.robot.session import RobotError
+from touchd.drivers.robot.settings import RobotSettings, read_login
 
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)

@@ -13,15 +13,15 @@ from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from daemon import cli
-from daemon.commands import teach
-from daemon.commands.teach import with_model
-from daemon.config import ConfigError, SensorSettings, Settings, load
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
-from drivers.recording import Stream, ideal_clock_ms
-from model.adapt.folder import ExtraError
-from model.classifier import SHIPPED_MODEL, Classifier
+from touchd.daemon import cli
+from touchd.daemon.commands import teach
+from touchd.daemon.commands.teach import with_model
+from touchd.daemon.config import ConfigError, SensorSettings, Settings, load
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Counts
+from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.model.adapt.folder import ExtraError
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 
 @pytest.mark.parametrize(

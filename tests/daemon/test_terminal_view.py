@@ -22,10 +22,10 @@ from rich.console import Console
 from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
-from daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from daemon.setup.words import Language, vocabulary
-from daemon.terminal.big_words import big
-from daemon.terminal.view import View
+from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.setup.words import Language, vocabulary
+from touchd.daemon.terminal.big_words import big
+from touchd.daemon.terminal.view import View
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
@@ -34,9 +34,9 @@ MARKS = (54, 81, 144)
 # Shows a view until its input ends.
 SHOWN = """
 import sys
-from daemon.events import SensorEvent
-from daemon.terminal.view import View
-from daemon.setup.words import vocabulary
+from touchd.daemon.events import SensorEvent
+from touchd.daemon.terminal.view import View
+from touchd.daemon.setup.words import vocabulary
 with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
     view.put(SensorEvent(state="up", time=""))
     sys.stdin.read()

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 
-from daemon.pad.baseline import Baseline, LastSecond
-from daemon.touch import NoTouch, Onset, Release, TouchSettings, TouchTracker
-from drivers.pad.grid import GridFrame
+from touchd.daemon.pad.baseline import Baseline, LastSecond
+from touchd.daemon.touch import NoTouch, Onset, Release, TouchSettings, TouchTracker
+from touchd.drivers.pad.grid import GridFrame
 
 
 class TrackedPad(MadePad):

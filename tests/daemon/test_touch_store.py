@@ -17,16 +17,16 @@ from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from daemon.events import Event, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
-from daemon.kept.touch_frames import FeltTouch, cut
-from daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
-from daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
-from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from daemon.setup.destinations import description_of, open_touch_stores
-from drivers.frame import Frame
-from drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
-from drivers.whole_file import PARTIAL
+from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
+from touchd.daemon.events import Event, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.kept.touch_frames import FeltTouch, cut
+from touchd.daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
+from touchd.daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
+from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.setup.destinations import description_of, open_touch_stores
+from touchd.drivers.frame import Frame
+from touchd.drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
+from touchd.drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54
 TESTS = Path(__file__).parents[1]
@@ -281,7 +281,7 @@ FILL_A_SMALL_DISK = """
 import logging, sys
 from pathlib import Path
 from rigs.felt_touch import felt
-from daemon.kept.touch_store import TouchStore, kept_touches, read_frames
+from touchd.daemon.kept.touch_store import TouchStore, kept_touches, read_frames
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 folder = Path(sys.argv[1]) / "touches"
 ballast = Path(sys.argv[1]) / "ballast"
@@ -313,7 +313,7 @@ KILL_MID_WRITE = """
 import sys
 from pathlib import Path
 from rigs.felt_touch import felt
-from daemon.kept.touch_store import TouchStore
+from touchd.daemon.kept.touch_store import TouchStore
 store = TouchStore(Path(sys.argv[1]), 10_000, "")
 number = int(sys.argv[2])
 print("writing", flush=True)

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import pytest
 
-from daemon.commands.demo import NEXT, SAYINGS
-from daemon.events import EndReason, PadState, Stage
-from daemon.live.page import FOLDER
-from daemon.setup.words import SHIPPED
-from daemon.terminal.terms import LANGUAGES, TERMS
+from touchd.daemon.commands.demo import NEXT, SAYINGS
+from touchd.daemon.events import EndReason, PadState, Stage
+from touchd.daemon.live.page import FOLDER
+from touchd.daemon.setup.words import SHIPPED
+from touchd.daemon.terminal.terms import LANGUAGES, TERMS
 
 SCRIPTS = "".join(path.read_text() for path in sorted(FOLDER.glob("*.js")))
 PAGE = (FOLDER / "page.html").read_text()

@@ -27,20 +27,20 @@ from rigs.sockets import free_port
 from rigs.wait import wait_for
 from websockets.sync.client import connect
 
-from daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
-from daemon.decide import DecisionSettings
-from daemon.events import Event
-from daemon.kept.journal import Journal
-from daemon.live.server import LiveServer
-from daemon.pipeline import Clock, Pipeline, PipelineSettings
-from daemon.setup.destinations import encoder_for
-from daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
-from drivers.fakes.fake_port import FakePort
-from drivers.fakes.stub_robot import StubRobot
-from drivers.frame import Frame
-from drivers.pad.sensor_state import SensorState
-from drivers.robot.link import RobotLink
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
+from touchd.daemon.decide import DecisionSettings
+from touchd.daemon.events import Event
+from touchd.daemon.kept.journal import Journal
+from touchd.daemon.live.server import LiveServer
+from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.sensor_state import SensorState
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.settings import RobotSettings
 
 PERIOD_MS = 1000 / 54
 OLDEST_TOLD_MS = 2800

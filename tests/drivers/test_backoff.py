@@ -13,10 +13,10 @@ from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
 from rigs.wait import wait_for
 
-from drivers.backoff import Backoff
-from drivers.fakes.fake_port import FakePort
-from drivers.fakes.stub_robot import StubRobot
-from drivers.robot.limits import RobotLimits
+from touchd.drivers.backoff import Backoff
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.robot.limits import RobotLimits
 
 Paused = Callable[[str], list[float]]
 
@@ -53,7 +53,7 @@ def test_attempts_back_off_and_recover() -> None:
 
 
 def test_a_missing_pad_is_retried_at_the_cap_a_lost_one_quickly(tmp_path: Path, paused: Paused) -> None:
-    pauses = paused("drivers.pad.sensor")
+    pauses = paused("touchd.drivers.pad.sensor")
     link = tmp_path / "pad"
     with sensing(str(link), longest_retry_s=0.3) as queue:
         wait_for(lambda: len(pauses) > 3)
@@ -68,7 +68,7 @@ def test_a_missing_pad_is_retried_at_the_cap_a_lost_one_quickly(tmp_path: Path, 
 
 
 def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
-    pauses = paused("drivers.robot.worker")
+    pauses = paused("touchd.drivers.robot.worker")
     robot = StubRobot()
     with linked(robot, limits=RobotLimits(backoff_first_s=0.02)) as (_, states):
         wait_for(lambda: pauses[-1:] > [0.1])
@@ -81,7 +81,7 @@ def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
 
 def test_a_bridge_retries_a_lost_peer_quickly(tmp_path: Path, paused: Paused) -> None:
     pytest.importorskip("websockets")
-    pauses = paused("daemon.bridges.bridge")
+    pauses = paused("touchd.daemon.bridges.bridge")
     with closing(RosbridgePeer(tmp_path)) as peer:
         bridge = peer.bridge()
         wait_for(lambda: pauses[-1:] > [0.2])

@@ -7,7 +7,7 @@ import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import assert_are, counts_of, flip, packet, packets
 
-from drivers.pad.clock import MAX_HELD, ArrivalClock
+from touchd.drivers.pad.clock import MAX_HELD, ArrivalClock
 
 
 @pytest.mark.parametrize("restart_ms", [0, 3, 1_000_000])

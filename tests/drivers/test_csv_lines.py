@@ -7,9 +7,9 @@ import pytest
 from rigs.formats import CsvLines, encode_csv_line
 from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
-from drivers.pad.diagnosis import diagnose
-from drivers.pad.format import PadFormat
-from drivers.pad.protocol import parser_of
+from touchd.drivers.pad.diagnosis import diagnose
+from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.protocol import parser_of
 
 
 def line(number: int) -> bytes:

@@ -6,8 +6,8 @@ import pytest
 from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.wire import counts_of
 
-from drivers.pad.diagnosis import RECENT_BYTES, caution, diagnose, propose
-from drivers.pad.format import PRESETS, PadFormat, encode_frame, encode_values
+from touchd.drivers.pad.diagnosis import RECENT_BYTES, caution, diagnose, propose
+from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame, encode_values
 
 
 def pad(preset: str, rows: int, columns: int) -> PadFormat:

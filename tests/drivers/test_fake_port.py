@@ -13,8 +13,8 @@ from rigs.sensor_rig import BAUD, stream_of
 from rigs.wait import AT_ONCE_S, wait_for
 from rigs.wire import SIZE
 
-from drivers.fakes.fake_port import FakePort
-from drivers.recording import Stream
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.recording import Stream
 
 
 def encoded(stream: Stream) -> bytes:

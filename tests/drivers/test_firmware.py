@@ -19,8 +19,8 @@ from rigs.mega_rig import FIRMWARE, Board, Run, build, build_board, compiler_mis
 from rigs.pad_circuit import SUPPLY_V, column_volts, pad, pressure
 from rigs.sensor_rig import next_frames, sensing
 
-from daemon import cli
-from drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
+from touchd.daemon import cli
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 
 requires_compiler = pytest.mark.skipif(
     compiler_missing(), reason="no AVR toolchain: apt install gcc-avr avr-libc arduino-core-avr make"

@@ -8,14 +8,14 @@ from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.line_faults import Faults
 from rigs.sensor_rig import next_frames, sensing, stream_of
 
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import CLOCK_MODULUS, Counts
-from drivers.pad import line_watch
-from drivers.pad.format import PadFormat, encode_frame
-from drivers.pad.line_watch import LOOK_S, LineWatch
-from drivers.pad.parser import FrameParser
-from drivers.pad.protocol import parser_of
-from drivers.pad.watch import SAME_TROUBLE_S
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import CLOCK_MODULUS, Counts
+from touchd.drivers.pad import line_watch
+from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.line_watch import LOOK_S, LineWatch
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.watch import SAME_TROUBLE_S
 
 SENT = PadFormat(framing="line", rows=8, columns=8, full_scale=4095)
 CONFIGURED = PadFormat(framing="line", rows=8, columns=8, full_scale=1023)

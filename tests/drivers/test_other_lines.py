@@ -18,13 +18,13 @@ from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, s
 from rigs.sockets import free_port
 from rigs.wait import wait_for
 
-from drivers.frame import Frame
-from drivers.pad import network
-from drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
-from drivers.pad.network import GONE_S
-from drivers.pad.port import SensorError, check_port, open_port, read_waiting
-from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import WAIT_S
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad import network
+from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
+from touchd.drivers.pad.network import GONE_S
+from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.sensor import WAIT_S
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"], msgspec.structs.replace(PRESETS["itas"], clock=True)]
 STREAM = stream_of(400)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from drivers.frame import CLOCK_MODULUS, Frame
-from drivers.pad.pace import clock_ms, pace_of
+from touchd.drivers.frame import CLOCK_MODULUS, Frame
+from touchd.drivers.pad.pace import clock_ms, pace_of
 
 STEP_MS = 19
 NOTHING = np.zeros((8, 8), np.uint16)

@@ -12,11 +12,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rigs.wire import counts_of
 
-from drivers.frame import Frame
-from drivers.pad.diagnosis import as_yaml, propose
-from drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, encode_frame, encode_values, layout_of
-from drivers.pad.parser import FrameParser
-from drivers.pad.protocol import parser_of
+from touchd.drivers.frame import Frame
+from touchd.drivers.pad.diagnosis import as_yaml, propose
+from touchd.drivers.pad.format import (
+    PRESETS,
+    FormatError,
+    Layout,
+    PadFormat,
+    encode_frame,
+    encode_values,
+    layout_of,
+)
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.protocol import parser_of
 
 MORE = {
     "packed 12 bit": PadFormat(

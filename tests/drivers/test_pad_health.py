@@ -13,12 +13,12 @@ from rigs.made_pad import MadePad, nothing
 from rigs.patient_port import playing
 from rigs.running_daemon import run_daemon
 
-from daemon.config import SensorSettings, Settings
-from daemon.events import SensorEvent
-from drivers.frame import Counts, Frame
-from drivers.pad.health import Finding, PadHealth
-from drivers.pad.watch import LASTS_S, SAME_TROUBLE_S, PadWatch
-from drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.events import SensorEvent
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.pad.health import Finding, PadHealth
+from touchd.drivers.pad.watch import LASTS_S, SAME_TROUBLE_S, PadWatch
+from touchd.drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
 
 RATE_HZ = 54
 DEAD_ROW = "row 7 of the pad stands still: a broken wire?"
@@ -187,7 +187,7 @@ def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
     with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
         events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
     lines = [line for line in log.splitlines() if "pad.watch" in line]
-    assert lines == [f"{level} drivers.pad.watch: {what}" for level, what in said(DEAD_ROW)]
+    assert lines == [f"{level} touchd.drivers.pad.watch: {what}" for level, what in said(DEAD_ROW)]
     assert {type(event) for event in events} <= {SensorEvent}
 
 

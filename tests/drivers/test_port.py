@@ -11,9 +11,9 @@ import serial
 from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
 
-from drivers.fakes.fake_port import FakePort
-from drivers.pad.port import open_port
-from drivers.pad.sensor import SensorError, check_port
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.pad.port import open_port
+from touchd.drivers.pad.sensor import SensorError, check_port
 
 
 def test_a_readable_port_passes_undisturbed() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from rigs.haart_folder import needs_haart
 
-from drivers import recording as recording_module
-from drivers.recording import (
+from touchd.drivers import recording as recording_module
+from touchd.drivers.recording import (
     Recording,
     RecordingError,
     Selection,
@@ -26,7 +26,7 @@ from drivers.recording import (
     splice,
     write_recordings,
 )
-from drivers.whole_file import whole_file
+from touchd.drivers.whole_file import whole_file
 
 CELL_NAMES = [f"cell{i}" for i in range(1, 65)]
 CONDITION = ["Substrate", "Cover", "Gesture"]

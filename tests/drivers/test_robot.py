@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from rigs.robots import DETAIL, GESTURE, SAY, STATUS, Robot, linked, message
 
-from drivers.fakes import fake_robot
-from drivers.robot.actions import Action, ActionRule, Leds
-from drivers.robot.limits import RobotLimits
-from drivers.robot.link import RobotLink
-from drivers.robot.session import QiSession, RobotError, RobotRefused
-from drivers.robot.settings import RobotSettings
+from touchd.drivers.fakes import fake_robot
+from touchd.drivers.robot.actions import Action, ActionRule, Leds
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.session import QiSession, RobotError, RobotRefused
+from touchd.drivers.robot.settings import RobotSettings
 
 
 # Starting a process takes longer than most of the tests that talk to it.

@@ -7,11 +7,11 @@ import pytest
 import yaml
 from rigs.robots import message
 
-from daemon.setup.words import Language, vocabulary
-from drivers.robot import actions as robot_actions
-from drivers.robot.actions import Action, ActionRule, Words, spoken
-from drivers.robot.reactions import MOST_TOUCHES, Reactions
-from model.classifier import Classifier
+from touchd.daemon.setup.words import Language, vocabulary
+from touchd.drivers.robot import actions as robot_actions
+from touchd.drivers.robot.actions import Action, ActionRule, Words, spoken
+from touchd.drivers.robot.reactions import MOST_TOUCHES, Reactions
+from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
 

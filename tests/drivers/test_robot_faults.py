@@ -16,12 +16,12 @@ from rigs.programs import Program
 from rigs.robots import GESTURE, IMPATIENT, LOGIN, SAY, STATUS, Robot, States, hears, linked, message
 from rigs.wait import AT_ONCE_S, wait_for
 
-from drivers.fakes.stub_robot import StubRobot
-from drivers.robot.actions import Action, ActionRule
-from drivers.robot.limits import RobotLimits
-from drivers.robot.link import RobotLink
-from drivers.robot.session import RobotLost, RobotSession
-from drivers.robot.settings import RobotSettings
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.robot.actions import Action, ActionRule
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.session import RobotLost, RobotSession
+from touchd.drivers.robot.settings import RobotSettings
 
 
 def test_a_kill_during_a_call_is_survived() -> None:
@@ -108,8 +108,8 @@ def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
 
 SPEAKER = """
 import sys, time
-from drivers.fakes.services import fake_services
-from drivers.robot.session import load_qi
+from touchd.drivers.fakes.services import fake_services
+from touchd.drivers.robot.session import load_qi
 session = load_qi().Session()
 session.connect(sys.argv[1])
 session.listen("tcp://127.0.0.1:0")

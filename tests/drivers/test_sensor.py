@@ -12,13 +12,13 @@ from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.wait import WITHIN_S
 
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts, Frame
-from drivers.pad.format import PRESETS, encode_frame
-from drivers.pad.protocol import parser_of
-from drivers.pad.sensor import MOVED_S, FrameQueue, Sensor, SensorState, check_port
-from drivers.queue import Signal
-from drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.pad.format import PRESETS, encode_frame
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.sensor import MOVED_S, FrameQueue, Sensor, SensorState, check_port
+from touchd.drivers.queue import Signal
+from touchd.drivers.recording import Stream, ideal_clock_ms
 
 
 @pytest.mark.parametrize(

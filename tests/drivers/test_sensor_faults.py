@@ -25,13 +25,13 @@ from rigs.sensor_rig import (
 )
 from rigs.wait import WITHIN_S, wait_for
 
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import CLOCK_MODULUS, Counts, Frame
-from drivers.pad import sensor as sensor_module
-from drivers.pad import sensor_state
-from drivers.pad.sensor import FrameQueue, Sensor, SensorState
-from drivers.pad.sensor_state import Announcer
-from drivers.recording import Stream
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
+from touchd.drivers.pad import sensor as sensor_module
+from touchd.drivers.pad import sensor_state
+from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState
+from touchd.drivers.pad.sensor_state import Announcer
+from touchd.drivers.recording import Stream
 
 
 @pytest.fixture(autouse=True)

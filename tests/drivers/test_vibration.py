@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 
-from drivers.frame import Counts, Frame
-from drivers.pad.grid import Ring, RingSettings
-from drivers.recording import ideal_clock_ms
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.pad.grid import Ring, RingSettings
+from touchd.drivers.recording import ideal_clock_ms
 
 MOTOR_WEIGHTS = np.random.default_rng(3).uniform(0.5, 1.5, (8, 8)).astype(np.float32)
 

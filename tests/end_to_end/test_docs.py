@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from daemon.cli import COMMANDS
-from docs.studies.__main__ import STUDIES, main
+from touchd.daemon.cli import COMMANDS
+from touchd.model.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
@@ -44,7 +44,7 @@ def test_every_study_says_what_it_takes(study: str, capsys: pytest.CaptureFixtur
     with pytest.raises(SystemExit) as ended:
         main([study, "--help"])
     assert ended.value.code == 0
-    assert f"usage: python -m docs.studies {study}" in capsys.readouterr().out
+    assert f"usage: python -m touchd.model.studies {study}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -62,5 +62,5 @@ def test_every_command_can_be_typed_as_it_stands(page: Path) -> None:
             assert rest[0] in ("--help", "--version"), rest
         elif first == "make":
             assert {word for word in rest if "=" not in word} <= TARGETS, rest
-        elif rest[:2] == ["-m", "docs.studies"]:
+        elif rest[:2] == ["-m", "touchd.model.studies"]:
             assert rest[2] in STUDIES, rest

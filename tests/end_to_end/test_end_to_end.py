@@ -13,16 +13,24 @@ from rigs.patient_port import PATIENT, PatientPort
 from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 
-from daemon.config import SensorSettings, Settings
-from daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from daemon.playback.stream import with_quiet
-from daemon.setup.destinations import encoder_for
-from docs.studies.hand import simulate
-from docs.studies.sessions.plan import SessionSettings, sessions
-from docs.studies.sessions.score import judge, score
-from drivers.recording import Recording, Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
-from drivers.robot.settings import RobotSettings
-from model.classifier import Classifier
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.playback.stream import with_quiet
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.recording import (
+    Recording,
+    Selection,
+    Stream,
+    ideal_clock_ms,
+    read_recordings,
+    realign,
+    splice,
+)
+from touchd.drivers.robot.settings import RobotSettings
+from touchd.model.classifier import Classifier
+from touchd.model.studies.hand import simulate
+from touchd.model.studies.sessions.plan import SessionSettings, sessions
+from touchd.model.studies.sessions.score import judge, score
 
 # Faster than real time: answers depend on the sensor's clock, not on the arrival.
 SPEED = 100.0

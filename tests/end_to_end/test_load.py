@@ -17,14 +17,14 @@ from rigs.expectations import LENGTHS, answers, expected, outline, stream_of
 from rigs.running_daemon import run_daemon, totals
 from rigs.service_manager import Manager
 
-from daemon.config import SensorSettings, Settings
-from daemon.events import Event, Prediction, TouchBegan
-from daemon.playback.rig import SpawnedDaemon
-from daemon.setup.destinations import encoder_for
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import read_recordings, splice
-from model.classifier import Classifier
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.events import Event, Prediction, TouchBegan
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.recording import read_recordings, splice
+from touchd.model.classifier import Classifier
 
 Play = Callable[[float], tuple[list[Event], int, int]]
 

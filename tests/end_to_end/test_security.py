@@ -18,18 +18,14 @@ from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import wait_for
 
-from daemon.config import JournalSettings
-from daemon.events import RobotEvent, SensorEvent
-from daemon.setup.strict_yaml import StrictLoader
-from docs.studies.training.recipe import MAX_BYTES, SettingsError, read_recipe
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.config import JournalSettings
+from touchd.daemon.events import RobotEvent, SensorEvent
+from touchd.daemon.setup.strict_yaml import StrictLoader
+from touchd.drivers.robot.settings import RobotSettings
+from touchd.model.training.recipe import MAX_BYTES, SettingsError, read_recipe
 
 ROOT = Path(__file__).parents[2]
-SOURCES = sorted(
-    path
-    for floor in ("daemon", "drivers", "model", "docs/studies/training")
-    for path in (ROOT / floor).rglob("*.py")
-)
+SOURCES = sorted(path for floor in ("daemon", "drivers", "model") for path in (ROOT / floor).rglob("*.py"))
 # Modules that execute their input.
 RUNS_WHAT_IT_READS = {"pickle", "cPickle", "_pickle", "dill", "cloudpickle", "joblib", "shelve", "marshal"}
 
@@ -83,7 +79,7 @@ def test_the_configurations_loader_creates_no_objects() -> None:
 
 def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from docs.studies.training import checkpoint
+    from touchd.model.training import checkpoint
 
     ran = tmp_path / "ran"
 
@@ -101,7 +97,7 @@ def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
 
 def test_a_checkpoint_that_unpacks_too_large_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="torch is not installed")
-    from docs.studies.training import checkpoint
+    from touchd.model.training import checkpoint
 
     path = tmp_path / "huge.pt"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -18,15 +18,15 @@ from rigs.robots import needs_qi
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from daemon.config import JournalSettings, SensorSettings, Settings
-from daemon.events import SensorEvent, TouchEnded, decode
-from daemon.health import Health, Notifier
-from daemon.playback.rig import SpawnedDaemon
-from daemon.setup.destinations import encoder_for
-from docs.studies.hand import simulate
-from drivers.fakes.fake_port import FakePort
-from drivers.recording import splice
-from drivers.robot.settings import RobotSettings
+from touchd.daemon.config import JournalSettings, SensorSettings, Settings
+from touchd.daemon.events import SensorEvent, TouchEnded, decode
+from touchd.daemon.health import Health, Notifier
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.recording import splice
+from touchd.drivers.robot.settings import RobotSettings
+from touchd.model.studies.hand import simulate
 
 UNITS = Path(__file__).parents[2] / "systemd"
 

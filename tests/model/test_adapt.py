@@ -17,26 +17,26 @@ pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
 
-from daemon import cli  # noqa: E402
-from daemon.config import Settings  # noqa: E402
-from daemon.doctor.machine import check_model  # noqa: E402
-from docs.studies.checks.hard_cases import hand  # noqa: E402
-from docs.studies.checks.reference import Reference  # noqa: E402
-from docs.studies.hand import simulate  # noqa: E402
-from docs.studies.training.export import CalibratedTGC  # noqa: E402
-from docs.studies.training.remember import save, statistics  # noqa: E402
-from drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
-from model.adapt.adapt import Adapted, Features, Pretrained, adapt, prepare  # noqa: E402
-from model.adapt.backbone import CropFeatures, windows  # noqa: E402
-from model.adapt.folder import ExtraError, read_folder  # noqa: E402
-from model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
-from model.adapt.measure import Answers, compare, mean_interval, wilson_interval  # noqa: E402
-from model.adapt.plan import plan  # noqa: E402
-from model.adapt.remembered import Remembered  # noqa: E402
-from model.adapt.report import report_lines  # noqa: E402
-from model.adapt.ship import model_name, write  # noqa: E402
-from model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
-from model.tgc import TGC  # noqa: E402
+from touchd.daemon import cli  # noqa: E402
+from touchd.daemon.config import Settings  # noqa: E402
+from touchd.daemon.doctor.machine import check_model  # noqa: E402
+from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
+from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, prepare  # noqa: E402
+from touchd.model.adapt.backbone import CropFeatures, windows  # noqa: E402
+from touchd.model.adapt.folder import ExtraError, read_folder  # noqa: E402
+from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
+from touchd.model.adapt.measure import Answers, compare, mean_interval, wilson_interval  # noqa: E402
+from touchd.model.adapt.plan import plan  # noqa: E402
+from touchd.model.adapt.remembered import Remembered  # noqa: E402
+from touchd.model.adapt.report import report_lines  # noqa: E402
+from touchd.model.adapt.ship import model_name, write  # noqa: E402
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
+from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
+from touchd.model.studies.checks.reference import Reference  # noqa: E402
+from touchd.model.studies.hand import simulate  # noqa: E402
+from touchd.model.tgc import TGC  # noqa: E402
+from touchd.model.training.export import CalibratedTGC  # noqa: E402
+from touchd.model.training.remember import save, statistics  # noqa: E402
 
 # The simulated gesture behind each label; "hug" is new to the shipped model.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
@@ -165,7 +165,7 @@ def test_touchd_classify_answers_with_the_new_gesture(
 
 def test_the_doctor_finds_that_the_model_fits(adapted_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # On a busy machine the doctor would rightly warn.
-    monkeypatch.setattr("daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
+    monkeypatch.setattr("touchd.daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     check = check_model(Settings(model=str(adapted_file)))
     assert check.verdict == "ok"
 
@@ -452,7 +452,7 @@ def test_training_without_recordings_names_where_recipes_are_trained(
     with pytest.raises(SystemExit) as ended:
         cli.main(["train"])
     assert ended.value.code == 2
-    assert "python -m docs.studies train" in capsys.readouterr().err
+    assert "python -m touchd.model.studies train" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -462,7 +462,7 @@ def test_training_without_recordings_names_where_recipes_are_trained(
 def test_a_folder_with_too_much_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str, most: int, message: str
 ) -> None:
-    monkeypatch.setattr(f"model.adapt.folder.{limit}", most)
+    monkeypatch.setattr(f"touchd.model.adapt.folder.{limit}", most)
     with pytest.raises(ExtraError, match=message):
         read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
 

@@ -8,10 +8,10 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from docs.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
-from docs.studies.checks.hard_cases import checkerboard, hand
-from model.settings import AugmentationSettings
-from model.training.augment import crop, vary
+from touchd.model.adapt.augment import crop, vary
+from touchd.model.settings import AugmentationSettings
+from touchd.model.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
+from touchd.model.studies.checks.hard_cases import checkerboard, hand
 
 OFF = AugmentationSettings(
     gain=0.0, gamma=0.0, taxel_gain=0.0, turn=0.0, shift=0.0, offset=0.0, noise_counts=0.0, dead_row=0.0

@@ -8,10 +8,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from docs.studies.checks.hard_cases import checkerboard, flat, hand
-from docs.studies.checks.stability import chunked
-from drivers.frame import FRAME_RATE_HZ
-from model.classifier import (
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.model.classifier import (
     MAX_FILE_BYTES,
     METADATA_KEY,
     SHIPPED_MODEL,
@@ -20,7 +18,9 @@ from model.classifier import (
     ModelInputError,
     ModelMetadata,
 )
-from model.settings import LENGTHS
+from touchd.model.settings import LENGTHS
+from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand
+from touchd.model.studies.checks.stability import chunked
 
 ANY_WINDOW = ("batch", "frames", 8, 8)
 GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -212,7 +212,7 @@ class TestOtherModels:
         assert "another output than probabilities: odd" in refusal(self.saved(proto))
 
     def test_a_graph_without_an_end_is_refused_in_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("model.classifier.TRIAL_S", 0.5)
+        monkeypatch.setattr("touchd.model.classifier.TRIAL_S", 0.5)
         helper, kind = self.onnx.helper, self.onnx.TensorProto
         info = helper.make_tensor_value_info
         steps = [("go", "still"), ("held", "kept")]

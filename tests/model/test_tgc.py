@@ -14,12 +14,12 @@ pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 import torch  # noqa: E402
 from torch import Tensor  # noqa: E402
 
-from docs.studies.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
-from docs.studies.training.export import CalibratedTGC, export  # noqa: E402
-from docs.studies.training.stepwise import MEMORY_FRAMES, initial_state, step  # noqa: E402
-from model.classifier import Classifier, ModelMetadata  # noqa: E402
-from model.settings import NetworkSettings  # noqa: E402
-from model.tgc import TGC, FeatureDropout  # noqa: E402
+from touchd.model.classifier import Classifier, ModelMetadata  # noqa: E402
+from touchd.model.settings import NetworkSettings  # noqa: E402
+from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
+from touchd.model.tgc import TGC, FeatureDropout  # noqa: E402
+from touchd.model.training.export import CalibratedTGC, export  # noqa: E402
+from touchd.model.training.stepwise import MEMORY_FRAMES, initial_state, step  # noqa: E402
 
 SMALL = NetworkSettings(
     stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12, smooth_frames=2
@@ -107,7 +107,7 @@ def test_attention_forgets_only_negligible_frames(monkeypatch: pytest.MonkeyPatc
     network, frames = random_network(), batch(checkerboard(6000)).float()
     kept = step(network, frames, initial_state(network))[1]
     assert kept.memory[0].shape[2] == MEMORY_FRAMES < 6000
-    monkeypatch.setattr("docs.studies.training.stepwise.MEMORY_FRAMES", 10**6)
+    monkeypatch.setattr("touchd.model.training.stepwise.MEMORY_FRAMES", 10**6)
     unbounded = step(network, frames, initial_state(network))[1]
     answers = [step(network, batch(hand(1)).float(), state)[0] for state in (kept, unbounded)]
     assert (answers[0] - answers[1]).abs().max().item() <= 1e-6

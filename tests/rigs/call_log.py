@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Callable
 
-from drivers.fakes.services import Call
+from touchd.drivers.fakes.services import Call
 
 
 class CallLog:

@@ -13,16 +13,16 @@ from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.sensor_rig import Encode, noise
 from rigs.wire import read_too_fast
 
-from daemon.config import Settings
-from daemon.doctor.check import Check
-from daemon.doctor.listening import Heard, listen
-from docs.studies.hand import simulate
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
-from drivers.pad.format import PadFormat, encode_frame
-from drivers.pad.port import open_port
-from drivers.pad.protocol import parser_of
-from drivers.recording import Stream, ideal_clock_ms
+from touchd.daemon.config import Settings
+from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.listening import Heard, listen
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Counts
+from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.port import open_port
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.model.studies.hand import simulate
 
 SETTINGS = Settings()
 

@@ -11,15 +11,15 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from daemon.config import Settings
-from daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from daemon.pipeline import Pipeline
-from daemon.playback.stream import DEMO_RECORDING as DEMO
-from daemon.playback.stream import play
-from daemon.setup.parts import load_model
-from docs.studies.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
-from drivers.recording import Stream, read_recordings, splice
-from model.classifier import Classifier
+from touchd.daemon.config import Settings
+from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
+from touchd.daemon.playback.stream import play
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.recording import Stream, read_recordings, splice
+from touchd.model.classifier import Classifier
+from touchd.model.studies.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 
 FOLDER = Path(__file__).parents[1] / "recordings"
 GAP_S = 1.8

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from daemon.events import TouchBegan, TouchEnded, timestamp
-from daemon.kept.touch_frames import FeltTouch
-from drivers.frame import Frame
+from touchd.daemon.events import TouchBegan, TouchEnded, timestamp
+from touchd.daemon.kept.touch_frames import FeltTouch
+from touchd.drivers.frame import Frame
 
 FRAMES = 20
 FIRST_S = 1795168800.0

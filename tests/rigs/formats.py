@@ -4,10 +4,10 @@ from typing import Any
 
 import msgspec
 
-from drivers.frame import Counts
-from drivers.pad.binary import BinaryFrames
-from drivers.pad.format import PRESETS, PadFormat, encode_frame
-from drivers.pad.text import TextFrames
+from touchd.drivers.frame import Counts
+from touchd.drivers.pad.binary import BinaryFrames
+from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame
+from touchd.drivers.pad.text import TextFrames
 
 
 def _fabric_grid(changes: dict[str, Any]) -> PadFormat:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.fakes.fake_port import FakePort
-from drivers.frame import Counts
-from drivers.recording import Stream
+from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.frame import Counts
+from touchd.drivers.recording import Stream
 
 # The checksum detects every bit flipped in the low bytes of a fabric-grid frame's values.
 FIRST_LOW_BYTE = 8

@@ -11,12 +11,12 @@ from rigs.sockets import free_port
 from rigs.wait import AT_ONCE_S, WITHIN_S
 from websockets.sync.client import ClientConnection, connect
 
-from daemon.config import LiveSettings, Settings
-from daemon.live.server import LiveServer, encode_frame
-from daemon.setup.destinations import open_live_page
-from daemon.setup.parts import load_model
-from drivers.frame import DEFAULT_PAD, Counts, Frame
-from model.classifier import Classifier
+from touchd.daemon.config import LiveSettings, Settings
+from touchd.daemon.live.server import LiveServer, encode_frame
+from touchd.daemon.setup.destinations import open_live_page
+from touchd.daemon.setup.parts import load_model
+from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
+from touchd.model.classifier import Classifier
 
 HANDSHAKE = (
     "GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

@@ -1,6 +1,6 @@
 """Events made up for tests."""
 
-from daemon.events import Prediction, TouchBegan
+from touchd.daemon.events import Prediction, TouchBegan
 
 TIME = "2026-11-20T10:00:01.000Z"
 # Change a field with msgspec.structs.replace.

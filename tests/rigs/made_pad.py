@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import Counts
+from touchd.drivers.frame import Counts
 
 Scans = NDArray[np.float32]
 NOISE_COUNTS = 0.76

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import MAX_COUNT
+from touchd.drivers.frame import MAX_COUNT
 
 FIRMWARE = Path(__file__).parents[2] / "drivers" / "firmware"
 SKETCH = FIRMWARE / "fabric_grid" / "fabric_grid.ino"

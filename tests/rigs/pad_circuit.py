@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.frame import MAX_COUNT
+from touchd.drivers.frame import MAX_COUNT
 
 SUPPLY_V = 5.0
 PULL_UP_OHM = 3300.0

@@ -8,9 +8,9 @@ from pathlib import Path
 from rigs.expectations import stream_of
 from rigs.line_faults import FaultyPort
 
-from daemon.config import SceneSettings, SensorSettings
-from daemon.setup.destinations import encoder_for
-from drivers.recording import Stream
+from touchd.daemon.config import SceneSettings, SensorSettings
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.recording import Stream
 
 # A tenth of the daemon's queue.
 FRAMES_AT_ONCE = 54

@@ -19,9 +19,9 @@ import pytest
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.bridges.bridge import Bridge
-from daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
-from drivers.frame import Frame
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
+from touchd.drivers.frame import Frame
 
 PAD = "pad"
 MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
@@ -164,7 +164,7 @@ class MqttPeer(Peer):
         self.stop()
 
     def make(self) -> Bridge:
-        from daemon.bridges.mqtt import MqttBridge
+        from touchd.daemon.bridges.mqtt import MqttBridge
 
         return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD)
 
@@ -190,7 +190,7 @@ class RosbridgePeer(Peer):
         self.operations: list[dict[str, Any]] = []
 
     def make(self) -> Bridge:
-        from daemon.bridges.rosbridge import RosbridgeBridge
+        from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 
         settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
         return RosbridgeBridge(settings, PAD)
@@ -227,7 +227,7 @@ class LslPeer(Peer):
         self.name = f"test{free_port()}"
 
     def make(self) -> Bridge:
-        from daemon.bridges.lsl import LslBridge
+        from touchd.daemon.bridges.lsl import LslBridge
 
         return LslBridge(LslSettings(name=self.name), PAD)
 
@@ -263,7 +263,7 @@ class Ros2Peer(Peer):
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:
-        from daemon.bridges.ros2 import Ros2Bridge
+        from touchd.daemon.bridges.ros2 import Ros2Bridge
 
         return Ros2Bridge(Ros2Settings(domain=self.domain), PAD)
 
@@ -271,7 +271,7 @@ class Ros2Peer(Peer):
     def listening(self) -> Iterator[None]:
         from cyclonedds.domain import DomainParticipant
 
-        from daemon.bridges.ros2 import String
+        from touchd.daemon.bridges.ros2 import String
 
         reader = reader_of(DomainParticipant(self.domain), f"rt/touchd/{PAD}/event", String)
 

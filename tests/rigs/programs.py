@@ -8,7 +8,7 @@ from typing import IO, Any
 
 from rigs.wait import WITHIN_S
 
-TOUCHD = (sys.executable, "-m", "daemon")
+TOUCHD = (sys.executable, "-m", "touchd.daemon")
 
 
 def ran(command: Sequence[str | Path], **options: Any) -> subprocess.CompletedProcess[str]:

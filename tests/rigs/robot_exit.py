@@ -9,10 +9,10 @@ from typing import Any
 from rigs.robots import SAY, Robot, States, reach
 from rigs.wait import AT_ONCE_S
 
-from drivers.frame import DEFAULT_PAD
-from drivers.robot.link import RobotLink
-from drivers.robot.session import Login
-from drivers.robot.settings import RobotSettings
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.session import Login
+from touchd.drivers.robot.settings import RobotSettings
 
 
 def main(state: str) -> int:

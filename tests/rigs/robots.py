@@ -15,15 +15,15 @@ from rigs.call_log import CallLog
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S
 
-from drivers.fakes.loopback_robot import LoopbackRobot
-from drivers.fakes.stub_robot import StubRobot
-from drivers.frame import DEFAULT_PAD
-from drivers.robot.actions import Action, ActionRule
-from drivers.robot.limits import RobotLimits
-from drivers.robot.link import RobotLink
-from drivers.robot.message import RobotMessage
-from drivers.robot.session import Login, qi_installed
-from drivers.robot.settings import RobotSettings
+from touchd.drivers.fakes.loopback_robot import LoopbackRobot
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.actions import Action, ActionRule
+from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.session import Login, qi_installed
+from touchd.drivers.robot.settings import RobotSettings
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 needs_qi_and_openssl = pytest.mark.skipif(

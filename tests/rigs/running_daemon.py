@@ -12,10 +12,10 @@ from rigs.expectations import LENGTHS
 from rigs.patient_port import PATIENT, PatientPort, playing
 from rigs.wait import WITHIN_S, wait_for
 
-from daemon.config import SensorSettings, Settings
-from daemon.events import Event
-from daemon.playback.rig import SpawnedDaemon
-from drivers.fakes.fake_port import FakePort
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.events import Event
+from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.drivers.fakes.fake_port import FakePort
 
 SPEED = 16.0
 SERVED = re.compile(r"live page: (http://\S+)/")
@@ -85,7 +85,7 @@ class Daemon:
 
     def reloads(self) -> list[str]:
         """Return its log lines about reloads."""
-        return [line for line in self.log.splitlines() if "daemon.setup.reread" in line]
+        return [line for line in self.log.splitlines() if "touchd.daemon.setup.reread" in line]
 
     def await_reloads(self, count: int) -> None:
         wait_for(lambda: len(self.reloads()) >= count)

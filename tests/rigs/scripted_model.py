@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from daemon.pad.baseline import SECOND_FRAMES
-from daemon.touch import GLANCE_FRAMES
-from model.classifier import State
+from touchd.daemon.pad.baseline import SECOND_FRAMES
+from touchd.daemon.touch import GLANCE_FRAMES
+from touchd.model.classifier import State
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 

@@ -10,12 +10,12 @@ import numpy as np
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from drivers.frame import Counts, Frame
-from drivers.pad.format import PadFormat, encode_frame
-from drivers.pad.parser import FrameParser
-from drivers.pad.sensor import FrameQueue, Sensor, SensorState
-from drivers.queue import Signal
-from drivers.recording import Span, Stream, ideal_clock_ms
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState
+from touchd.drivers.queue import Signal
+from touchd.drivers.recording import Span, Stream, ideal_clock_ms
 
 BAUD = 512000
 Encode = Callable[[Counts, int], bytes]

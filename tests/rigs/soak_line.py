@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from daemon.config import SensorSettings
-from daemon.playback.stream import with_quiet
-from daemon.setup.destinations import encoder_for
-from docs.studies.hand import simulate
-from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import Selection, Stream, read_recordings, realign, splice
+from touchd.daemon.config import SensorSettings
+from touchd.daemon.playback.stream import with_quiet
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.recording import Selection, Stream, read_recordings, realign, splice
+from touchd.model.studies.hand import simulate
 
 CHUNK_FRAMES = 20
 GARBAGE_EVERY_CHUNKS = 50

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from docs.studies.report.results import Results
+from touchd.model.studies.report.results import Results
 
 DOCS = Path(__file__).parents[2] / "docs"
 RESULTS = Results(DOCS / "report.json")

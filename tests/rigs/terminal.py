@@ -18,7 +18,7 @@ class Terminal:
     def __init__(self, *arguments: str) -> None:
         self._master, slave = pty.openpty()
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "daemon", *arguments],
+            [sys.executable, "-m", "touchd.daemon", *arguments],
             stdin=slave,
             stdout=slave,
             stderr=slave,

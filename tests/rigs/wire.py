@@ -6,8 +6,8 @@ from itertools import pairwise
 import numpy as np
 from rigs.formats import encode_fabric_grid
 
-from drivers.frame import Counts, Frame
-from drivers.pad.parser import FrameParser
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.pad.parser import FrameParser
 
 PERIOD_MS = 19
 SIZE = 4 + 4 + 2 * 100 + 1

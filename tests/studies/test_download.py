@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from docs.studies.training.download import ARCHIVE_NAME, Contents, DownloadError, obtain, unpack
-from docs.studies.training.haart import PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE
-from drivers.recording import RecordingError
+from touchd.drivers.recording import RecordingError
+from touchd.model.training.download import ARCHIVE_NAME, Contents, DownloadError, obtain, unpack
+from touchd.model.training.haart import PUBLISHED_FRAMES, TEST_FILE, TRAINING_FILE
 
 EXPECTED = {TRAINING_FILE: Contents(2, ("P3", "P4")), TEST_FILE: Contents(1, ("T1",))}
 

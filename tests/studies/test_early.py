@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from rigs.stored_report import DOCS
 
-from docs.studies.decision.early import best_choice, choices_of, compare, score, write
-from docs.studies.decision.streams import FRAMES, Streams
+from touchd.model.studies.decision.early import best_choice, choices_of, compare, score, write
+from touchd.model.studies.decision.streams import FRAMES, Streams
 
 LABELS = ("notouch", "pat", "rub", "stroke")
 

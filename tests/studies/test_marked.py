@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from docs.studies.marked import PageError, fill, table
+from touchd.model.studies.marked import PageError, fill, table
 
 PAGE = """\
 # A title

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from docs.studies.pads import LAB, LADDER, PadScore, Rung, frames_of, score, table_of
+from touchd.model.studies.pads import LAB, LADDER, PadScore, Rung, frames_of, score, table_of
 
 
 def test_a_pad_that_feels_nothing_is_marked_ruined() -> None:

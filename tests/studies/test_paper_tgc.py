@@ -7,7 +7,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 import torch
 from torch import nn
 
-from docs.studies.report.paper_tgc import Attention, FeedForward, PaperSettings, PaperTGC
+from touchd.model.studies.report.paper_tgc import Attention, FeedForward, PaperSettings, PaperTGC
 
 
 def parameters(network: nn.Module) -> int:

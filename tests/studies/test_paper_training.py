@@ -9,15 +9,15 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from docs.studies.report import paper_cells, paper_training
-from docs.studies.report.paper_cells import Grid, PaperCell, read_grid
-from docs.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, train, trained
-from docs.studies.report.results import Results, Study
-from docs.studies.training import haart
-from docs.studies.training.checkpoint import CheckpointError
-from docs.studies.training.haart import GESTURES, Windows
-from docs.studies.training.recipe import SettingsError
-from drivers.recording import Recording, ideal_clock_ms
+from touchd.drivers.recording import Recording, ideal_clock_ms
+from touchd.model.studies.report import paper_cells, paper_training
+from touchd.model.studies.report.paper_cells import Grid, PaperCell, read_grid
+from touchd.model.studies.report.paper_training import CHECKPOINT_NAME, PaperTraining, train, trained
+from touchd.model.studies.report.results import Results, Study
+from touchd.model.training import haart
+from touchd.model.training.checkpoint import CheckpointError
+from touchd.model.training.haart import GESTURES, Windows
+from touchd.model.training.recipe import SettingsError
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 GRID = Grid(learning_rate=1e-4, batch=8, bfloat16=False, whole=(), feasible=())

@@ -15,20 +15,20 @@ from rigs.stored_report import DOCS, RESULTS
 pytest.importorskip("torch", reason="needs the extra train")
 pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
-from docs.studies import accuracy, adapting
-from docs.studies.checks import evaluate
-from docs.studies.checks.evaluate import read_scores
-from docs.studies.marked import fill
-from docs.studies.report import page, paper_cells, paper_training, representation, tables23
-from docs.studies.tracker import report as touch_page
-from docs.studies.tracker.figures import TouchReport
-from docs.studies.training import haart
-from docs.studies.training.recipe import read_recipe
-from docs.studies.training.ship import SCORES_NAME
-from drivers.recording import Recording
-from model.adapt.head import AdaptSettings
-from model.classifier import SHIPPED_MODEL, Classifier
-from model.training.threads import one_torch_thread
+from touchd.drivers.recording import Recording
+from touchd.model.adapt.head import AdaptSettings
+from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies import accuracy, adapting
+from touchd.model.studies.checks import evaluate
+from touchd.model.studies.checks.evaluate import read_scores
+from touchd.model.studies.marked import fill
+from touchd.model.studies.report import page, paper_cells, paper_training, representation, tables23
+from touchd.model.studies.tracker import report as touch_page
+from touchd.model.studies.tracker.figures import TouchReport
+from touchd.model.training import haart
+from touchd.model.training.recipe import read_recipe
+from touchd.model.training.ship import SCORES_NAME
 
 ALL_KEYS = RESULTS.keys()
 PAPER_KEYS = RESULTS.keys(paper_cells.PREFIX)

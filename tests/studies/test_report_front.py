@@ -15,20 +15,20 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 
 import onnx
 
-from docs.studies.checks.hard_cases import hand
-from docs.studies.hand import simulate
-from docs.studies.report import cost, front, int8, networks, sizes
-from docs.studies.report.front import Row
-from docs.studies.report.macs import multiply_adds
-from docs.studies.report.paper_tgc import PaperSettings
-from docs.studies.report.peak import idle_bytes, peak_bytes
-from docs.studies.report.results import Results
-from docs.studies.training import haart
-from docs.studies.training.recipe import HAART_RECIPE, final_jobs, read_recipe
-from docs.studies.training.ship import HAART_MODEL
-from drivers.recording import Recording, ideal_clock_ms, write_recordings
-from model.classifier import SHIPPED_MODEL, Classifier
-from model.settings import LENGTHS
+from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.settings import LENGTHS
+from touchd.model.studies.checks.hard_cases import hand
+from touchd.model.studies.hand import simulate
+from touchd.model.studies.report import cost, front, int8, networks, sizes
+from touchd.model.studies.report.front import Row
+from touchd.model.studies.report.macs import multiply_adds
+from touchd.model.studies.report.paper_tgc import PaperSettings
+from touchd.model.studies.report.peak import idle_bytes, peak_bytes
+from touchd.model.studies.report.results import Results
+from touchd.model.training import haart
+from touchd.model.training.recipe import HAART_RECIPE, final_jobs, read_recipe
+from touchd.model.training.ship import HAART_MODEL
 
 pytestmark = pytest.mark.timeout(180)
 TOLERANCE = 0.004

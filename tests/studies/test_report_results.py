@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from docs.studies.report.results import Results, ResultsError
+from touchd.model.studies.report.results import Results, ResultsError
 
 ROOT = Path(__file__).parents[2]
 PUT_MANY = """
 import sys
 from pathlib import Path
-from docs.studies.report.results import Results
+from touchd.model.studies.report.results import Results
 results = Results(Path(sys.argv[1]))
 for number in range(15):
     results.put(f"{sys.argv[2]}/{number}", {"number": number}, 0.0)

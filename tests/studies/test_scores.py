@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
 
-from docs.studies.checks import evaluate
-from docs.studies.training import haart, second_study
-from docs.studies.training.haart import TRAINING_FILE, find
-from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
-from model.classifier import SHIPPED_MODEL, Classifier
+from touchd.drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies.checks import evaluate
+from touchd.model.training import haart, second_study
+from touchd.model.training.haart import TRAINING_FILE, find
 
 pytest.importorskip("torch", reason="needs the extra train")
 
-from docs.studies.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
-from docs.studies.training.ship import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
+from touchd.model.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
+from touchd.model.training.ship import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
 PAGE = Path(__file__).parents[2] / "docs" / "accuracy.md"
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]

@@ -10,14 +10,14 @@ from rigs.haart_folder import SECOND_STUDY, needs_second_study
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from daemon.events import TouchEnded, epoch_s, timestamp
-from docs.studies.play import frames_of, play
-from docs.studies.sessions import joined
-from docs.studies.sessions.plan import PlannedSession, SessionSettings, sessions
-from docs.studies.sessions.report import measure
-from docs.studies.sessions.score import judge, score
-from drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
-from model.classifier import SHIPPED_MODEL, Classifier
+from touchd.daemon.events import TouchEnded, epoch_s, timestamp
+from touchd.drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies.play import frames_of, play
+from touchd.model.studies.sessions import joined
+from touchd.model.studies.sessions.plan import PlannedSession, SessionSettings, sessions
+from touchd.model.studies.sessions.report import measure
+from touchd.model.studies.sessions.score import judge, score
 
 
 def recording(gesture: str, scans: Scans, shift: float = 0.0) -> Recording:

@@ -9,12 +9,12 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 
 from rich.console import Console
 
-from docs.studies import speed
-from docs.studies.checks.timing import IN_A_ROW, Timing, time_in_turn
-from docs.studies.report.paper_tgc import PaperSettings
-from docs.studies.speed import ONNX_RUNTIME, PYTORCH, Speed
-from model.classifier import SHIPPED_MODEL
-from model.settings import LENGTHS
+from touchd.model.classifier import SHIPPED_MODEL
+from touchd.model.settings import LENGTHS
+from touchd.model.studies import speed
+from touchd.model.studies.checks.timing import IN_A_ROW, Timing, time_in_turn
+from touchd.model.studies.report.paper_tgc import PaperSettings
+from touchd.model.studies.speed import ONNX_RUNTIME, PYTORCH, Speed
 
 
 def timed(network: str, runtime: str, processor_ms: float) -> Speed:

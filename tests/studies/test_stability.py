@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from docs.studies.checks import stability
-from docs.studies.checks.hard_cases import hand, hard_cases
-from docs.studies.checks.stability import FLOAT64, LATER, TOLERANCES, CaseResult
-from drivers.frame import MAX_COUNT
-from model.classifier import SHIPPED_MODEL, Classifier, ModelError
+from touchd.drivers.frame import MAX_COUNT
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelError
+from touchd.model.studies.checks import stability
+from touchd.model.studies.checks.hard_cases import hand, hard_cases
+from touchd.model.studies.checks.stability import FLOAT64, LATER, TOLERANCES, CaseResult
 
 # Every case runs in both runtimes.
 pytestmark = pytest.mark.timeout(300)
@@ -36,7 +36,7 @@ def test_the_shipped_model_holds_in_every_case(checks: list[CaseResult], measure
 
 def test_a_model_whose_logits_overflow_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("onnx", reason="needs the extra `train`")
-    from docs.studies.checks.reference import scale_logits
+    from touchd.model.studies.checks.reference import scale_logits
 
     broken = tmp_path / "broken.onnx"
     scale_logits(SHIPPED_MODEL, 3e38, broken)
@@ -89,7 +89,7 @@ def test_the_tiny_values_are_denormal() -> None:
 def exact(classifier: Classifier) -> Any:
     """The shipped network in float64."""
     pytest.importorskip("torch", reason="needs the extra `train`")
-    from docs.studies.checks.reference import Reference
+    from touchd.model.studies.checks.reference import Reference
 
     return Reference.load(SHIPPED_MODEL.with_suffix(".pt"), classifier.metadata)
 
@@ -116,7 +116,7 @@ def test_three_hours_of_touches_stay_as_in_float64(classifier: Classifier, exact
 
 def test_a_state_keeps_no_more_than_attention_remembers(classifier: Classifier) -> None:
     pytest.importorskip("torch", reason="needs the extra `train`")
-    from docs.studies.training.stepwise import MEMORY_FRAMES
+    from touchd.model.training.stepwise import MEMORY_FRAMES
 
     state, sizes = None, []
     for _ in range(14):

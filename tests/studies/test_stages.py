@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rigs.robots import needs_qi
 
-from docs.studies.stages import STAGES, NotTimedError, Times, measure, stages_table, times_of
+from touchd.model.studies.stages import STAGES, NotTimedError, Times, measure, stages_table, times_of
 
 
 def test_each_stage_has_a_bar_as_long_as_its_time() -> None:

@@ -9,14 +9,14 @@ import pytest
 from rigs.haart_folder import needs_haart
 from rigs.stored_report import DOCS
 
-from daemon.decide import DecisionSettings
-from docs.studies.decision.measure import Said, Told, decide, listen
-from docs.studies.decision.report import StreamReport, choose
-from docs.studies.tracker.measure import spliced
-from docs.studies.training import haart
-from docs.studies.training.haart import TRAINING_FILE, find
-from drivers.recording import Selection, read_recordings
-from model.classifier import SHIPPED_MODEL
+from touchd.daemon.decide import DecisionSettings
+from touchd.drivers.recording import Selection, read_recordings
+from touchd.model.classifier import SHIPPED_MODEL
+from touchd.model.studies.decision.measure import Said, Told, decide, listen
+from touchd.model.studies.decision.report import StreamReport, choose
+from touchd.model.studies.tracker.measure import spliced
+from touchd.model.training import haart
+from touchd.model.training.haart import TRAINING_FILE, find
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
@@ -60,7 +60,7 @@ def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
 @needs_haart
 def test_a_participant_is_answered_by_an_unseen_network() -> None:
     pytest.importorskip("torch", reason="needs the extra train")
-    from docs.studies.training.ship import left_out_split
+    from touchd.model.training.ship import left_out_split
 
     path = find(Path(os.environ["TOUCHD_HAART"]), TRAINING_FILE)
     of_one = haart.realigned(read_recordings(path, Selection(participants=("P8",))))

@@ -16,7 +16,9 @@ pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 import torch
 
-from docs.studies.report import (
+from touchd.drivers.recording import Recording, ideal_clock_ms
+from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.studies.report import (
     challenge_balli,
     challenge_features,
     challenge_gaus,
@@ -24,11 +26,9 @@ from docs.studies.report import (
     challenge_ta,
     table1,
 )
-from docs.studies.report.results import Results, Study
-from docs.studies.report.table1 import SYSTEMS, Data, DeepSystem, HandMade, Searched, Shipped, System
-from docs.studies.training import haart
-from drivers.recording import Recording, ideal_clock_ms
-from model.training.threads import one_torch_thread
+from touchd.model.studies.report.results import Results, Study
+from touchd.model.studies.report.table1 import SYSTEMS, Data, DeepSystem, HandMade, Searched, Shipped, System
+from touchd.model.training import haart
 
 CELLS = [key for key in RESULTS.keys(table1.PREFIX) if "/seed" in key]
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")

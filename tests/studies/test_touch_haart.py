@@ -9,16 +9,16 @@ import pytest
 from rigs.haart_folder import needs_haart
 from rigs.stored_report import DOCS
 
-from daemon.events import Prediction
-from daemon.touch import TouchSettings
-from docs.studies.play import play
-from docs.studies.tracker import figures
-from docs.studies.tracker.figures import TouchReport
-from docs.studies.tracker.measure import spliced
-from docs.studies.training.haart import TRAINING_FILE, find
-from drivers.frame import Frame
-from drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
-from model.classifier import Classifier
+from touchd.daemon.events import Prediction
+from touchd.daemon.touch import TouchSettings
+from touchd.drivers.frame import Frame
+from touchd.drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
+from touchd.model.classifier import Classifier
+from touchd.model.studies.play import play
+from touchd.model.studies.tracker import figures
+from touchd.model.studies.tracker.figures import TouchReport
+from touchd.model.studies.tracker.measure import spliced
+from touchd.model.training.haart import TRAINING_FILE, find
 
 SAMPLE = "P6"
 

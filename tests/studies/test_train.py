@@ -11,14 +11,14 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from docs.studies.training import checkpoint
-from docs.studies.training.checkpoint import Checkpoint, CheckpointError, save
-from docs.studies.training.settings import TrainSettings
-from docs.studies.training.train import CHECKPOINT_NAME, Training, train
-from drivers.recording import Recording, ideal_clock_ms
-from model.settings import NetworkSettings
-from model.training.origin import code_version, data_hash
-from model.training.schedule import learning_rate_at
+from touchd.drivers.recording import Recording, ideal_clock_ms
+from touchd.model.adapt.origin import code_version, data_hash
+from touchd.model.adapt.schedule import learning_rate_at
+from touchd.model.settings import NetworkSettings
+from touchd.model.training import checkpoint
+from touchd.model.training.checkpoint import Checkpoint, CheckpointError, save
+from touchd.model.training.settings import TrainSettings
+from touchd.model.training.train import CHECKPOINT_NAME, Training, train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NETWORK = NetworkSettings(

@@ -16,10 +16,10 @@ import tty
 from contextlib import suppress
 from pathlib import Path
 
-from daemon.config import DEFAULT_PORT, SensorSettings
-from daemon.setup.destinations import encoder_for
-from drivers.frame import FRAME_RATE_HZ
-from drivers.recording import read_recordings, splice
+from touchd.daemon.config import DEFAULT_PORT, SensorSettings
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.recording import read_recordings, splice
 
 GADGET = Path("/sys/kernel/config/usb_gadget/pad")
 # How the udev rule identifies an Arduino Mega 2560.

@@ -1,1 +1,0 @@
-"""The studies behind the pages in docs/: `python -m docs.studies`, from the repository."""

@@ -1,1 +1,0 @@
-"""How the shipped model is made: recordings, recipe, calibration, export, scores."""

@@ -1,0 +1,180 @@
+"""What adapting to a person gains that person and costs others (docs/adapt.md)."""
+
+from collections.abc import Callable, Iterator, Sequence
+from operator import attrgetter
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from torch import nn
+
+from touchd.drivers.recording import Recording
+from touchd.model.adapt.adapt import Pretrained, logits
+from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
+from touchd.model.adapt.head import AdaptSettings, fit
+from touchd.model.adapt.measure import Floats, mean_interval
+from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.classifier import SHIPPED_MODEL
+from touchd.model.studies.folders import study_parser
+from touchd.model.studies.marked import fill, table
+from touchd.model.training import checkpoint, haart, metrics
+from touchd.model.training.recipe import fold_jobs, read_recipe
+from touchd.model.training.ship import fold_path, remember
+from touchd.model.training.studies import Folders
+from touchd.model.training.train import CHECKPOINT_NAME
+
+SHOTS = (1, 2, 4)
+"""Recordings a gesture that are adapted to; all those in no draw's first four are evaluated."""
+DRAWS = 2
+FRAMES = 144
+FILE = Path(__file__).parents[2] / "docs" / "adapt.json"
+PAGE = FILE.with_suffix(".md")
+
+
+class Trial(msgspec.Struct, frozen=True, kw_only=True):
+    """One network adapted to `each` recordings a gesture of one person that it never saw.
+
+    before, after: macro accuracy on that person's other recordings, after 144 frames; error: of calibration.
+    others: mean gain on the other people whom the network never saw.
+    """
+
+    participant: str
+    draw: int
+    each: int
+    before: float
+    after: float
+    error: float
+    others: float
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """What docs/adapt.json holds."""
+
+    settings: AdaptSettings
+    trials: tuple[Trial, ...]
+
+
+class PersonFold:
+    """A network, the people whom it never saw, and its features of their windows."""
+
+    def __init__(self, pretrained: Pretrained, unseen: Sequence[Recording]) -> None:
+        self.pretrained = pretrained
+        self.unseen = unseen
+        self.windows: WindowFeatures = windows(pretrained.backbone, unseen)[FRAMES]
+        self.truth = np.array([haart.label(unseen[i]) for i in self.windows.recordings], dtype=np.int64)
+        self.people = sorted({recording.participant for recording in unseen})
+
+    def of(self, name: str) -> list[int]:
+        """Return the numbers of a person's recordings."""
+        return [i for i, recording in enumerate(self.unseen) if recording.participant == name]
+
+    def accuracy(self, head: nn.Sequential, recordings: Sequence[int]) -> tuple[float, float]:
+        """Return macro accuracy and calibration error on the windows of some recordings."""
+        chosen: NDArray[np.bool_] = np.isin(self.windows.recordings, recordings)
+        answers = logits(head, self.windows, chosen) / self.pretrained.temperatures[FRAMES]
+        odds = np.exp(answers - answers.max(axis=1, keepdims=True))
+        odds /= odds.sum(axis=1, keepdims=True)
+        predicted = odds.argmax(axis=1).astype(np.int64)
+        return (
+            metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.GESTURES)),
+            metrics.expected_calibration_error(odds, self.truth[chosen]),
+        )
+
+    def trials(self, name: str, rehearsed: CropFeatures, settings: AdaptSettings) -> Iterator[Trial]:
+        """Yield every trial of one person."""
+        own, pretrained = self.of(name), self.pretrained
+        others = [self.of(other) for other in self.people if other != name]
+        start = pretrained.head
+        others_before = [self.accuracy(start, theirs)[0] for theirs in others]
+        for number in range(DRAWS):
+            drawn = draw(self.unseen, name, number)
+            evaluated = sorted(set(own) - {i for first in drawn for i in first})
+            before, _ = self.accuracy(start, evaluated)
+            for each in SHOTS:
+                shown = [self.unseen[i] for first in drawn for i in first[:each]]
+                features = crops(
+                    pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed
+                )
+                head = fit(start, haart.GESTURES, [], features, rehearsed, settings)
+                after, error = self.accuracy(head, evaluated)
+                gains = [
+                    self.accuracy(head, theirs)[0] - was
+                    for theirs, was in zip(others, others_before, strict=True)
+                ]
+                figures = {"before": before, "after": after, "error": error, "others": float(np.mean(gains))}
+                rounded = {figure: round(value, 4) for figure, value in figures.items()}
+                yield Trial(participant=name, draw=number, each=each, **rounded)
+
+
+def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[int]]:
+    """Return the first four of a random order of each gesture's recordings of one person."""
+    rng = np.random.default_rng([number, *name.encode()])
+    whose = [(each.participant, each.gesture) for each in recordings]
+    return [
+        rng.permutation([i for i, each in enumerate(whose) if each == (name, gesture)]).tolist()[: SHOTS[-1]]
+        for gesture in haart.GESTURES
+    ]
+
+
+def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
+    """Yield the trials of everybody of both studies."""
+    takes = folders.to_train_on(("haart", "second"))
+    for job in fold_jobs(read_recipe()):
+        left_out = job.settings.left_out
+        saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
+        remembered = remember(saved, folders)
+        pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
+        fold = PersonFold(pretrained, haart.only(takes, left_out))
+        rehearsed = remembered.samples(haart.GESTURES, settings.seed)
+        for name in fold.people:
+            yield from fold.trials(name, rehearsed, settings)
+
+
+def tables(measured: Measured) -> dict[str, str]:
+    """Return the page's tables by their places."""
+    rows = []
+    for group, letter in (("second study", "R"), ("HAART", "P")):
+        for each in SHOTS:
+            cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
+            interval = mean_interval([_by_person(cell, lambda t: t.after - t.before)])
+            assert interval is not None
+            before, after, others, error = (
+                _by_person(cell, attrgetter(name)).mean() for name in ("before", "after", "others", "error")
+            )
+            gained = f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}"
+            shown = (f"{100 * before:.1f}", f"**{100 * after:.1f}**", gained, f"{100 * others:+.1f}")
+            rows.append((group, each, *shown, f"{error:.3f}"))
+    headings = ("people", "a gesture", "before", "after", "95 % of the difference")
+    people = []
+    names = {t.participant for t in measured.trials}
+    for name in sorted(names, key=lambda name: (name[0], int(name[1:]))):
+        own = [t for t in measured.trials if t.participant == name]
+        afters = [np.mean([t.after for t in own if t.each == each]) for each in SHOTS]
+        values = [np.mean([t.before for t in own]), *afters]
+        people.append((name, *(f"{100 * value:.1f}" for value in values)))
+    return {
+        "summary": table((*headings, "others", "calibration error after"), rows),
+        "people": table(("person", "before", *(f"{each} a gesture" for each in SHOTS)), people),
+    }
+
+
+def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Floats:
+    """Return each person's mean of a figure."""
+    names = sorted({trial.participant for trial in trials})
+    return np.array([np.mean([figure(t) for t in trials if t.participant == name]) for name in names])
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure everybody and fill the page; returns 0."""
+    parser = study_parser("adapting", __doc__, "haart", "second-study")
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
+    options = parser.parse_args(arguments)
+    settings = AdaptSettings()
+    with one_torch_thread():
+        folders = Folders(options.haart, options.second_study)
+        trials = tuple(measure(folders, options.runs, settings))
+    measured = Measured(settings, trials)
+    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")
+    fill(PAGE, tables(measured))
+    return 0

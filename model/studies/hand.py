@@ -1,0 +1,224 @@
+"""A hand on the pad, simulated: the seven gestures of the demo's recording, and for tests and studies.
+
+A hand is a few round patches of pressure, each with a path and a force over time; the pad adds what HAART's
+recordings show of theirs: a rest level for each row and taxel, noise, taxels that feel unequally, and a leak
+along the rows. Forces, sizes and paces are set so that load, peak, area, pace and speed of each gesture are
+those of HAART's training recordings on the bare pad, not so that any one network likes them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.random import RandomState
+from numpy.typing import NDArray
+
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
+
+Series = NDArray[np.float64]
+
+# Measured on HAART at rest and under load: noise per taxel and frame, spread of the taxels' sensitivity
+# (as a logarithm), share of a row's pressure that all of the row feels.
+NOISE_COUNTS = 0.75
+UNEVENNESS = 0.35
+ROW_LEAK = 0.02
+# How long a hand takes to come down with its force, and to lift off.
+EDGE_S = 0.08
+FINGER_WIDTH = 0.9
+
+DEMO_SEED = 2
+DEMO_SCRIPT = (
+    ("notouch", 2.5),
+    *(
+        step
+        for gesture in ("pat", "stroke", "rub", "scratch", "tickle", "constant")
+        for step in ((gesture, 3.8), ("notouch", 1.8))
+    ),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """One round area of contact over T frames, in the hand's own directions.
+
+    along, across: (T,) centre in taxels, away from the hand's place, along the fingers and across them.
+    radius: standard deviation in taxels. force: (T,) counts at the centre.
+    """
+
+    along: Series
+    across: Series
+    radius: float
+    force: Series
+
+
+def wander(rng: RandomState, time_s: Series, fastest_hz: float) -> Series:
+    """Return smooth noise (T,) of unit deviation with nothing faster than `fastest_hz`."""
+    waves = 6
+    hz = fastest_hz * rng.uniform(0.2, 1.0, waves)
+    phases = rng.uniform(0.0, 2.0 * np.pi, waves)
+    noise: Series = np.sqrt(2.0 / waves) * np.sin(2.0 * np.pi * np.outer(time_s, hz) + phases).sum(axis=1)
+    return noise
+
+
+def cycles(rng: RandomState, time_s: Series, pace_hz: float) -> Series:
+    """Return how many movements are done at each time (T,): a pace that is a person's, and not quite even."""
+    pace = pace_hz * rng.lognormal(0.0, 0.1) * (1.0 + 0.06 * wander(rng, time_s, 0.8))
+    return np.cumsum(pace) / FRAME_RATE_HZ
+
+
+def fingers(count: int) -> list[float]:
+    """Return where the fingers of a hand lie across it, in taxels."""
+    return [FINGER_WIDTH * (finger - (count - 1) / 2) for finger in range(count)]
+
+
+def flat_hand(
+    rng: RandomState, time_s: Series, along: Series, across: Series, force: Series, friction: float
+) -> list[Patch]:
+    """Return palm and four fingers with `force` shared among them; each grips and slips by itself."""
+    parts = [Patch(along - 1.2, across, 2.2, 0.7 * force)]
+    parts += [Patch(along + 1.2, across + place, 1.1, 0.6 * force) for place in fingers(4)]
+    return [
+        replace(
+            part,
+            along=part.along + rng.normal(0.0, 0.2),
+            force=rng.uniform(0.5, 1.5) * part.force * (1.0 + friction * wander(rng, time_s, 12.0)),
+        )
+        for part in parts
+    ]
+
+
+def constant(rng: RandomState, time_s: Series) -> list[Patch]:
+    """A flat hand that lies still, with a slow drift and a little tremor."""
+    still = np.zeros_like(time_s)
+    return flat_hand(rng, time_s, still, still, 30.0 * (1.0 + 0.05 * wander(rng, time_s, 0.5)), 0.015)
+
+
+def pat(rng: RandomState, time_s: Series) -> list[Patch]:
+    """A flat hand that taps at 3 to 4 Hz, down for a tenth of a second, and lifts off in between."""
+    tap = np.maximum(0.0, np.sin(2.0 * np.pi * cycles(rng, time_s, 3.5)) - 0.3) / 0.7
+    force = 11.0 * tap * (1.0 + 0.3 * wander(rng, time_s, 1.5))
+    along, across = (0.4 * wander(rng, time_s, 1.7) for _ in range(2))
+    return flat_hand(rng, time_s, along, across, force, 0.15)
+
+
+def stroke(rng: RandomState, time_s: Series) -> list[Patch]:
+    """A flat hand drawn over the pad one way, lifted and brought back, about once a second."""
+    part = np.minimum(1.0, cycles(rng, time_s, 1.0) % 1.0 / 0.65)
+    force = 7.0 * np.sin(np.pi * part) ** 0.8 * (part < 1.0)
+    across = 0.2 * wander(rng, time_s, 1.0)
+    return flat_hand(rng, time_s, 5.0 * (part - 0.5), across, force, 0.5)
+
+
+def rub(rng: RandomState, time_s: Series) -> list[Patch]:
+    """A flat hand that goes to and fro without leaving the pad, pressing more one way than the other."""
+    swing = 2.0 * np.pi * cycles(rng, time_s, 1.4)
+    force = 12.0 * (0.8 + 0.2 * np.sin(swing)) * (1.0 + 0.15 * wander(rng, time_s, 6.0))
+    across = 0.4 * wander(rng, time_s, 1.0)
+    return flat_hand(rng, time_s, 2.4 * np.cos(swing), across, force, 0.15)
+
+
+def scratch(rng: RandomState, time_s: Series) -> list[Patch]:
+    """Fingertips side by side that dig in and pull, all together, at about 3 Hz."""
+    pull = 2.0 * np.pi * cycles(rng, time_s, 3.1)
+    along = 0.6 * np.cos(pull) + 0.5 * wander(rng, time_s, 0.7)
+    force = (0.3 + 0.7 * np.maximum(0.0, np.sin(pull))) * (1.0 + 0.25 * wander(rng, time_s, 6.0))
+    tips = [
+        Patch(along + rng.normal(0.0, 0.3), place + 0.0 * along, 0.5, rng.uniform(20.0, 150.0) * force)
+        for place in fingers(3)
+    ]
+    return [*tips, Patch(along - 1.0, 0.0 * along, 1.8, 5.0 * force)]
+
+
+def tickle(rng: RandomState, time_s: Series) -> list[Patch]:
+    """Fingertips that flutter lightly, each at its own time and wandering over the pad."""
+    along, across = (0.5 * wander(rng, time_s, 1.0) for _ in range(2))
+    tips: list[Patch] = []
+    for place in fingers(4):
+        flutter = 2.0 * np.pi * cycles(rng, time_s, 3.8)
+        force = np.maximum(
+            0.0, np.sin(flutter + rng.uniform(-3.0, 3.0)) + 0.9 * wander(rng, time_s, 14.0) - 0.6
+        )
+        tips.append(Patch(along + 0.4 * np.cos(flutter), across + 1.2 * place, 0.7, 15.0 * force))
+    return [*tips, Patch(along, across, 2.0, 2.0 * (1.0 + 0.5 * wander(rng, time_s, 10.0)))]
+
+
+def notouch(rng: RandomState, time_s: Series) -> list[Patch]:
+    """Nothing on the pad."""
+    return []
+
+
+GESTURES: Mapping[str, Callable[[RandomState, Series], list[Patch]]] = {
+    gesture.__name__: gesture for gesture in (constant, notouch, pat, rub, scratch, stroke, tickle)
+}
+
+
+def pressure(gesture: str, frames: int, rng: RandomState, cells: tuple[int, int] = (ROWS, COLUMNS)) -> Series:
+    """Return (frames, rows, columns) counts of pressure: from rest, through the gesture, to a release.
+
+    cells: rows and columns of a pad as large as the usual one, whose taxels all places and sizes are in.
+    """
+    time_s = np.arange(frames) / FRAME_RATE_HZ
+    # Soft hand on soft pad: force grows as the square of how deep it is.
+    edge = (np.minimum(time_s, time_s[::-1]) / EDGE_S).clip(max=1.0) ** 2
+    strength = edge * rng.lognormal(0.0, 0.25)
+    heading = rng.uniform(0.0, 2.0 * np.pi)
+    row, column = 3.5 + rng.normal(0.0, 0.5, 2)
+    rows, columns = (
+        (np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip(cells, (ROWS, COLUMNS), strict=True)
+    )
+    total = np.zeros((frames, *cells))
+    for patch in GESTURES[gesture](rng, time_s):
+        centre_row = row + patch.along * np.sin(heading) + patch.across * np.cos(heading)
+        centre_column = column + patch.along * np.cos(heading) - patch.across * np.sin(heading)
+        down = np.exp(-0.5 * ((rows - centre_row[:, None]) / patch.radius) ** 2)
+        over = np.exp(-0.5 * ((columns - centre_column[:, None]) / patch.radius) ** 2)
+        total += (strength * patch.force)[:, None, None].clip(0.0) * down[:, :, None] * over[:, None, :]
+    return total
+
+
+def read_pad(pressed: Series, rng: RandomState, full_scale: int = MAX_COUNT) -> Counts:
+    """Return what one pad sends under a pressure (T, rows, columns), uint16, up to `full_scale`."""
+    _, rows, columns = pressed.shape
+    rest = rng.gamma(2.0, 1.0, (rows, 1)) + rng.uniform(-0.5, 0.5, (rows, columns))
+    felt = pressed * rng.lognormal(0.0, UNEVENNESS, (rows, columns))
+    leak = ROW_LEAK * felt.sum(axis=2, keepdims=True) * (COLUMNS / columns)
+    noise = NOISE_COUNTS * rng.normal(size=pressed.shape)
+    sent = (rest + felt + leak + noise) * (full_scale / MAX_COUNT)
+    counts: Counts = np.rint(sent).clip(0, full_scale).astype(np.uint16)
+    return counts
+
+
+def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
+    """Return what one pad sends while each (gesture, seconds) of `script` is done on it in turn, at 54 Hz.
+
+    Every touch is another hand: strength, place, direction and pace vary as people's do. The clock runs on
+    from one recording to the next. The same script and seed give the same counts everywhere.
+    """
+    # RandomState's numbers are promised to stay the same in every numpy, those of a Generator are not.
+    rng = RandomState(seed)
+    pressed = [pressure(gesture, round(seconds * FRAME_RATE_HZ), rng) for gesture, seconds in script]
+    counts = read_pad(np.concatenate(pressed), rng)
+    stops = np.cumsum([len(part) for part in pressed])
+    clock_ms = ideal_clock_ms(len(counts))
+    return [
+        Recording("simulated", "none", "none", gesture, part, part_ms, "live")
+        for (gesture, _), part, part_ms in zip(
+            script, np.split(counts, stops[:-1]), np.split(clock_ms, stops[:-1]), strict=True
+        )
+    ]
+
+
+def write_simulated(path: Path, script: Sequence[tuple[str, float]], seed: int) -> None:
+    """Write what `simulate` returns to a new .csv or .csv.gz file that says of itself what it is.
+
+    Raises RecordingError when the file is there already or cannot be written.
+    """
+    provenance = {
+        "source": "SIMULATED by model/studies/hand.py; no person's data",
+        "sensor": f"none; a simulated pad of {ROWS}x{COLUMNS} taxels at {FRAME_RATE_HZ:g} Hz",
+        "seed": str(seed),
+        "licence": "Apache-2.0",
+    }
+    write_recordings(path, simulate(script, seed), provenance)

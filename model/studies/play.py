@@ -1,0 +1,32 @@
+"""Plays frames through the daemon's own pipeline, as fast as it can."""
+
+from collections.abc import Iterable, Iterator
+
+from touchd.daemon.events import Event
+from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.recording import ideal_clock_ms
+from touchd.model.classifier import Classifier
+
+
+def frames_of(counts: Counts) -> Iterator[Frame]:
+    """Yield counts (T, 8, 8) as the frames of a pad with an ideal clock."""
+    for number, ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
+        yield Frame(number, ms, ms / 1000.0, counts[number])
+
+
+def play(frames: Iterable[Frame], model: Classifier, flush: bool = False) -> list[Event]:
+    """Return what the pipeline says to the frames, by a clock that shows when each arrived.
+
+    flush: whether a touch that still goes on is ended with the last frame.
+    """
+    events: list[Event] = []
+    now_s = 0.0
+    clock = Clock(lambda: now_s, lambda: now_s)
+    pipeline = Pipeline(PipelineSettings(), model, events.append, clock)
+    for frame in frames:
+        now_s = frame.host_s
+        pipeline.on_frame(frame)
+    if flush:
+        pipeline.flush()
+    return events

@@ -1,0 +1,166 @@
+"""What the robot was told over a session, scored touch by touch."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf
+
+import msgspec
+import numpy as np
+
+from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.model.studies.sessions.plan import PlannedSession, Stretch
+
+# A touch counts for a stretch that it overlaps by more than this.
+OVERLAP_MS = 100.0
+OPEN_MS = 2000.0
+FRAME_MS = 1000.0 / FRAME_RATE_HZ
+
+
+class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
+    """Percent of the touches made, where nothing else is said.
+
+    missed: in no touch. merged: in a touch joined with another. split: felt as several.
+    early, revised, final: right at that stage. last, first: right in what the robot was told last, first.
+    harmful: told right, then wrong. late: told again after final. open: two seconds after the hand has left.
+    false: touches in ten minutes of quiet.
+    t_first: mean seconds until the robot was first told. n: touches made.
+    """
+
+    missed: float
+    merged: float
+    split: float
+    early: float
+    revised: float
+    final: float
+    last: float
+    first: float
+    harmful: float
+    late: float
+    open: float
+    false: float
+    t_first: float
+    n: int
+
+
+@dataclass(frozen=True)
+class Felt:
+    """A touch as the daemon had it, and when it said that it was over; infinite when it never ended."""
+
+    start_ms: float
+    stop_ms: float
+    over_ms: float
+    answers: tuple[Prediction, ...]
+
+
+@dataclass(frozen=True)
+class Fate:
+    """The outcome of one touch made; answers are those of the touch that it began.
+
+    open: whether the daemon still had it when the hand had been away for OPEN_MS.
+    """
+
+    gesture: str
+    missed: bool = False
+    merged: bool = False
+    split: bool = False
+    open: bool = False
+    answers: tuple[Prediction, ...] = ()
+
+    @property
+    def told(self) -> list[str]:
+        """What the robot was told, in order."""
+        return [answer.gesture for answer in self.answers if answer.told]
+
+
+@dataclass(frozen=True)
+class Played:
+    """One session's touches, its quiet time and the touches felt in it."""
+
+    fates: tuple[Fate, ...]
+    quiet_min: float
+    false: int
+
+
+def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
+    """Compare the daemon's answers with the touches made."""
+    felt = felt_in(events)
+    made = [stretch for stretch in session.stretches if stretch.gesture is not None]
+    inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in felt]
+    quiet = sum(stretch.stop - stretch.start for stretch in session.stretches if stretch.gesture is None)
+    return Played(
+        tuple(_fate(i, stretch, felt, inside) for i, stretch in enumerate(made)),
+        quiet / FRAME_RATE_HZ / 60.0,
+        sum(not among for among in inside),
+    )
+
+
+def score(played: Sequence[Played]) -> SessionScore:
+    """Return the figures of these sessions together."""
+    fates = [fate for one in played for fate in one.fates]
+
+    def percent(true: Iterable[bool]) -> float:
+        return round(100.0 * sum(true) / len(fates), 1)
+
+    def at(stage: str) -> float:
+        return percent(
+            any(answer.stage == stage and answer.gesture == fate.gesture for answer in fate.answers)
+            for fate in fates
+        )
+
+    first_s = [next(a.elapsed_s for a in fate.answers if a.told) for fate in fates if fate.told]
+    return SessionScore(
+        missed=percent(fate.missed for fate in fates),
+        merged=percent(fate.merged for fate in fates),
+        split=percent(fate.split for fate in fates),
+        open=percent(fate.open for fate in fates),
+        early=at("early"),
+        revised=at("revised"),
+        final=at("final"),
+        last=percent(fate.told[-1:] == [fate.gesture] for fate in fates),
+        first=percent(fate.told[:1] == [fate.gesture] for fate in fates),
+        harmful=percent(any(a == fate.gesture != b for a, b in pairwise(fate.told)) for fate in fates),
+        late=percent(any(a.told and a.stage == "ongoing" for a in fate.answers) for fate in fates),
+        false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
+        t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
+        n=len(fates),
+    )
+
+
+def felt_in(events: Iterable[Event]) -> list[Felt]:
+    """Return the touches as the daemon had them."""
+    answers: dict[int, list[Prediction]] = defaultdict(list)
+    began: dict[int, float] = {}
+    ended: dict[int, tuple[float, float]] = defaultdict(lambda: (inf, inf))
+    for event in events:
+        match event:
+            case TouchBegan():
+                began[event.touch] = event.sensor_ms
+            case TouchEnded():
+                stop_ms = inf if event.sensor_ms is None else event.sensor_ms
+                ended[event.touch] = (stop_ms, epoch_s(event.time) * 1000.0)
+            case Prediction():
+                answers[event.touch].append(event)
+    return [Felt(start_ms, *ended[touch], tuple(answers[touch])) for touch, start_ms in began.items()]
+
+
+def _overlaps(touch: Felt, stretch: Stretch) -> bool:
+    start_ms, stop_ms = stretch.start * FRAME_MS, stretch.stop * FRAME_MS
+    return touch.start_ms < stop_ms - OVERLAP_MS and touch.stop_ms > start_ms + OVERLAP_MS
+
+
+def _fate(i: int, made: Stretch, felt: Sequence[Felt], inside: Sequence[Sequence[int]]) -> Fate:
+    gesture = made.gesture or ""
+    owners = [k for k, among in enumerate(inside) if i in among]
+    if not owners:
+        return Fate(gesture, missed=True)
+    owner = owners[-1] if len(inside[owners[0]]) > 1 and len(owners) > 1 else owners[0]
+    return Fate(
+        gesture=gesture,
+        merged=len(inside[owner]) > 1,
+        split=sum(len(inside[k]) == 1 for k in owners) > 1,
+        open=any(felt[k].over_ms > made.stop * FRAME_MS + OPEN_MS for k in owners),
+        answers=felt[owner].answers if inside[owner][0] == i else (),
+    )

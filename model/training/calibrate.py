@@ -1,0 +1,78 @@
+"""Fits temperatures, so that a confidence of 0.8 is right 8 times in 10 for people the network never saw.
+
+Temperature scaling (Guo et al. 2017), one temperature a length, fitted on left-out participants: each
+training recording is answered by the network that was trained without its participant.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from touchd.drivers.recording import Recording
+from touchd.model.adapt.adapt import TEMPERATURES
+from touchd.model.adapt.measure import cross_entropy
+from touchd.model.settings import LENGTHS
+from touchd.model.tgc import TGC
+from touchd.model.training import haart, metrics
+from touchd.model.training.checkpoint import Checkpoint
+from touchd.model.training.metrics import Floats, Labels
+
+BATCH = 64
+
+
+Answers = Mapping[int, tuple[Floats, Labels]]
+"""One network's about unseen people: each length's logits (N, classes) and labels (N,)."""
+
+
+def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
+    """Ask a network about a study's people whom its training left out; see `ask`."""
+    return ask(saved, haart.only(recordings, saved.settings.left_out))
+
+
+def ask(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
+    """Ask a network about recordings, whole scans as they are scored, at every answered length."""
+    network = saved.build()
+    windows = {length: haart.cut(recordings, length) for length in LENGTHS}
+    return {length: (_logits(network, cut.counts), cut.labels) for length, cut in windows.items()}
+
+
+def fit_temperatures(answers: Sequence[Answers]) -> dict[int, float]:
+    """Return, for each length, the temperature under which the left-out labels are likeliest."""
+    return {length: fit_temperature(*_together(answers, length)) for length in LENGTHS}
+
+
+def _together(answers: Sequence[Answers], length: int) -> tuple[Floats, Labels]:
+    logits, labels = zip(*(answer[length] for answer in answers), strict=True)
+    return np.concatenate(logits), np.concatenate(labels)
+
+
+def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
+    """Return the highest temperature of any study at each length, the cautious choice."""
+    fitted = list(studies)
+    return {length: max(temperatures[length] for temperatures in fitted) for length in LENGTHS}
+
+
+def accuracies(answers: Sequence[Answers]) -> dict[str, float]:
+    """Return the macro accuracy over left-out participants at each length."""
+    scores = {}
+    for length in LENGTHS:
+        logits, labels = _together(answers, length)
+        predicted = logits.argmax(axis=1).astype(np.int64)
+        scores[str(length)] = round(metrics.macro_accuracy(predicted, labels, logits.shape[1]), 4)
+    return scores
+
+
+def fit_temperature(logits: Floats, labels: Labels) -> float:
+    """Return the temperature from TEMPERATURES with the least negative log likelihood."""
+    return float(min(TEMPERATURES, key=lambda temperature: cross_entropy(logits / temperature, labels)))
+
+
+def _logits(network: TGC, counts: NDArray[np.uint16]) -> Floats:
+    with torch.no_grad():
+        batches = [
+            network(torch.from_numpy(counts[start : start + BATCH].astype(np.float32)))
+            for start in range(0, len(counts), BATCH)
+        ]
+    return torch.cat(batches).numpy().astype(np.float64)

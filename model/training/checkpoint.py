@@ -1,0 +1,79 @@
+"""Checkpoints: a network with everything that says where it came from, and what resuming needs."""
+
+import zipfile
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+from torch import Tensor
+
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.whole_file import whole_file
+from touchd.model.tgc import TGC
+from touchd.model.training.settings import TrainSettings
+
+# Our widest network's, with all that resuming needs, is 17 MB.
+MAX_FILE_BYTES = 128 * 1024 * 1024
+ADVICE = "make one with `python -m touchd.model.studies train`"
+
+
+class CheckpointError(TouchdError):
+    """A checkpoint is missing, damaged, or belongs to another training."""
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """One training's state after `epoch` epochs.
+
+    network: the averaged weights, the ones to use.
+    training: raw weights, optimizer and random states, to resume.
+    """
+
+    settings: TrainSettings
+    labels: tuple[str, ...]
+    epoch: int
+    network: dict[str, Tensor]
+    training: dict[str, Any]
+    code_version: str
+    data_sha256: str
+
+    def build(self) -> TGC:
+        """Return the averaged network, ready to answer."""
+        network = TGC(self.settings.network, len(self.labels))
+        network.load_state_dict(self.network)
+        return network.eval()
+
+
+def save(checkpoint: Checkpoint, path: Path) -> None:
+    """Write the checkpoint whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stored = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
+    stored["settings"] = msgspec.json.encode(checkpoint.settings).decode()
+    with whole_file(path) as partial:
+        torch.save(stored, partial)
+
+
+def load(path: Path) -> Checkpoint:
+    """Read a checkpoint; no code in it is ever run. Raises CheckpointError."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if max(unpacked, path.stat().st_size) > MAX_FILE_BYTES:
+            raise CheckpointError(
+                f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no checkpoint of touchd"
+            )
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+        settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])
+        # One that an older version wrote may hold settings that there are no longer.
+        known = {name: value for name, value in settings.items() if name in TrainSettings.__struct_fields__}
+        found = {field.name: stored[field.name] for field in fields(Checkpoint)}
+        found |= {"settings": msgspec.convert(known, TrainSettings), "labels": tuple(stored["labels"])}
+        return Checkpoint(**found)
+    except CheckpointError:
+        raise
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path}: there is no checkpoint; {ADVICE}") from error
+    except Exception as error:  # torch raises many types for a damaged file, some with pages of advice
+        raise CheckpointError(f"{path}: not a checkpoint of touchd; {ADVICE}") from error

@@ -1,0 +1,130 @@
+"""Export: a trained network and its temperatures into one ONNX file that takes raw counts."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+import onnx
+import torch
+from torch import Tensor, nn
+
+from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.model.adapt.ship import by_frames
+from touchd.model.classifier import METADATA_KEY, ModelMetadata
+from touchd.model.tgc import TGC
+from touchd.model.training.stepwise import TGCState, initial_state, step
+
+OPSET = 20
+
+
+class CalibratedTGC(nn.Module):
+    """The network with its softmax and temperature: (B, T, 8, 8) counts to (B, classes) probabilities.
+
+    The temperature at T frames is interpolated linearly between the calibrated lengths (Guo et al. 2017 for
+    temperature scaling), constant outside them, so that one file answers at every length.
+    """
+
+    temperatures: Tensor
+
+    def __init__(self, network: TGC, temperatures: Mapping[int, float]) -> None:
+        super().__init__()
+        self.network = network
+        self.register_buffer("temperatures", by_frames(temperatures))
+
+    def forward(self, counts: Tensor) -> Tensor:
+        """Return (B, classes) probabilities."""
+        place = min(counts.shape[1], len(self.temperatures)) - 1
+        return torch.softmax(self.network(counts) / self.temperatures[place], dim=-1)
+
+    def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
+        """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
+        logits, state = step(self.network, counts, state)
+        place = torch.clamp(state.frames - 1, max=len(self.temperatures) - 1)
+        return torch.softmax(logits / self.temperatures.index_select(0, place), dim=-1), state
+
+
+class _Step(nn.Module):
+    """The graph as it is exported: its state in and out as a flat row of tensors."""
+
+    def __init__(self, calibrated: CalibratedTGC) -> None:
+        super().__init__()
+        self.calibrated = calibrated
+
+    def forward(
+        self,
+        counts: Tensor,
+        level: Tensor,
+        motion: Tensor,
+        memory: tuple[Tensor, ...],
+        sums: Tensor,
+        highest: Tensor,
+        frames: Tensor,
+    ) -> tuple[Tensor, ...]:
+        state = TGCState(level, motion, memory, sums, highest, frames)
+        probabilities, after = self.calibrated.step(counts, state)
+        return probabilities, *_flat(after)
+
+
+def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
+    """Write the network as one ONNX file that describes itself.
+
+    Asked with `counts` alone it answers about a whole window; given the state that an earlier answer left,
+    about that answer's frames and these.
+    """
+    temperatures = {int(length): value for length, value in metadata.temperatures.items()}
+    calibrated = CalibratedTGC(network, temperatures).eval()
+    start = initial_state(network)
+    memories = [f"memory{i}" for i in range(len(start.memory))]
+    names = ["level", "motion", *memories, "sums", "highest", "frames"]
+    batch, frames = torch.export.Dim("batch"), torch.export.Dim("frames", min=1)
+    memory = tuple(torch.zeros(1, kept.shape[1], 30, kept.shape[3]) for kept in start.memory)
+    program = torch.onnx.export(
+        _Step(calibrated).eval(),
+        (torch.zeros(2, 144, ROWS, COLUMNS), *start._replace(memory=memory)),
+        dynamo=True,
+        verbose=False,
+        opset_version=OPSET,
+        input_names=["counts", *names],
+        output_names=["probabilities", *(f"next_{name}" for name in names)],
+        dynamic_shapes={
+            "counts": {0: batch, 1: frames},
+            "level": {},
+            "motion": {},
+            "memory": tuple({2: torch.export.Dim(f"kept{i}", min=0)} for i in range(len(memory))),
+            "sums": {},
+            "highest": {},
+            "frames": {},
+        },
+    )
+    assert program is not None
+    proto = program.model_proto
+    _forget_where_it_was_made(proto)
+    # The exporter takes a state of one touch for the only one; the graph takes as many as there are windows.
+    del proto.graph.value_info[:]
+    for entry in proto.graph.input:
+        if entry.name not in ("counts", "frames"):
+            entry.type.tensor_type.shape.dim[0].dim_param = "touches"
+    # An input that has an initializer may be left out (ONNX IR, "default values").
+    proto.graph.initializer.extend(
+        onnx.numpy_helper.from_array(tensor.numpy(), name)
+        for name, tensor in zip(names, _flat(start), strict=True)
+    )
+    entry = proto.metadata_props.add()
+    entry.key, entry.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
+    onnx.checker.check_model(proto)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    onnx.save(proto, path)
+
+
+def _flat(state: TGCState) -> tuple[Tensor, ...]:
+    return state.level, state.motion, *state.memory, state.sums, state.highest, state.frames
+
+
+def _forget_where_it_was_made(proto: onnx.ModelProto) -> None:
+    """Remove what the exporter notes of source files and their places on this machine."""
+    for entry in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
+        del entry.metadata_props[:]
+        entry.doc_string = ""
+    for tensor in proto.graph.initializer:
+        del tensor.metadata_props[:]
+    del proto.graph.metadata_props[:]

@@ -1,0 +1,76 @@
+"""The recipe: which networks are trained, on whom, and in which order.
+
+For the shipped file: one network a seed, on all training participants. For unbiased figures on them: one
+network a fold, which never sees the fold's participants.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import yaml
+
+from touchd.drivers.errors import TouchdError
+from touchd.model.training.settings import TrainSettings
+
+SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
+HAART_RECIPE = Path(__file__).parent / "haart.yaml"
+"""Of the network that learnt from HAART alone: for the comparison with the paper."""
+WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
+"""Of the network that learnt from HAART alone, varied widely: for the figure from one study to the other."""
+MAX_BYTES = 64 * 1024
+
+
+class SettingsError(TouchdError):
+    """The training settings are wrong; the message names the key."""
+
+
+class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What `train` trains."""
+
+    name: str
+    folds: tuple[tuple[str, ...], ...]
+    """Training participants left out together; every one of them in exactly one fold."""
+    seeds: tuple[int, ...]
+    """One network on all training participants each; the first is the one that ships."""
+    settings: TrainSettings
+
+
+@dataclass(frozen=True)
+class Job:
+    """One network to train: the name of its folder and its settings."""
+
+    name: str
+    settings: TrainSettings
+
+
+def read_recipe(path: Path = SHIPPED_RECIPE) -> Recipe:
+    """Read a recipe from YAML. Raises SettingsError, which names the key."""
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+        if len(text) > MAX_BYTES:
+            raise SettingsError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a recipe")
+        return msgspec.convert(yaml.safe_load(text), Recipe)
+    except (OSError, yaml.YAMLError, msgspec.ValidationError) as error:
+        raise SettingsError(f"{path}: {' '.join(str(error).split())}") from error
+
+
+def fold_name(left_out: tuple[str, ...]) -> str:
+    """Return the name of the network that never saw these participants."""
+    return f"without-{'-'.join(left_out)}" if left_out else "all"
+
+
+def final_jobs(recipe: Recipe) -> list[Job]:
+    """Return the networks on all training participants, one a seed, the shipped one first."""
+    return [_job(recipe, seed, ()) for seed in recipe.seeds]
+
+
+def fold_jobs(recipe: Recipe) -> list[Job]:
+    """Return the networks that leave participants out, one a fold."""
+    return [_job(recipe, recipe.seeds[0], fold) for fold in recipe.folds]
+
+
+def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...]) -> Job:
+    settings = msgspec.structs.replace(recipe.settings, name=recipe.name, seed=seed, left_out=left_out)
+    return Job(f"{recipe.name}-{fold_name(left_out)}-seed{seed}", settings)

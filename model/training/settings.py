@@ -1,0 +1,41 @@
+"""What decides a training of the shipped model, besides data and code."""
+
+from typing import Literal
+
+import msgspec
+
+from touchd.model.settings import AugmentationSettings, NetworkSettings
+
+Study = Literal["haart", "second"]
+
+
+class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that decides what a training yields, apart from the data and the code."""
+
+    name: str = "touchd"
+    seed: int = 0
+    studies: tuple[Study, ...] = ("haart",)
+    """Whose recordings it learns from: HAART's training participants, the second study's people."""
+    left_out: tuple[str, ...] = ()
+    epochs: int = 60
+    rate_epochs: int = 0
+    """Epochs over which the learning rate falls to zero, where training stops before; 0: `epochs`."""
+    crops_per_recording: int = 3
+    batch: int = 32
+    window: int = 144
+    lengths: tuple[int, ...] = (18, 27, 54, 72, 81, 108, 144)
+    learning_rate: float = 2e-3
+    weight_decay: float = 0.05
+    label_smoothing: float = 0.05
+    average_decay: float = 0.995
+    """Of the exponential moving average of the weights, which is the network that is kept."""
+    averaged_epochs: tuple[int, ...] = ()
+    """Epochs after which that average is set aside; the mean of these is kept then (Izmailov et al. 2018)."""
+    balance_people: bool = False
+    """Whether every person is drawn equally often, however many recordings there are."""
+    bfloat16: bool = False
+    """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
+    compiled: bool = False
+    """Whether the step is compiled: 1.6 times as fast on a CPU, but takes a C++ compiler and a minute."""
+    network: NetworkSettings = NetworkSettings()
+    augmentation: AugmentationSettings = AugmentationSettings()

@@ -1,0 +1,188 @@
+"""From a recipe to the shipped files: train what is missing, calibrate, export, score."""
+
+import hashlib
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import msgspec
+
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.recording import Recording
+from touchd.model.adapt.backbone import crops, split
+from touchd.model.adapt.remembered import Remembered
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
+from touchd.model.settings import LENGTHS, MAX_LENGTH
+from touchd.model.studies.checks import evaluate
+from touchd.model.training import calibrate, checkpoint, haart
+from touchd.model.training.checkpoint import Checkpoint
+from touchd.model.training.export import export
+from touchd.model.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
+from touchd.model.training.remember import save as save_remembered
+from touchd.model.training.remember import statistics
+from touchd.model.training.settings import Study
+from touchd.model.training.studies import Folders
+from touchd.model.training.train import CHECKPOINT_NAME, train_studies
+
+HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
+"""The network that learnt from HAART's training participants alone, which the paper is compared with."""
+WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
+"""It too, but varied as another lab's pad may be: for the figure from one study to the other."""
+LEFT_OUT_FOLDER = "left_out"
+SEEDS_FOLDER = "seeds"
+SCORES_NAME = "scores.json"
+REMEMBERED_CROPS = 3
+"""Of each recording."""
+
+
+def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
+    """Train every network of the recipe that is not finished in `runs` yet."""
+    for job in (*fold_jobs(recipe), *final_jobs(recipe)):
+        trained(job, folders, runs, threads)
+
+
+def trained(job: Job, folders: Folders, runs: Path, threads: int) -> Checkpoint:
+    """Return a job's network, trained unless it is finished in `runs`."""
+    path = runs / job.name / CHECKPOINT_NAME
+    if path.exists():
+        saved = checkpoint.load(path)
+        if saved.settings == job.settings and saved.epoch == job.settings.epochs:
+            return saved
+    return train_studies(folders, job.settings, runs / job.name, threads)
+
+
+def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
+    """Export the shipped network, one file a further seed and one file a fold; return the paths.
+
+    The shipped network's checkpoint and what it remembers are put beside it, for adapting it.
+    Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
+    """
+    scored = folders.to_score_on(recipe.settings.studies)
+    folds = [_load(job, runs) for job in fold_jobs(recipe)]
+    answers = [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds]
+    written: list[Path] = []
+    for fold, own in zip(folds, answers, strict=True):
+        path = fold_path(weights, fold.settings.left_out)
+        name = f"{recipe.name}-{fold_name(fold.settings.left_out)}"
+        temperatures = _temperatures([answer for answer in answers if answer is not own])
+        _export(fold, name, scored, temperatures, calibrate.accuracies(own), path)
+        written.append(path)
+    temperatures = _temperatures(answers)
+    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
+    for job in final_jobs(recipe):
+        saved = _load(job, runs)
+        shipped = job.settings.seed == recipe.seeds[0]
+        further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
+        path = weights / (SHIPPED_MODEL.name if shipped else further)
+        _export(saved, recipe.name, scored, temperatures, accuracies, path)
+        written.append(path)
+        if shipped:
+            beside = path.with_suffix(".pt")
+            checkpoint.save(replace(saved, training={}), beside)
+            remembered = path.with_suffix(".npz")
+            save_remembered(remember(saved, folders), remembered)
+            written += [beside, remembered]
+    return written
+
+
+def remember(saved: Checkpoint, folders: Folders) -> Remembered:
+    """Return what a network remembers of each study's people that it learnt from."""
+    settings = saved.settings
+    backbone, _ = split(saved.build())
+    learnt = [haart.without(folders.to_train_on((study,)), settings.left_out) for study in settings.studies]
+    return statistics(
+        [crops(backbone, own, settings.augmentation, REMEMBERED_CROPS, seed=0) for own in learnt]
+    )
+
+
+def evaluate_shipped(folders: Folders, weights: Path, command: str) -> evaluate.Scores:
+    """Score the shipped file on the test participants, and the fold files on the people they never saw."""
+    model = weights / SHIPPED_MODEL.name
+    classifier = Classifier.load(model)
+    test = haart.read_test(folders.haart)
+    scored = folders.to_score_on(("second",))
+    return evaluate.Scores(
+        model=classifier.name,
+        model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
+        command=command,
+        machine=f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
+        labels=classifier.labels,
+        test=evaluate.evaluate([(classifier, test)]),
+        left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(folders.haart))),
+        second_study=evaluate.evaluate(left_out_split(weights, scored["second"])),
+        cross_study=evaluate.evaluate([(Classifier.load(WIDE_MODEL), scored["second"])]),
+    )
+
+
+def left_out_split(weights: Path, recordings: Sequence[Recording]) -> evaluate.Split:
+    """Return each fold's classifier with the recordings of the participants that it never saw."""
+    return [
+        (Classifier.load(path), haart.only(recordings, path.stem.split("-")))
+        for path in sorted((weights / LEFT_OUT_FOLDER).glob("*.onnx"))
+    ]
+
+
+def fold_path(weights: Path, participants: Sequence[str]) -> Path:
+    """Return the path of the network that never saw these participants."""
+    return weights / LEFT_OUT_FOLDER / f"{'-'.join(participants)}.onnx"
+
+
+def _temperatures(answers: Sequence[Sequence[calibrate.Answers]]) -> dict[int, float]:
+    """Return temperatures from each fold's answers, one entry a study; 1 without any fold."""
+    if not answers:
+        return dict.fromkeys(LENGTHS, 1.0)
+    return calibrate.modest(calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))
+
+
+def _export(
+    saved: Checkpoint,
+    name: str,
+    scored: Mapping[Study, Sequence[Recording]],
+    temperatures: Mapping[int, float],
+    accuracies: dict[str, float],
+    path: Path,
+) -> None:
+    learnt_from = {
+        study: sorted({each.participant for each in haart.without(recordings, saved.settings.left_out)})
+        for study, recordings in scored.items()
+    }
+    export_checkpoint(
+        saved, path, name, temperatures, {"learnt_from": learnt_from}, {"left_out_accuracy": accuracies}
+    )
+
+
+def export_checkpoint(
+    saved: Checkpoint,
+    path: Path,
+    name: str,
+    temperatures: Mapping[int, float],
+    training: Mapping[str, Any] = MappingProxyType({}),
+    scores: Mapping[str, Any] = MappingProxyType({}),
+) -> None:
+    """Write a trained network; training: added to what its settings say."""
+    metadata = ModelMetadata(
+        name=name,
+        labels=saved.labels,
+        frame_rate_hz=FRAME_RATE_HZ,
+        framing="live",
+        lengths=LENGTHS,
+        max_length=MAX_LENGTH,
+        temperatures={str(length): round(value, 4) for length, value in temperatures.items()},
+        training={**msgspec.to_builtins(saved.settings), **training},
+        code_version=saved.code_version,
+        data_sha256=saved.data_sha256,
+        scores=dict(scores),
+    )
+    export(saved.build(), metadata, path)
+
+
+def _load(job: Job, runs: Path) -> Checkpoint:
+    saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
+    if saved.epoch < job.settings.epochs:
+        raise checkpoint.CheckpointError(
+            f"{runs / job.name}: stopped after epoch {saved.epoch}; run `train` again"
+        )
+    return saved

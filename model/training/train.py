@@ -1,0 +1,199 @@
+"""Training: one command, resumable, deterministic for a seed."""
+
+import copy
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+from tqdm import tqdm
+
+from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.model.adapt.augment import begin_from_rest, crop, vary
+from touchd.model.adapt.origin import code_version, data_hash
+from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.tgc import KNEE_COUNTS, TGC
+from touchd.model.training import checkpoint, haart
+from touchd.model.training.checkpoint import Checkpoint, CheckpointError
+from touchd.model.training.settings import TrainSettings
+from touchd.model.training.studies import Folders
+
+CHECKPOINT_NAME = "checkpoint.pt"
+STATES = ("network", "optimizer", "average")
+SOURCES = ("haart.py", "settings.py", "train.py")
+
+
+class Training:
+    """One network in training: weights, their moving average, optimizer and random states."""
+
+    def __init__(self, recordings: Sequence[Recording], settings: TrainSettings, device: str) -> None:
+        self.settings = settings
+        self.device = device
+        self.data_sha256 = data_hash(recordings)
+        self.labels = tuple(sorted({recording.gesture for recording in recordings}))
+        self.counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
+        self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
+        self.participants = [recording.participant for recording in recordings]
+        people = Counter(self.participants)
+        self.weights = torch.tensor([1.0 / people[participant] for participant in self.participants])
+        self.resting: dict[str, list[int]] = {participant: [] for participant in people}
+        for i, recording in enumerate(recordings):
+            if recording.gesture == NO_TOUCH:
+                self.resting[recording.participant].append(i)
+        torch.manual_seed(settings.seed)
+        self.rng = torch.Generator().manual_seed(settings.seed)
+        self.network = TGC(settings.network, len(self.labels)).to(device)
+        self.average = copy.deepcopy(self.network)
+        self._bfloat16 = settings.bfloat16 and computes_bfloat16(device)
+        self._at_lengths: Callable[[Tensor, tuple[int, ...]], Tensor] = self.network.at_lengths
+        if settings.compiled:
+            self._at_lengths = torch.compile(self.network.at_lengths, dynamic=False)
+        self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
+        self.set_aside: list[dict[str, Tensor]] = []
+        self.epoch = 0
+
+    @property
+    def steps_per_epoch(self) -> int:
+        """How many batches of random crops make an epoch."""
+        return len(self.counts) * self.settings.crops_per_recording // self.settings.batch
+
+    def run_epoch(self) -> float:
+        """Train one epoch; return the mean loss."""
+        settings = self.settings
+        order = self._order()
+        total = 0.0
+        for batch in range(self.steps_per_epoch):
+            chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
+            windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
+            windows = vary(windows, settings.augmentation, self.rng)
+            targets = functional.one_hot(self.classes[chosen], len(self.labels)).float()
+            windows, targets = self._mix(windows, targets)
+            step = self.epoch * self.steps_per_epoch + batch
+            total += self._step(windows.to(self.device), targets.to(self.device), step)
+        self.epoch += 1
+        if self.epoch in settings.averaged_epochs:
+            self.set_aside.append(copy.deepcopy(self.average.state_dict()))
+        return total / self.steps_per_epoch
+
+    def _order(self) -> Tensor:
+        """Return which recordings an epoch's windows are cut from."""
+        passes, count = self.settings.crops_per_recording, len(self.counts)
+        if self.settings.balance_people:
+            return torch.multinomial(self.weights, passes * count, replacement=True, generator=self.rng)
+        return torch.cat([torch.randperm(count, generator=self.rng) for _ in range(passes)])
+
+    def _window(self, recording: int) -> Tensor:
+        settings = self.settings
+        window = crop(self.counts[recording], settings.window, settings.augmentation, self.rng)
+        resting = self.resting[self.participants[recording]]
+        if not resting:
+            return window
+        rest = self.counts[resting[int(torch.randint(len(resting), (1,), generator=self.rng))]]
+        still = crop(rest, settings.window, settings.augmentation, self.rng)
+        return begin_from_rest(window, still, settings.augmentation, self.rng)
+
+    def _mix(self, windows: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+        """Blend some windows (B, T, 8, 8) with others, on the scale that the network sees."""
+        B = len(windows)
+        share = 0.5 * torch.rand(B, generator=self.rng)
+        share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
+        other = torch.randperm(B, generator=self.rng)
+        part = share[:, None, None, None]
+        mixed = (windows + KNEE_COUNTS) ** (1.0 - part) * (windows[other] + KNEE_COUNTS) ** part - KNEE_COUNTS
+        return mixed, targets * (1.0 - share[:, None]) + targets[other] * share[:, None]
+
+    def _step(self, windows: Tensor, targets: Tensor, step: int) -> float:
+        settings = self.settings
+        epochs = settings.rate_epochs or settings.epochs
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate_at(step, epochs * self.steps_per_epoch, settings.learning_rate)
+        self.network.train()
+        with torch.autocast(self.device, torch.bfloat16, enabled=self._bfloat16):
+            logits = self._at_lengths(windows, settings.lengths).flatten(0, 1).float()
+        expected = targets.repeat_interleave(len(settings.lengths), dim=0)
+        loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
+        self.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_LIMIT)
+        self.optimizer.step()
+        self._follow(step)
+        return float(loss.item())
+
+    @torch.no_grad()
+    def _follow(self, step: int) -> None:
+        # The average would remember the random start, so it follows fast at first.
+        decay = min(self.settings.average_decay, (step + 1) / (step + 10))
+        for slow, fast in zip(self.average.parameters(), self.network.parameters(), strict=True):
+            slow.lerp_(fast, 1.0 - decay)
+
+    def snapshot(self) -> Checkpoint:
+        """Return the state as a checkpoint."""
+        training: dict[str, Any] = {
+            **{name: getattr(self, name).state_dict() for name in STATES},
+            "rng": self.rng.get_state(),
+            "torch_rng": torch.get_rng_state(),
+            "set_aside": self.set_aside,
+        }
+        kept = self.set_aside or [self.average.state_dict()]
+        return Checkpoint(
+            settings=self.settings,
+            labels=self.labels,
+            epoch=self.epoch,
+            network={name: torch.stack([each[name] for each in kept]).mean(dim=0).cpu() for name in kept[0]},
+            training=training,
+            code_version=code_version(*(Path(__file__).with_name(name) for name in SOURCES)),
+            data_sha256=self.data_sha256,
+        )
+
+    def resume(self, saved: Checkpoint) -> None:
+        """Resume from `saved`; raises CheckpointError when it is of another training."""
+        if saved.settings != self.settings or saved.data_sha256 != self.data_sha256:
+            raise CheckpointError(
+                "the checkpoint there was made with other settings or data; choose another folder"
+            )
+        for name in STATES:
+            getattr(self, name).load_state_dict(saved.training[name])
+        self.set_aside = saved.training["set_aside"]
+        self.rng.set_state(saved.training["rng"])
+        torch.set_rng_state(saved.training["torch_rng"])
+        self.epoch = saved.epoch
+
+
+def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:
+    """Train on realigned recordings; each epoch is saved in `folder` and resumed from; the last counts."""
+    path = folder / CHECKPOINT_NAME
+    training = Training(recordings, settings, device)
+    if path.exists():
+        training.resume(checkpoint.load(path))
+    with tqdm(total=settings.epochs, initial=training.epoch, unit="epoch", desc=folder.name) as progress:
+        while training.epoch < settings.epochs:
+            loss = training.run_epoch()
+            checkpoint.save(training.snapshot(), path)
+            progress.set_postfix(loss=f"{loss:.3f}")
+            progress.update()
+    return training.snapshot()
+
+
+def train_studies(folders: Folders, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
+    """Train on the people of the studies in `settings` whom it does not leave out."""
+    torch.set_num_threads(threads)
+    recordings = haart.without(folders.to_train_on(settings.studies), settings.left_out)
+    return train(recordings, settings, folder, fastest_device())
+
+
+def computes_bfloat16(device: str) -> bool:
+    """Whether a device has instructions for bfloat16; without, a step takes ten times as long."""
+    if device == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    # Older releases of PyTorch do not say.
+    has: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
+    return bool(has.get("avx512_bf16") or has.get("amx_bf16"))
+
+
+def fastest_device() -> str:
+    """Return "cuda" where there is a GPU, else "cpu"."""
+    return "cuda" if torch.cuda.is_available() else "cpu"
