@@ -62,11 +62,6 @@ SHOWN_STRIDE_FRAMES = 3
 BEHIND_FRAMES = 27
 # So near a mark it catches up every frame: pads touched at once take half a frame's time for nine frames.
 NEAR_FRAMES = 2
-# Frames may wait only when no mark is reached within this many, more than twice as many as wait together.
-WAIT_FRAMES = 10
-# The loop may sleep at rest where a touch's first answer comes no sooner: twice that time.
-SLEEP_FRAMES = 27
-
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
@@ -170,24 +165,6 @@ class Pipeline:
     @property
     def has_touch(self) -> bool:
         return self._touch is not None
-
-    @property
-    def may_wait(self) -> bool:
-        """Whether the next WAIT_FRAMES frames reach no mark and end no touch.
-
-        They may begin one, or show that the gesture has changed after the final answer.
-        """
-        touch = self._touch
-        is_far = touch is None or not touch.due or touch.due[0][0] - touch.length > WAIT_FRAMES
-        may_be_sure = touch is not None and touch.waits_until_sure
-        return self._tracker.is_settled(WAIT_FRAMES) and is_far and not may_be_sure
-
-    @property
-    def may_sleep(self) -> bool:
-        """Whether nothing touches, and a touch may be noticed 0.25 s late, before its first answer."""
-        settings = self._decision_settings
-        first = 0 if settings.early == "when_sure" else settings.answer_at_frames[0]
-        return self._touch is None and first >= SLEEP_FRAMES
 
     @property
     def is_behind(self) -> bool:

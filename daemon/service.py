@@ -24,7 +24,7 @@ from touchd.drivers.frame import Frame
 from touchd.drivers.pad.sensor import SensorState
 from touchd.drivers.queue import Signal
 
-# How often the loop looks at the stop flag, and at frames of an untouched pad, which do not wake it.
+# How often the loop looks at the stop flag when nothing arrives.
 IDLE_S = 0.25
 # Delay after a frame before the model catches up: late, so that the next frame's answer finds warm caches.
 CATCH_UP_S = 0.008
@@ -135,11 +135,6 @@ class Service:
             *([view.put_live] if view is not None else []),
         ]
 
-    def _is_followed(self, pad: Pad) -> bool:
-        """Whether somebody is shown a pad's frames one by one."""
-        bridges = (bridge for bridge in self._parts.bridges.values() if bridge.frames_hz is not None)
-        return bool(self._viewers()) or any(bridge.pad == pad.name for bridge in bridges)
-
     def _move_on_to(self, parts: Parts) -> None:
         """Move each pad that is between two touches to the new parts, then the sinks."""
         for name, pad in list(self._pads.items()):
@@ -214,8 +209,6 @@ class Service:
     def _pass_on(self, pad: Pad, frame: Frame) -> None:
         """Pass on a frame that a pad's pipeline has processed."""
         parts = self._parts
-        pad.sensor.may_wait = pad.pipeline.may_wait and not self._is_followed(pad)
-        pad.sensor.loop_may_sleep = pad.sensor.may_wait and pad.pipeline.may_sleep
         pad.catch_up_s = frame.host_s + CATCH_UP_S if pad.pipeline.is_behind else math.inf
         self._health.frame_processed(pad.name)
         pad.watch.update(frame)

@@ -146,14 +146,6 @@ class TouchTracker:
             return self._index
         return max(self._held.first, self._held.last - SMOOTH_FRAMES // 2)
 
-    def is_settled(self, frames: int) -> bool:
-        """Whether nothing ambiguous has begun, and the next `frames` frames cannot end a touch."""
-        held = self._held
-        if held is None:
-            return self._light is None and self._baseline.is_known
-        seems_over = held.still_frames or held.calm_frames or self._sight.last_is_none
-        return self._index - held.last < self._quiet_frames - frames and not seems_over
-
     @property
     def is_disturbed(self) -> bool:
         """Whether the untouched pad is so noisy that light touches go unnoticed."""

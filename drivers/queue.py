@@ -49,16 +49,15 @@ class DroppingQueue(Generic[Item]):
         self._filled = filled or Signal()
         self.dropped = 0
 
-    def put(self, item: Item, wakes: bool = True) -> None:
-        """Add an item; never blocks. wakes: whether to set `filled`."""
+    def put(self, item: Item) -> None:
+        """Add an item; never blocks."""
         with self._lock:
             if len(self._items) >= self._capacity:
                 index = next((i for i, held in enumerate(self._items) if self._may_drop(held)), 0)
                 del self._items[index]
                 self.dropped += 1
             self._items.append(item)
-        if wakes:
-            self._filled.set()
+        self._filled.set()
 
     def get(self, timeout_s: float | None = None) -> Item | None:
         """Take the oldest item, waiting for one at most `timeout_s` (None: for ever)."""

@@ -21,7 +21,6 @@ class FrameParser(ABC):
     def __init__(self, described: PadFormat) -> None:
         self.counts = ProtocolCounts()
         self.format = described
-        self.has_clock = False
         self._layout = layout_of(described)
         self._clock = ClockCheck(self.counts)
         self._arrivals = ArrivalClock(described.rate_hz)
@@ -70,7 +69,6 @@ class FrameParser(ABC):
         """Return the readings that a well-formed frame confirms; sensor_ms: None for a pad without a
         clock."""
         self._asked = False
-        self.has_clock = sensor_ms is not None
         pressure = self._layout.pressure(values)
         if sensor_ms is None:
             return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]

@@ -96,11 +96,6 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
         raise SensorError("missing", f"{opened.port} went away: unplugged or switched off?") from error
 
 
-def reads_all(opened: Line) -> bool:
-    """Whether one read takes all that has arrived: UDP gives a datagram, pyserial's socket:// two bytes."""
-    return type(opened) is serial.Serial or (isinstance(opened, NetworkPort) and opened.is_stream)
-
-
 def _read(fd: int) -> bytes:
     """Return what has arrived at a port, waiting at most READ_TIMEOUT_S for it."""
     if not select.select([fd], [], [], READ_TIMEOUT_S)[0]:

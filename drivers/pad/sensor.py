@@ -1,19 +1,15 @@
 """The pad on its serial port: a thread that reads frames, notices when they stop, and finds the pad again."""
 
 import logging
-import math
 import threading
 import time
-from collections.abc import Sequence
-
-import numpy as np
 
 from touchd.drivers.backoff import Backoff
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.diagnosis import RECENT_BYTES, diagnose
 from touchd.drivers.pad.line_watch import LineWatch
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting, reads_all
+from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting
 from touchd.drivers.pad.sensor_state import Announcer, SensorState
 from touchd.drivers.queue import DroppingQueue, Signal
 
@@ -22,13 +18,6 @@ __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 log = logging.getLogger(__name__)
 
 FIRST_RETRY_S = 0.1
-# Frames that may wait are read four at a time at 54 Hz: what an empty cache costs is then paid once.
-WAIT_S = 0.0745
-# Noise changes a taxel by less within this time; nearly all touches change one by more.
-MOVED_COUNTS = 12
-MOVED_S = 0.25
-# Half of what Linux keeps of a port's bytes until they are read: where as much has come, more is on its way.
-MANY_BYTES = 2048
 # A diagnosis may hold up the other pads' answers; while the bytes stay wrong, it is made ever less often.
 LONGEST_LOOK_S = 16.0
 # Of a pad that sends far too much, the reader rests so many times as long as it took to parse a read.
@@ -52,10 +41,6 @@ class Sensor:
     The port is reopened whenever it fails, after FIRST_RETRY_S and then ever longer up to longest_retry_s.
     Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
     too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
-    may_wait: whether nobody minds frames up to a tenth of a second later; to be set from any thread. Those of
-    a pad that has no clock, is polled or sends much, or whose line gives a little at a time, are read at once
-    all the same.
-    loop_may_sleep: whether frames wake nobody unless the pad has lately moved; to be set from any thread.
     """
 
     def __init__(
@@ -77,10 +62,6 @@ class Sensor:
         self._backoff = Backoff(FIRST_RETRY_S, longest_retry_s)
         self._silence_s = silence_s
         self._reopen_after_s = reopen_after_s
-        self.may_wait = False
-        self.loop_may_sleep = False
-        self._compared: Frame | None = None
-        self._moved_s = -math.inf
         self._announcer = Announcer(queue.put)
         self._watch = LineWatch(protocol, self._where)
         self._stop = threading.Event()
@@ -125,7 +106,6 @@ class Sensor:
         self._protocol.reset()
         self._watch.forget_clock()
         recent = b""
-        can_wait = reads_all(opened) and not self._protocol.poll
         byte_s = frame_s = looked_s = time.monotonic()
         look_s = self._silence_s
         while not self._stop.is_set():
@@ -138,10 +118,6 @@ class Sensor:
                     frame_s = looked_s = now_s
                     look_s = self._silence_s
                     recent = b""
-                    # A frame without a clock is stamped on arrival; a polled pad waits to be asked.
-                    may_wait = can_wait and self.may_wait and self._protocol.has_clock
-                    if may_wait and len(data) < MANY_BYTES:
-                        time.sleep(WAIT_S)
             if len(data) >= FLOOD_BYTES:
                 self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
             if now_s - byte_s > self._reopen_after_s:
@@ -157,21 +133,10 @@ class Sensor:
         frames = self._protocol.feed(data, host_s)
         if frames:
             self._announcer.up(self._port)
-            wakes = not self.loop_may_sleep or self._has_moved(frames)
             for frame in frames:
-                self._queue.put(frame, wakes)
+                self._queue.put(frame)
         self._watch.update(host_s, frames[-1].sensor_ms if frames else None)
         return bool(frames)
-
-    def _has_moved(self, frames: Sequence[Frame]) -> bool:
-        """Whether a taxel has changed by more than noise, now or in the last MOVED_S."""
-        before = self._compared or frames[0]
-        counts = np.array([frame.pressure for frame in (before, *frames)])
-        now_s = frames[-1].host_s
-        if (counts.max(axis=0) - counts.min(axis=0)).max() >= MOVED_COUNTS:
-            self._moved_s = now_s
-        self._compared = frames[-1] if now_s - before.host_s >= MOVED_S else before
-        return now_s - self._moved_s < MOVED_S
 
     def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
         """Say why no frame has come since `since_s`."""

@@ -4,9 +4,7 @@ import itertools
 import json
 import re
 import threading
-import time
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -36,11 +34,9 @@ from touchd.daemon.config import (
     only_pad,
 )
 from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
-from touchd.daemon.health import Health, Notifier
 from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.daemon.kept.touches import read_journal
 from touchd.daemon.playback.rig import SpawnedDaemon
-from touchd.daemon.service import Service
 from touchd.daemon.setup.destinations import encoder_for, link_to_robot
 from touchd.daemon.setup.parts import Parts
 from touchd.daemon.sinks import RobotSink
@@ -119,37 +115,6 @@ def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
             assert daemon.stop() == 0
         felt = {(message.topic, json.loads(message.payload)["pressure"][0][0]) for message in messages}
     assert felt == {("touchd/head/pressure", 100), ("touchd/arm/pressure", 200)}
-
-
-@pytest.mark.parametrize(("pressure_hz", "frames_wait"), [(None, True), (10.0, False)])
-def test_frames_wait_beside_a_bridge_that_passes_none_on(
-    monkeypatch: pytest.MonkeyPatch, pressure_hz: float | None, frames_wait: bool
-) -> None:
-    pytest.importorskip("paho.mqtt")
-    reads: list[int] = []
-
-    def reading(*arguments: Any) -> bytes:
-        data = read_waiting(*arguments)
-        reads.append(len(data))
-        return data
-
-    monkeypatch.setattr("touchd.drivers.pad.sensor.read_waiting", reading)
-    still = np.full((60, 8, 8), 20, np.uint16)
-    encode = encoder_for(SensorSettings())
-    with FakePort(Stream(still, ideal_clock_ms(60), ()), encode, loop=True) as port:
-        mqtt = MqttSettings(host="127.0.0.1", port=free_port(), pressure_hz=pressure_hz)
-        settings = Settings(sensor=SensorSettings(port=port.path), mqtt=mqtt)
-        service, stop = Service(settings, Health(Notifier({}))), threading.Event()
-        thread = threading.Thread(target=service.run, args=(stop,))
-        thread.start()
-        # The rest is measured first.
-        time.sleep(1.5)
-        reads.clear()
-        time.sleep(2.0)
-        stop.set()
-        thread.join()
-    sizes = [size / len(encode(still[0], 0)) for size in reads if size]
-    assert bool(np.median(sizes) >= 2) is frames_wait
 
 
 def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> None:

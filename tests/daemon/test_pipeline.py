@@ -17,7 +17,7 @@ from rigs.scripted_model import LABELS, Scripted
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.pad.steps import work_off
-from touchd.daemon.pipeline import WAIT_FRAMES, Clock, Pipeline, PipelineSettings
+from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
 from touchd.daemon.touch import TouchSettings
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
@@ -171,20 +171,6 @@ def test_pads_touched_at_once_are_answered_in_one_run() -> None:
         assert [
             msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in emitted if event.pad == name
         ] == spoken
-
-
-def test_no_frame_may_wait_shortly_before_an_event() -> None:
-    bench = Bench()
-    may_wait: list[bool] = []
-    event_at: list[int] = []
-    for pressure in np.concatenate([nothing(1.0), palm(5.0), nothing(2.0), pat(1.2), nothing(2.0)]):
-        events = bench.feel(pressure[None])
-        if any(not isinstance(event, TouchBegan) for event in events):
-            event_at.append(len(may_wait))
-        may_wait.append(bench.pipeline.may_wait)
-    assert len(event_at) >= 6
-    assert not any(may_wait[at - WAIT_FRAMES + ahead] for at in event_at for ahead in range(WAIT_FRAMES))
-    assert np.mean(may_wait) > 0.5
 
 
 def test_viewers_get_the_models_own_probabilities() -> None:

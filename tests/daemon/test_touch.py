@@ -383,12 +383,6 @@ def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, netwo
     assert [type(change) for change in [*changes, *seen.feel(2.0)]] == [Onset, Release]
 
 
-def test_no_frame_may_wait_while_light_contact_is_weighed(seen: TrackedPad) -> None:
-    assert seen.tracker.is_settled(4)
-    assert seen.feel(at(nothing(0.2), slice(2, 5), slice(2, 5), 4.0)) == []
-    assert not seen.tracker.is_settled(4)
-
-
 def test_slow_movement_of_a_body_is_no_touch(seen: TrackedPad) -> None:
     assert seen.feel(breath(20.0, counts=2.3)) == []
 

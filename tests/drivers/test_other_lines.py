@@ -16,7 +16,6 @@ import pytest
 from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.sockets import free_port
-from rigs.wait import wait_for
 
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad import network
@@ -24,7 +23,6 @@ from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_o
 from touchd.drivers.pad.network import GONE_S
 from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.pad.sensor import WAIT_S
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"], msgspec.structs.replace(PRESETS["itas"], clock=True)]
 STREAM = stream_of(400)
@@ -184,16 +182,6 @@ def test_a_pad_may_have_an_ipv6_address() -> None:
         assert read_waiting(opened, FabricGrid()) == PACKETS[0]
 
 
-def test_datagrams_that_may_wait_are_all_taken_at_once() -> None:
-    with udp_pad() as (address, give), sensing(address, may_wait=True) as queue:
-        numbers = iter(range(400))
-        wait_for(lambda: give(PACKETS[next(numbers)]) or len(queue))
-        begun_s, first = time.monotonic(), next(numbers)
-        send(give, range(first, first + 50))
-        wait_for(lambda: len(queue) > 50)
-        assert time.monotonic() - begun_s < 1.0
-
-
 def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
     taken = pytest.raises(SensorError, match=r"is busy: another program .*Address already in use")
     with udp_pad() as (address, _), open_port(address, 9600), taken as refused:
@@ -245,16 +233,6 @@ def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
         # One poll a frame, at most at the pad's rate.
         steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
         assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
-
-
-def test_a_polled_pads_frames_never_wait() -> None:
-    described = msgspec.structs.replace(POLLED[1], clock=True, header="aa55")
-    with (
-        polled_on_a_pty(described) as (path, pad),
-        sensing(path, parser_of(described), may_wait=True) as queue,
-    ):
-        next_frames(queue, 30)
-        assert pad.asked_s[29] - pad.asked_s[0] < 30 * WAIT_S / 2
 
 
 def test_a_late_reply_is_not_taken_for_another() -> None:

@@ -14,11 +14,7 @@ from rigs.wait import WITHIN_S
 
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame
-from touchd.drivers.pad.format import PRESETS, encode_frame
-from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.pad.sensor import MOVED_S, FrameQueue, Sensor, SensorState, check_port
-from touchd.drivers.queue import Signal
-from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 
 
 @pytest.mark.parametrize(
@@ -54,62 +50,6 @@ def test_a_frames_time_is_the_arrival_of_its_last_byte() -> None:
     with FakePort(stream_of(40), encode_fabric_grid, speed=2.0) as port, sensing(port.path) as queue:
         frames = next_frames(queue, 40)
     assert delays_s(frames, port).min() > 0.0
-    assert np.median(delays_s(frames, port)) < 0.01
-
-
-def test_frames_that_may_wait_arrive_together_and_complete() -> None:
-    stream, came = stream_of(40), []
-    with FakePort(stream, encode_fabric_grid) as port, sensing(port.path, may_wait=True) as queue:
-        while not port.wait(0.001):
-            came.append(len(queue))
-        frames = next_frames(queue, 40)
-    assert_played(frames, stream, range(40))
-    assert np.median(delays_s(frames, port)) < 0.1
-    assert len(set(came)) <= 40 / 2
-
-
-def playing(counts: Counts) -> FakePort:
-    """A port that sends these counts."""
-    return FakePort(Stream(counts, ideal_clock_ms(len(counts)), ()), encode_fabric_grid)
-
-
-def test_a_pad_that_keeps_still_wakes_nobody_until_it_is_touched() -> None:
-    still, touched = 40, 10
-    counts = np.random.default_rng(0).integers(20, 24, (still + touched, 8, 8)).astype(np.uint16)
-    counts[still:, 3, 4] += 30
-    arrived = Signal()
-    with playing(counts) as port, sensing(port.path, filled=arrived, loop_may_sleep=True) as queue:
-        assert arrived.wait(WITHIN_S)
-        assert isinstance(queue.get_nowait(), SensorState)
-        assert arrived.wait(WITHIN_S)
-        assert still < len(queue) < still + touched
-        # One frame shows no touch yet, so those after it come at once too, though nothing moves any more.
-        queue.take_all()
-        assert all(arrived.wait(MOVED_S / 2) for _ in range(3))
-
-
-@pytest.mark.parametrize(("counts_a_frame", "is_felt"), [(1.0, True), (0.2, False)], ids=["hand", "drift"])
-def test_a_slow_hand_wakes_the_loop_and_a_drift_does_not(counts_a_frame: float, is_felt: bool) -> None:
-    scans = np.zeros((80, 8, 8), np.uint16)
-    scans[:, 3, 4] = np.arange(80) * counts_a_frame
-    arrived = Signal()
-    with playing(scans) as port, sensing(port.path, filled=arrived, loop_may_sleep=True) as queue:
-        # The first state and the first frame.
-        next_frames(queue, 1)
-        while arrived.wait(0.0):
-            pass
-        assert port.wait(WITHIN_S)
-        assert arrived.wait(0.0) == is_felt
-
-
-def test_frames_stamped_on_arrival_never_wait() -> None:
-    described = PRESETS["velostat"]
-    with (
-        FakePort(stream_of(40), lambda counts, _: encode_frame(described, counts, None)) as port,
-        sensing(port.path, parser_of(described), may_wait=True) as queue,
-    ):
-        assert port.wait(WITHIN_S)
-        frames = [item for item in queue.take_all() if isinstance(item, Frame)]
     assert np.median(delays_s(frames, port)) < 0.01
 
 

@@ -14,7 +14,6 @@ from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.format import PadFormat, encode_frame
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState
-from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Span, Stream, ideal_clock_ms
 
 BAUD = 512000
@@ -30,18 +29,13 @@ def stream_of(frames: int = 4000) -> Stream:
 def sensing(
     port: str,
     protocol: FrameParser | None = None,
-    *,
-    filled: Signal | None = None,
-    may_wait: bool = False,
-    loop_may_sleep: bool = False,
     **options: float,
 ) -> Iterator[FrameQueue]:
     """Yield a running sensor's queue; afterwards no thread or descriptor of it is left."""
     before = set(os.listdir("/proc/self/fd"))
-    queue = FrameQueue(100_000, filled)
+    queue = FrameQueue(100_000)
     pauses_s = {"longest_retry_s": 0.2, "silence_s": 0.5} | options
     sensor = Sensor(port, BAUD, protocol or FabricGrid(), queue, **pauses_s)
-    sensor.may_wait, sensor.loop_may_sleep = may_wait, loop_may_sleep
     sensor.start()
     try:
         yield queue
