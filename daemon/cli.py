@@ -13,7 +13,7 @@ from importlib import metadata
 from typing import NamedTuple
 
 from touchd.daemon.terminal.own_name import own_name
-from touchd.drivers.errors import TouchdError
+from touchd.drivers.errors import TouchdError, one_line
 from touchd.drivers.extras import extra_of, how_to_install
 
 # What the C library says.
@@ -163,7 +163,7 @@ def _complain(error: Exception) -> int:
     elif not isinstance(error, TouchdError):
         what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
         code = OUR_MISTAKE
-    sys.stderr.write(f"touchd: {what}\n")
+    sys.stderr.write(f"touchd: {one_line(what)}\n")
     return code
 
 

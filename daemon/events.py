@@ -1,7 +1,7 @@
 """What the daemon says: one JSON object a line, on stdout and in the journal."""
 
 from datetime import datetime, timezone
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
@@ -10,10 +10,14 @@ from touchd.drivers.frame import DEFAULT_PAD
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]
+# As large as JSON's readers keep exactly.
+Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 PadState: TypeAlias = Literal["up", "down", "degraded", "disturbed"]
 
 UNCERTAIN = "uncertain"
 MAX_REASON_BYTES = 400
+# The year 2500: what follows fits the nanoseconds of every format that is written.
+LAST_S = 16_725_225_600.0
 
 
 class EventError(ValueError):
@@ -29,9 +33,9 @@ class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     time: when this was noticed (UTC), as in every event.
     """
 
-    touch: int
+    touch: Count
     time: str
-    sensor_ms: int
+    sensor_ms: Count
     pad: str = DEFAULT_PAD
 
 
@@ -49,9 +53,9 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     feel: what the touch was like so far.
     """
 
-    touch: int
+    touch: Count
     stage: Stage
-    frames: int
+    frames: Count
     elapsed_s: float
     gesture: str
     confidence: float
@@ -73,8 +77,8 @@ class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"
     frames: length of the touch so far. probabilities: as in `Prediction`.
     """
 
-    touch: int
-    frames: int
+    touch: Count
+    frames: Count
     probabilities: dict[str, float]
     pad: str = DEFAULT_PAD
 
@@ -91,12 +95,12 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     journals.
     """
 
-    touch: int
+    touch: Count
     gesture: str
-    frames: int
+    frames: Count
     reason: EndReason
     time: str
-    sensor_ms: int | None = None
+    sensor_ms: Count | None = None
     pad: str = DEFAULT_PAD
     feel: Feel | None = None
 
@@ -127,7 +131,7 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
     action: its kind. what: the words that it says, the behaviour's name or the colour.
     """
 
-    touch: int
+    touch: Count
     action: Literal["say", "animated_say", "behavior", "leds"]
     what: str
     time: str
@@ -135,12 +139,6 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
 
 
 Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent | RobotAction
-
-
-def one_line(reason: str) -> str:
-    """Return a reason, perhaps a library's, as one line of at most MAX_REASON_BYTES."""
-    printable = "".join(character if character.isprintable() else " " for character in reason)
-    return printable.encode()[:MAX_REASON_BYTES].decode(errors="ignore")
 
 
 def kind_of(event: Event) -> str:
@@ -157,7 +155,10 @@ def decode(line: bytes | str) -> Event:
     """Return the event that a line of JSON holds; raises EventError when it holds none."""
     try:
         event: Event = msgspec.json.decode(line, type=Event)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        if not 0.0 <= epoch_s(event.time) < LAST_S:
+            raise ValueError(f"time {event.time}")
+    # RecursionError: lists nested too deeply.
+    except (msgspec.DecodeError, ValueError, OverflowError, RecursionError) as error:
         raise EventError(f"not an event: {error}") from error
     return event
 

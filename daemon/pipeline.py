@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from touchd.daemon.decide import NO_TOUCH, Decision, DecisionSettings
 from touchd.daemon.events import (
+    MAX_REASON_BYTES,
     UNCERTAIN,
     EndReason,
     Event,
@@ -23,7 +24,6 @@ from touchd.daemon.events import (
     Stage,
     TouchBegan,
     TouchEnded,
-    one_line,
     timestamp,
 )
 from touchd.daemon.pad.age import Age, Feeling
@@ -31,6 +31,7 @@ from touchd.daemon.pad.feel import FeelMeter
 from touchd.daemon.pad.held import LEFT_ANYHOW_FRAMES
 from touchd.daemon.pad.steps import Heard, Step, Work, work_off
 from touchd.daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.pad.grid import GridFrame, Ring, RingSettings
 from touchd.drivers.pad.sensor_state import SensorState
@@ -210,7 +211,11 @@ class Pipeline:
         self._stop("stopped")
 
     def _tell_sensor(self, state: PadState, reason: str) -> None:
-        self._emit(SensorEvent(state=state, time=self._now(), reason=one_line(reason), pad=self._pad))
+        self._emit(
+            SensorEvent(
+                state=state, time=self._now(), reason=one_line(reason, MAX_REASON_BYTES), pad=self._pad
+            )
+        )
 
     def _advance(self, frame: GridFrame) -> Work:
         match self._tracker.update(frame):

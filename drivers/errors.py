@@ -1,14 +1,30 @@
-"""What every error at an edge has in common: a person can put it right."""
+"""What every error at an edge has in common, and how foreign text becomes a line that can be shown."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+MAX_LINE_BYTES = 4000
+
+
+def one_line(text: str, max_bytes: int = MAX_LINE_BYTES) -> str:
+    """Return text from anywhere as one printable line, cut to `max_bytes` of UTF-8.
+
+    Characters that a terminal or a log could act on (newlines, escape sequences, changes of the writing
+    direction, half characters) become escapes such as \\n and \\x1b.
+    """
+    escaped = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:max_bytes])
+    return escaped.encode()[:max_bytes].decode(errors="ignore")
 
 
 class TouchdError(Exception):
     """Something outside touchd is wrong: a file, a device, a setting, a network.
 
     The message is one line that says what is wrong, where, and what to do; the command line shows just that.
+    Foreign text in it is escaped.
     """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(one_line(message))
 
 
 @contextmanager

@@ -7,21 +7,25 @@ from contextlib import contextmanager
 from pathlib import Path
 
 PARTIAL = ".partial-"
+# Of what says something about people: recordings, the journal and what is made of them.
+PRIVATE_MODE = 0o640
 NO_LINKS = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 @contextmanager
-def whole_file(path: Path, *, replace: bool = True) -> Iterator[Path]:
+def whole_file(path: Path, *, replace: bool = True, mode: int = 0o644) -> Iterator[Path]:
     """Yield a path beside `path` to write to; what was written takes the place of `path` at the end.
 
     replace: whether a file that is there is written over, keeping its owner and permissions; otherwise
-    FileExistsError is raised. On any error nothing is left behind. Raises OSError.
+    FileExistsError is raised. mode: what a new file permits at most. On any error nothing is left
+    behind. Raises OSError.
     """
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
         # Left by a program that was killed while it wrote.
         partial.unlink(missing_ok=True)
         yield partial
+        partial.chmod(partial.stat().st_mode & mode)
         with partial.open("rb") as file:
             os.fsync(file.fileno())
         if replace:

@@ -7,7 +7,7 @@ from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.settings import MqttSettings, Section
 from touchd.daemon.config import Settings
 from touchd.daemon.decide import NO_TOUCH
-from touchd.daemon.events import one_line
+from touchd.drivers.errors import one_line
 from touchd.drivers.extras import how_to_install
 from touchd.model.classifier import Classifier
 

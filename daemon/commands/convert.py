@@ -15,7 +15,7 @@ from touchd.daemon.kept.journal import JournalError
 from touchd.daemon.kept.touches import read_events
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
-from touchd.drivers.whole_file import whole_file
+from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
 
 
 class ConvertError(TouchdError):
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         # Before the work, as it may not be installed.
         import touchd.daemon.convert.mcap  # noqa: F401
     try:
-        with whole_file(out, replace=False) as partial:
+        with whole_file(out, replace=False, mode=PRIVATE_MODE) as partial:
             if file.name.endswith(SUFFIXES):
                 _convert_recording(file, partial)
             else:

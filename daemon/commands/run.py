@@ -18,6 +18,7 @@ from touchd.daemon.config import ConfigError, Settings, load, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
+from touchd.daemon.log import LogGate
 from touchd.daemon.service import Service
 from touchd.daemon.setup.reread import Reloader, rereading
 from touchd.daemon.sinks import LinesSink, LogHandler, LogSink
@@ -93,6 +94,7 @@ def main(arguments: Sequence[str]) -> int:
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
             if in_words and page and settings.live and settings.live.host in EVERY_ADDRESS:
                 sys.stderr.write(qr_code(page))
+        handler.addFilter(LogGate())
         root = logging.getLogger()
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.recording import Recording, RecordingError, write_recordings
-from touchd.drivers.whole_file import PARTIAL, whole_file
+from touchd.drivers.whole_file import PARTIAL, PRIVATE_MODE, whole_file
 
 SUFFIX = ".csv.gz"
 
@@ -25,7 +25,7 @@ def prepare(folder: Path) -> None:
 def keep(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
     """Write recordings to a new file, whole or not at all; raises RecordingError, also when it exists."""
     try:
-        with whole_file(path, replace=False) as partial:
+        with whole_file(path, replace=False, mode=PRIVATE_MODE) as partial:
             write_recordings(partial, recordings, provenance)
     except RecordingError as error:
         raise RecordingError(str(error).replace(PARTIAL, "")) from error

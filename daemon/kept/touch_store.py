@@ -9,6 +9,8 @@ which its end was known.
 import logging
 import os
 import re
+from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -74,8 +76,7 @@ class TouchStore:
             path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
             pieces = cut(touch)
             keep(path, pieces.recordings(), self._provenance(touch, pieces))
-            for older in kept_touches(self._folder)[: -self._most]:
-                older.path.unlink(missing_ok=True)
+            _delete(older.path for older in kept_touches(self._folder)[: -self._most])
         except (OSError, RecordingError) as error:
             self.lost += 1
             level = logging.DEBUG if self._failing else logging.WARNING
@@ -88,8 +89,8 @@ class TouchStore:
 
     def _take_over(self) -> int:
         """Remove what a killed program left, and return the last count; another store wrote until now."""
-        for partial in self._folder.glob(f"{PARTIAL}*"):
-            partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            _delete(self._folder.glob(f"{PARTIAL}*"))
         return max((kept.count for kept in kept_touches(self._folder)), default=0)
 
     def _provenance(self, touch: FeltTouch, pieces: TouchPieces) -> dict[str, str]:
@@ -102,6 +103,18 @@ class TouchStore:
             "rate": pieces.rate,
             "part": "the whole touch" if pieces.is_whole else "the beginning of a longer touch",
         }
+
+
+def _delete(files: Iterable[Path]) -> None:
+    """Delete every file that can be deleted; then raises the OSError of the last that could not."""
+    trouble: OSError | None = None
+    for file in files:
+        try:
+            file.unlink(missing_ok=True)
+        except OSError as error:
+            trouble = error
+    if trouble is not None:
+        raise trouble
 
 
 def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
@@ -121,7 +134,8 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
     kept: list[KeptTouch] = []
     with os_errors_as(RecordingError, f"{folder}: cannot be read", "what the service keeps takes sudo"):
         try:
-            names = os.listdir(folder)
+            with os.scandir(folder) as entries:
+                names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
         except FileNotFoundError:
             return []
     for name in names:

@@ -4,6 +4,7 @@ import asyncio
 import time
 
 from websockets.asyncio.server import ServerConnection
+from websockets.protocol import State
 
 # A browser sends a request with its headers, then ten bytes every five seconds in answer to our pings.
 FIRST_BYTES = 16 * 1024
@@ -13,13 +14,16 @@ BYTES_PER_S = 16.0
 class Door:
     """Closes connections beyond the limit, and any that sends too much.
 
+    Beyond the limit, the connection that has waited longest without finishing its request is closed, so that
+    half-open connections keep nobody out; without such a one, the new connection is closed.
     Every ping is answered and every fragment is kept, so limiting what a viewer sends limits its cost.
 
     kind: the class of connections to make.
     """
 
     def __init__(self, limit: int) -> None:
-        self._inside: set[ServerConnection] = set()
+        # In the order of their arrival.
+        self._inside: dict[ServerConnection, None] = {}
         inside = self._inside
 
         class Counted(ServerConnection):
@@ -27,9 +31,10 @@ class Door:
                 super().connection_made(transport)
                 self._begun_s = time.monotonic()
                 self._heard_bytes = 0
-                inside.add(self)
+                inside[self] = None
                 if len(inside) > limit:
-                    self.transport.abort()
+                    half_open = (one for one in inside if one.state is State.CONNECTING)
+                    next(half_open, self).transport.abort()
 
             def data_received(self, data: bytes) -> None:
                 self._heard_bytes += len(data)
@@ -39,7 +44,7 @@ class Door:
                     super().data_received(data)
 
             def connection_lost(self, exc: Exception | None) -> None:
-                inside.discard(self)
+                inside.pop(self, None)
                 super().connection_lost(exc)
 
         self.kind: type[ServerConnection] = Counted

@@ -9,10 +9,11 @@ from contextlib import suppress
 from functools import partial
 
 from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, RobotAction, RobotEvent, one_line, timestamp
+from touchd.daemon.events import MAX_REASON_BYTES, Event, RobotAction, RobotEvent, timestamp
 from touchd.daemon.kept.journal import Journal
 from touchd.daemon.kept.touch_store import TouchStore, folder_of
 from touchd.daemon.live.address import listen, require_library
+from touchd.drivers.errors import one_line
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import encode_frame
 from touchd.drivers.pad.port import at_baud
@@ -68,11 +69,13 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
     """
 
     def report(state: LinkState, reason: str) -> None:
-        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=one_line(reason)))
+        why = one_line(reason, MAX_REASON_BYTES)
+        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
 
     def act(message: RobotMessage, kind: Kind, what: str) -> None:
         now = timestamp(time.time())
-        emit(RobotAction(touch=message.touch, action=kind, what=one_line(what), time=now, pad=message.pad))
+        shown = one_line(what, MAX_REASON_BYTES)
+        emit(RobotAction(touch=message.touch, action=kind, what=shown, time=now, pad=message.pad))
 
     if settings.robot is None:
         return None

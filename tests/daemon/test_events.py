@@ -10,6 +10,7 @@ import pytest
 from rigs.made_events import PREDICTION, TIME
 
 from touchd.daemon.events import (
+    MAX_REASON_BYTES,
     EndReason,
     Event,
     EventError,
@@ -23,11 +24,11 @@ from touchd.daemon.events import (
     decode,
     encode,
     epoch_s,
-    one_line,
     timestamp,
 )
 from touchd.daemon.kept.journal import MAX_EVENT_BYTES
 from touchd.daemon.pad.feel import Feel
+from touchd.drivers.errors import one_line
 from touchd.model.classifier import ModelMetadata
 
 EVENTS: list[tuple[Event, str]] = [
@@ -111,7 +112,7 @@ def metadata(name: str, labels: list[str]) -> ModelMetadata:
     "reason", ['"' * 5000, "\n\x00\x1b" * 5000, "\\" * 5000, "\U0001f44b" * 5000, "é" * 5000]
 )
 def test_a_reason_is_one_short_line(reason: str) -> None:
-    said = one_line(reason)
+    said = one_line(reason, MAX_REASON_BYTES)
     assert said.isprintable()
     for kind in (SensorEvent, RobotEvent):
         event = kind(state="down", time=TIME, reason=said)

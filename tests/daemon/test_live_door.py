@@ -2,6 +2,7 @@
 
 import http.client
 import socket
+import time
 from contextlib import ExitStack, suppress
 
 import pytest
@@ -47,11 +48,23 @@ def test_idle_connections_do_not_exhaust_descriptors(served: Served) -> None:
             closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S))
             for _ in range(MOST_CONNECTIONS)
         ]
-        # With the viewer, the last of these exceeds the limit and is closed before its handshake times out.
-        idle[-1].settimeout(HANDSHAKE_S / 2)
+        # With the viewer, the last of these exceeds the limit: the first is closed before it times out.
+        idle[0].settimeout(HANDSHAKE_S / 2)
         with suppress(ConnectionResetError):
-            assert idle[-1].recv(1) == b""
+            assert idle[0].recv(1) == b""
         frames_among(viewer, served.put_frame())
+
+
+def test_half_open_connections_keep_nobody_out(served: Served) -> None:
+    with ExitStack() as closing:
+        for _ in range(3 * MOST_CONNECTIONS):
+            closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S))
+        began_s = time.monotonic()
+        for _ in range(5):
+            assert served.ask("/").status == 200
+            with served.look() as viewer:
+                viewer.recv(timeout=WITHIN_S)
+        assert time.monotonic() - began_s < HANDSHAKE_S
 
 
 @pytest.mark.parametrize("path", ["/", *sorted(f"/{path.name}" for path in FOLDER.iterdir())])

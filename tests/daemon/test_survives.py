@@ -3,6 +3,7 @@
 import os
 import shutil
 import socket
+import stat
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,12 +16,13 @@ import pytest
 from rigs.expectations import LENGTHS, stream_of
 from rigs.felt_touch import felt
 from rigs.live_rig import HANDSHAKE, Served, frames_among
-from rigs.made_events import touch
+from rigs.made_events import PREDICTION, touch
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
 from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
+from touchd.daemon import cli
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings, load
 from touchd.daemon.events import Event, Prediction, TouchEnded, encode
 from touchd.daemon.kept.journal import Journal, JournalError
@@ -38,6 +40,7 @@ from touchd.drivers.pad.grid import GridFrame, Ring, RingSettings
 from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.robot.settings import RobotSettings, read_login
+from touchd.drivers.whole_file import PARTIAL
 
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)
@@ -214,6 +217,58 @@ def numbers(path: Path) -> list[int]:
 def test_one_bad_line_does_not_hide_the_others(path: Path) -> None:
     path.write_bytes(encode(touch(1)) + b"\n\x00\xff no event\n" + encode(touch(2)) + b"\n")
     assert numbers(path) == [1, 2]
+
+
+# A line nested too deeply, and times that are none, or none that a file format can hold.
+BAD_LINES = [
+    b'{"type":"touch_began","touch":' + b"[" * 20_000 + b"]" * 20_000 + b"}",
+    *(
+        b'{"type":"touch_began","touch":1,"sensor_ms":1,"time":"%s"}' % time
+        for time in (b"garbage", b"", b"1931-01-01T00:00:00.000Z", b"9999-01-01T00:00:00.000Z", b"2026-13-01")
+    ),
+    encode(PREDICTION).replace(b'"elapsed_s":1.0', b'"elapsed_s":1e308'),
+    b'{"type":"touch_began","touch":' + b"9" * 400 + b',"sensor_ms":1,"time":"2026-11-20T10:00:00.000Z"}',
+    b"\xff\xfe",
+]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "mcap", "png"])
+@pytest.mark.parametrize("line", BAD_LINES, ids=range(len(BAD_LINES)))
+def test_one_bad_line_ends_no_reading_of_a_journal(path: Path, suffix: str, line: bytes) -> None:
+    pytest.importorskip({"csv": "csv", "mcap": "mcap", "png": "matplotlib"}[suffix])
+    ended = TouchEnded(touch=1, gesture="pat", frames=9, reason="released", time="2026-11-20T10:00:01.000Z")
+    path.write_bytes(b"\n".join([encode(touch(1)), line, encode(ended)]) + b"\n")
+    out = path.with_name(f"out.{suffix}")
+    assert cli.main(["plot" if suffix == "png" else "convert", str(path), "-o", str(out)]) == 0
+    assert out.stat().st_size > 100
+    (found,) = read_journal(path)
+    assert found.ended == ended
+    assert len(read_since(path, "2026-01-01")) == 1
+
+
+@pytest.mark.parametrize("name", ["2026-11-20T10-00-00.000Z-1-1.csv.gz", f"{PARTIAL}x"])
+def test_a_folder_named_like_a_touch_defeats_no_bound(tmp_path: Path, name: str) -> None:
+    (tmp_path / "touches" / name).mkdir(parents=True)
+    store = TouchStore(tmp_path / "touches", 3, "a made pad")
+    for number in range(8):
+        store.add(felt(number))
+    kept = kept_touches(tmp_path / "touches")
+    assert [touch.number for touch in kept] == [5, 6, 7]
+    assert (tmp_path / "touches" / name).is_dir()
+
+
+def test_recordings_of_people_are_as_private_as_the_journal(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        TouchStore(tmp_path / "touches", 3, "a made pad").add(felt(1))
+        Journal(tmp_path / "events.jsonl", max_bytes=10_000, keep=1).close()
+        (kept,) = kept_touches(tmp_path / "touches")
+        converted = tmp_path / "copy.csv"
+        assert cli.main(["convert", str(kept.path), "-o", str(converted)]) == 0
+    finally:
+        os.umask(before)
+    for file in (tmp_path / "events.jsonl", kept.path, converted):
+        assert stat.S_IMODE(file.stat().st_mode) == 0o640
 
 
 def test_a_hole_in_the_numbers_hides_no_older_file(path: Path) -> None:

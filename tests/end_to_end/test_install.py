@@ -139,11 +139,15 @@ def test_only_the_service_can_read_the_configuration(make: Make, tmp_path: Path)
         ("group", "root:x:0:\ntouchd:x:976:"),
     ):
         (tmp_path / "etc" / table).write_text(f"{line}\n")
+    certificates = (tmp_path / CONFIGURATION).with_name("tls")
+    certificates.mkdir()
     done = ran(["systemd-tmpfiles", "--create", f"--root={tmp_path}", "touchd.conf"])
     assert done.returncode == 0, done.stderr
     folder, file = (tmp_path / CONFIGURATION).parent.stat(), (tmp_path / CONFIGURATION).stat()
     assert (stat.S_IMODE(folder.st_mode), folder.st_gid) == (0o750, 976)
     assert (stat.S_IMODE(file.st_mode), file.st_uid, file.st_gid) == (0o640, 0, 976)
+    # A folder stays one that the service can enter.
+    assert (stat.S_IMODE(certificates.stat().st_mode), certificates.stat().st_gid) == (0o750, 976)
 
 
 def test_the_lock_satisfies_what_the_project_asks_for(pyproject: dict[str, Any]) -> None:

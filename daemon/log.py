@@ -1,0 +1,59 @@
+"""What every record of the log passes on its way out, ours and those of libraries."""
+
+import logging
+import threading
+import time
+
+from touchd.drivers.errors import one_line
+
+# Lines that one place in the code may log in this time: enough for sixteen pads, too few to fill a disk.
+MOST_LINES = 60
+WHILE_S = 60.0
+MOST_TRACE_LINES = 100
+_TRACE = logging.Formatter()
+
+
+class LogGate(logging.Filter):
+    """Makes each record printable, and limits how often one place in the code logs; debugging is not limited.
+
+    What was left out is counted in the place's next line.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lock = threading.Lock()
+        self._places: dict[tuple[str, int], _Place] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        left_out = 0
+        if record.levelno > logging.DEBUG:
+            with self._lock:
+                place = self._places.setdefault((record.pathname, record.lineno), _Place())
+                if not place.may_log(time.monotonic()):
+                    return False
+                left_out, place.left_out = place.left_out, 0
+        more = f" ({left_out} more like it were left out)" if left_out else ""
+        record.msg, record.args = one_line(record.getMessage()) + more, None
+        if record.exc_info and not record.exc_text:
+            lines = _TRACE.formatException(record.exc_info).split("\n")
+            # Indented, so that no line of an error's text can pass for one of the log.
+            record.exc_text = "\n".join(f"  {one_line(line)}" for line in lines[-MOST_TRACE_LINES:])
+        return True
+
+
+class _Place:
+    """A place in the code that logs."""
+
+    def __init__(self) -> None:
+        self.left_out = 0
+        self._lines = 0
+        self._until_s = 0.0
+
+    def may_log(self, now_s: float) -> bool:
+        if now_s >= self._until_s:
+            self._lines, self._until_s = 0, now_s + WHILE_S
+        self._lines += 1
+        if self._lines > MOST_LINES:
+            self.left_out += 1
+            return False
+        return True

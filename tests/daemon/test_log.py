@@ -1,0 +1,75 @@
+"""What reaches the log and the terminal from outside: printable, one line each, and not too often."""
+
+import logging
+
+import pytest
+
+from touchd.daemon.cli import main
+from touchd.daemon.log import MOST_LINES, LogGate
+from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line
+
+HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
+
+
+def record(text: str, *arguments: object, line: int = 1, level: int = logging.WARNING) -> logging.LogRecord:
+    return logging.LogRecord("library", level, "library.py", line, text, arguments, None)
+
+
+def test_foreign_text_is_printable_and_short() -> None:
+    said = one_line(HOSTILE * 1000)
+    assert said.isprintable()
+    assert said.startswith(r"one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m")
+    assert len(said.encode()) <= MAX_LINE_BYTES
+    assert one_line("grün: 触れる ✓") == "grün: 触れる ✓"
+
+
+def test_an_errors_message_is_printable() -> None:
+    assert str(TouchdError(f"port {HOSTILE}")).isprintable()
+
+
+@pytest.mark.parametrize(
+    "words", [[HOSTILE], ["run", "-c", f"/nowhere/{HOSTILE}"], ["run", "--live", HOSTILE]]
+)
+def test_the_command_line_shows_no_control_characters(
+    words: list[str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main([word.replace("\0", "").replace("\ud800", "") for word in words]) == 2
+    said = capfd.readouterr().err
+    assert said.removesuffix("\n").isprintable()
+
+
+def test_a_record_becomes_one_printable_line() -> None:
+    gone = record("closed: %s", HOSTILE)
+    assert LogGate().filter(gone)
+    assert logging.Formatter("%(message)s").format(gone).isprintable()
+
+
+def test_a_trace_forges_no_line_of_the_log() -> None:
+    try:
+        raise ValueError(HOSTILE)
+    except ValueError as error:
+        failed = record("failed")
+        failed.exc_info = (ValueError, error, error.__traceback__)
+    assert LogGate().filter(failed)
+    first, *others = logging.Formatter("%(message)s").format(failed).split("\n")
+    assert first == "failed"
+    assert all(line.startswith("  ") and line.isprintable() for line in others)
+    assert "ValueError" in others[-2]
+
+
+def test_one_place_cannot_flood_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 100.0
+    monkeypatch.setattr("touchd.daemon.log.time.monotonic", lambda: now_s)
+    gate = LogGate()
+    passed = [gate.filter(record(f"too many open files {number}")) for number in range(43_000)]
+    assert sum(passed) == MOST_LINES
+    assert gate.filter(record("another place", line=2))
+    now_s += 61.0
+    again = record("too many open files")
+    assert gate.filter(again)
+    assert again.getMessage() == f"too many open files ({43_000 - MOST_LINES} more like it were left out)"
+
+
+def test_debugging_is_not_limited() -> None:
+    gate = LogGate()
+    assert all(gate.filter(record("detail", level=logging.DEBUG)) for _ in range(10 * MOST_LINES))
