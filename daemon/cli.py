@@ -55,7 +55,7 @@ COMMANDS = (
     Command("completion", "daemon.commands.completion", "has a shell complete commands and options"),
 )
 
-MOVED = ("data", "export", "evaluate", "stability", "report", "speed")
+MOVED = ("data", "export", "evaluate", "stability", "speed")
 """Commands for researchers, which a clone of the repository has and an installed touchd has not."""
 
 

@@ -26,7 +26,7 @@ LEAST_PROBABILITY = 0.01
 Sure: TypeAlias = Literal["eager", "balanced", "careful"]
 
 # The confidence from which an answer is sure one second into a touch; more is asked of one that comes
-# earlier, for the later it is, the less waiting helps (docs/early.md).
+# earlier, for the later it is, the less waiting helps (docs/decision.md).
 SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7, "careful": 0.75}
 SURE_FALLS = 0.2
 

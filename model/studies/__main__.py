@@ -1,4 +1,4 @@
-"""The entry to every study: `python -m touchd.model.studies NAME`, from the repository's root."""
+"""Entry point of every study: `python -m touchd.model.studies NAME`, from the repository's root."""
 
 import importlib
 import sys
@@ -7,24 +7,21 @@ from collections.abc import Sequence
 from touchd.drivers.errors import TouchdError
 
 STUDIES = {
-    "data": ("training.commands:data", "fetches the HAART recordings, or checks a folder"),
+    "data": ("training.commands:data", "downloads the HAART recordings, or checks a folder"),
     "train": ("training.commands:train", "trains the networks of a recipe"),
     "export": ("training.commands:export", "calibrates them and writes them as ONNX files"),
-    "evaluate": ("training.commands:evaluate", "scores the shipped model"),
-    "seeds": ("training.one_out:seeds", "scores the recipe with other seeds"),
-    "one-out": ("training.one_out", "scores the recipe with one person of each study left out"),
+    "evaluate": ("training.commands:evaluate", "scores the shipped model beside the paper's figures"),
     "stability": ("training.commands:stability", "checks a model's arithmetic on hard cases"),
-    "accuracy": ("studies.accuracy", "rewrites the accuracy page from the stored scores"),
-    "report": ("studies.report.page", "the paper's tables and figures beside ours"),
-    "stages": ("studies.stages", "where the time goes from a frame's last byte to the robot"),
-    "speed": ("studies.speed", "times an answer against the paper's network"),
+    "seeds": ("studies.seeds", "scores the recipe with three seeds"),
+    "accuracy": ("studies.accuracy", "fills docs/accuracy.md from the stored scores"),
+    "challenge": ("studies.challenge.table", "reimplements the challenge's systems: the paper's table 1"),
+    "paper": ("studies.paper", "trains the paper's network: its tables 2 and 3"),
+    "speed": ("studies.speed", "times one answer, ours and others', against its error"),
+    "decision": ("studies.decision", "how early and how often the robot is told the right answer"),
     "adapting": ("studies.adapting", "what adapting to a person gains and costs"),
-    "sessions": ("studies.sessions.report", "what the robot hears of a pad in use, touch after touch"),
-    "joined": ("studies.sessions.joined", "what the robot hears of two gestures without a pause"),
-    "pads": ("studies.pads", "how the answers fare on pads other than the lab's, simulated"),
-    "tracker": ("studies.tracker.report", "how well touches are noticed"),
-    "early": ("studies.decision.early", "how early one can tell, by which stopping rule"),
-    "decision": ("studies.decision.report", "how early and how often the daemon is right"),
+    "tracker": ("studies.tracker.report", "how well touches are detected"),
+    "sessions": ("studies.sessions.report", "what the robot is told of a pad in use, touch after touch"),
+    "joined": ("studies.sessions.joined", "what the robot is told of two gestures without a pause"),
 }
 
 

@@ -1,98 +1,149 @@
-"""The accuracy page: the machine-written scores as tables and pictures for people."""
+"""The accuracy page, from the stored scores: `python -m touchd.model.studies accuracy`.
 
-from collections.abc import Sequence
+`python -m touchd.model.studies evaluate --write` stores the scores.
+"""
+
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import LENGTHS
-from touchd.model.studies.checks.evaluate import SCENE, Evaluation, Score, Scores, read_scores
+from touchd.model.studies.checks.evaluate import REPORTED_LENGTHS, SCENE, Evaluation, Score
+from touchd.model.studies.checks.scores import Scores, read_scores
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
+from touchd.model.studies.published import TABLE3
+from touchd.model.training.ship import SCORES_NAME
 
-TABLE3 = {
-    9: "57.0 ± 1.9",
-    27: "66.6 ± 1.3",
-    54: "70.8 ± 1.5",
-    72: "71.1 ± 1.4",
-    108: "72.3 ± 1.2",
-    144: "72.8 ± 1.8",
-    216: "71.6 ± 1.0",
-}
-"""Of Ren, Hou and Belpaeme (HRI 2023), percent, six blocks; its "1.5 seconds" are 72 frames. It has no 81."""
-PAPER_ACCURACY = {frames: float(printed.split()[0]) for frames, printed in TABLE3.items()}
-
-TITLES = {
-    "test": "HAART, test participants",
-    "left_out": "HAART, training participants left out",
-    "second_study": "second study, people left out",
-}
-PLACES = ("model", "summary", *TITLES)
-SEEDS, ONE_OUT = "seeds", "one_out"
-"""The places that the studies of these names fill."""
+TITLES: Mapping[str, str] = MappingProxyType(
+    {
+        "test": "HAART test",
+        "left_out": "HAART held out",
+        "second_study": "second study",
+        "cross_study": "second study, from HAART alone",
+    }
+)
+"""Columns and rows of the tables, by fields of `Scores`."""
+DETAILED = ("test", "left_out", "second_study")
+FINAL = LENGTHS[-1]
+COLOURS = ("#1f5fa8", "#5b9bd5", "#2a8a57", "#8fc4a5", "#7a3f98", "#b89cc9")
 DARK_PERCENT = 55
+LABEL_GAP = 1.7
+"""Between the labels of two lines, in percent."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the page's tables and figures from the stored scores; returns 0."""
+    """Fill the page's tables and draw its figures; returns 0."""
     parser = study_parser("accuracy", __doc__, "docs")
     parser.add_argument("--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of scores.json")
     options = parser.parse_args(arguments)
-    scores = read_scores(options.weights / "scores.json")
-    page, figures = options.docs / "accuracy.md", options.docs / "figures"
+    scores = read_scores(options.weights / SCORES_NAME)
+    fill(options.docs / "accuracy.md", tables(scores))
+    figures = options.docs / "figures"
     figures.mkdir(parents=True, exist_ok=True)
     draw_accuracy(scores, figures / "accuracy.png")
-    draw_confusion(scores.labels, scores.test, figures / "confusion.png")
-    draw_confusion(scores.labels, scores.second_study, figures / "confusion-second-study.png")
-    fill(page, tables(scores), others=(SEEDS, ONE_OUT))
+    draw_confusion(scores, figures / "confusion.png")
     return 0
 
 
 def tables(scores: Scores) -> dict[str, str]:
-    """Return the page's tables by name."""
-    model = (
-        f"Model `{scores.model}` (sha256 {scores.model_sha256[:16]}…), scored by `{scores.command}` on\n"
-        f"{scores.machine}."
-    )
-    evaluations = {name: _evaluation(getattr(scores, name)) for name in TITLES}
-    return {"model": model, "summary": _summary(scores), **evaluations}
+    """Return the page's tables by their places; all but the first are of the shipped recipe's networks."""
+    sets = {TITLES[key]: getattr(scores, key) for key in DETAILED}
+    final = {title: at(evaluation, FINAL) for title, evaluation in sets.items()}
+    scene = f"only {', '.join(SCENE)} possible"
+    lengths = [f"{length / FRAME_RATE_HZ:.2f} s" for length in LENGTHS]
+    return {
+        "model": f"Model: `{scores.model}`, sha256 {scores.model_sha256[:16]}….",
+        "summary": table(
+            ("people", *lengths, "calibration error"),
+            [_summary(title, getattr(scores, key)) for key, title in TITLES.items()],
+        ),
+        "lengths": table(
+            ("frames", "the paper", *sets),
+            [
+                (n, TABLE3.get(n, ""), *(_percent(at(each, n).accuracy) for each in sets.values()))
+                for n in REPORTED_LENGTHS
+            ],
+        ),
+        "gestures": table(
+            ("gesture", *final),
+            [
+                *(
+                    (label, *(_share(each.per_class, label) for each in final.values()))
+                    for label in scores.labels
+                ),
+                (scene, *(_percent(each.scene_accuracy) for each in final.values())),
+            ],
+        ),
+        "people": table(
+            ("people", f"percent right after {lengths[-1]}, person by person"),
+            [(title, _listed(each.per_participant)) for title, each in final.items()],
+        ),
+        "conditions": table(
+            ("people", "percent right by condition"),
+            [(title, _listed(each.per_condition)) for title, each in final.items()],
+        ),
+        "disturbed": table(
+            ("disturbance", *sets),
+            [
+                (name, *(_change(each.disturbed, name) for each in sets.values()))
+                for name in scores.test.disturbed
+                if name != "none"
+            ],
+        ),
+    }
+
+
+def at(evaluation: Evaluation, length: int) -> Score:
+    """Return the score over windows of one length, in live framing."""
+    return next(row for row in evaluation.realigned if row.frames == length)
 
 
 def draw_accuracy(scores: Scores, path: Path) -> None:
     """Draw accuracy against time since the touch began, ours and the paper's."""
-    figure = Figure(figsize=(6.4, 3.8), layout="constrained")
+    figure = Figure(figsize=(7.2, 4.0), layout="constrained")
     axes = figure.subplots()
-    for name, title in TITLES.items():
-        rows = getattr(scores, name).realigned
-        seconds = [row.frames / 54 for row in rows]
-        axes.plot(seconds, [100 * row.accuracy for row in rows], marker="o", label=f"touchd, {title}")
-    paper = list(PAPER_ACCURACY.values())
-    axes.plot([frames / 54 for frames in PAPER_ACCURACY], paper, "k--", marker="s", label="paper, test")
+    lines = {
+        title: [(row.frames / FRAME_RATE_HZ, 100 * row.accuracy) for row in getattr(scores, key).realigned]
+        for key, title in TITLES.items()
+    }
+    lines["the paper, HAART test"] = [(frames / FRAME_RATE_HZ, printed) for frames, printed in TABLE3.items()]
+    label_percent = np.inf
+    for title, points in sorted(lines.items(), key=lambda line: -line[1][-1][1]):
+        colour = COLOURS[list(TITLES.values()).index(title)] if title in TITLES.values() else "#c4611a"
+        axes.plot(*zip(*points, strict=True), "o-", color=colour, markersize=3)
+        end_s, end_percent = points[-1]
+        label_percent = min(end_percent, label_percent - LABEL_GAP)
+        axes.annotate(title, (end_s + 0.08, label_percent), va="center", color=colour, fontsize=8)
     for length in LENGTHS:
-        axes.axvline(length / 54, color="grey", linewidth=0.6, linestyle=":")
-    axes.set(xlabel="seconds of touch seen", ylabel="macro accuracy, %", ylim=(40, 95))
-    axes.legend(loc="lower right")
+        axes.axvline(length / FRAME_RATE_HZ, color="grey", linewidth=0.6, linestyle=":")
+    axes.set(xlabel="seconds of touch seen", ylabel="macro accuracy, %", xlim=(0, 6.2), ylim=(45, 90))
+    axes.set_xticks(range(5))
+    axes.spines[["top", "right"]].set_visible(False)
     figure.savefig(path, dpi=120)
 
 
-def draw_confusion(labels: Sequence[str], evaluation: Evaluation, path: Path) -> None:
-    """Draw the confusion matrices at the three answers, in percent of each true gesture."""
+def draw_confusion(scores: Scores, path: Path) -> None:
+    """Draw confusions of the final answer in percent of each true gesture, a panel a set of people."""
     figure = Figure(figsize=(13, 4.6), layout="constrained")
-    panels = figure.subplots(1, len(LENGTHS), sharey=True)
-    for axes, length in zip(panels, LENGTHS, strict=True):
-        draw_shares(axes, np.array(_at(evaluation, length).confusion), labels)
-        axes.set_title(f"after {length / 54:.2f} s")
+    panels = figure.subplots(1, len(DETAILED), sharey=True)
+    for axes, key in zip(panels, DETAILED, strict=True):
+        draw_shares(axes, np.array(at(getattr(scores, key), FINAL).confusion), scores.labels)
+        axes.set_title(TITLES[key])
     panels[0].set_ylabel("true gesture")
     figure.savefig(path, dpi=110)
 
 
 def draw_shares(axes: Axes, counts: NDArray[np.int64], labels: Sequence[str]) -> None:
     """Draw confusion counts (C, C) in percent of each true gesture."""
-    shares = 100 * counts / counts.sum(axis=1, keepdims=True)
+    shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
     for (row, column), share in np.ndenumerate(shares):
         colour = "white" if share > DARK_PERCENT else "black"
@@ -101,64 +152,24 @@ def draw_shares(axes: Axes, counts: NDArray[np.int64], labels: Sequence[str]) ->
     axes.set_yticks(range(len(labels)), labels)
 
 
-def _summary(scores: Scores) -> str:
-    rows = []
-    for title, evaluation in (
-        *((title, getattr(scores, name)) for name, title in TITLES.items()),
-        ("from HAART alone to the second study", scores.cross_study),
-    ):
-        answers = [_at(evaluation, length) for length in LENGTHS]
-        errors = ", ".join(f"{row.calibration_error:.3f}" for row in answers)
-        rows.append((title, *(f"**{_percent(row.accuracy)}**" for row in answers), errors))
-    lengths = [f"{length / 54:.2f} s ({length} frames)" for length in LENGTHS]
-    return table(("", *lengths, "calibration error"), rows)
+def _summary(title: str, evaluation: Evaluation) -> tuple[str, ...]:
+    answers = [at(evaluation, length) for length in LENGTHS]
+    errors = ", ".join(f"{row.calibration_error:.2f}" for row in answers)
+    return title, *(_percent(row.accuracy) for row in answers), errors
 
 
-def _evaluation(evaluation: Evaluation) -> str:
-    rows = [_at(evaluation, length) for length in LENGTHS]
-    scene = (f"scene of {', '.join(SCENE)}", *(_percent(row.scene_accuracy) for row in rows))
-    plain = evaluation.disturbed["none"]
-    disturbed = [
-        (name, _percent(accuracy), f"{100 * (accuracy - plain):+.1f}")
-        for name, accuracy in evaluation.disturbed.items()
-    ]
-    return "\n\n".join(
-        (
-            _lengths(evaluation),
-            _shares("gesture", [row.per_class for row in rows], scene),
-            _shares("person", [row.per_participant for row in rows]),
-            _shares("condition", [row.per_condition for row in rows]),
-            f"After {LENGTHS[-1]} frames, when the pad or the hand is not what it was in training:",
-            table(("disturbance", "accuracy", "change in points"), disturbed),
-        )
-    )
+def _listed(shares: Mapping[str, float]) -> str:
+    """Return names with their percents, the lowest first."""
+    ordered = sorted(shares.items(), key=lambda item: item[1])
+    return "; ".join(f"{name} {100 * share:.0f}" for name, share in ordered)
 
 
-def _lengths(evaluation: Evaluation) -> str:
-    published = {row.frames: _percent(row.accuracy) for row in evaluation.published}
-    rows = [
-        (
-            row.frames,
-            f"{row.frames / 54:.2f}",
-            PAPER_ACCURACY.get(row.frames, ""),
-            f"**{_percent(row.accuracy)}**",
-            " to ".join(map(_percent, row.interval)),
-            published.get(row.frames, ""),
-            f"{row.calibration_error:.3f}",
-        )
-        for row in evaluation.realigned
-    ]
-    headings = ("frames", "seconds", "paper (test)", "realigned", "95 % interval", "published")
-    return table((*headings, "calibration error"), rows)
+def _share(shares: Mapping[str, float], label: str) -> str:
+    return _percent(shares[label]) if label in shares else ""
 
 
-def _shares(heading: str, shares: Sequence[dict[str, float]], *more: Sequence[str]) -> str:
-    rows = [(name, *(_percent(each[name]) for each in shares)) for name in sorted(shares[0])]
-    return table((heading, *(f"{length} frames" for length in LENGTHS)), [*rows, *more])
-
-
-def _at(evaluation: Evaluation, length: int) -> Score:
-    return next(row for row in evaluation.realigned if row.frames == length)
+def _change(disturbed: Mapping[str, float], name: str) -> str:
+    return f"{100 * (disturbed[name] - disturbed['none']):+.1f}"
 
 
 def _percent(share: float) -> str:

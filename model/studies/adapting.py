@@ -1,4 +1,4 @@
-"""What adapting to a person gains that person and costs others (docs/adapt.md)."""
+"""What adapting to a person gains that person and costs others: `python -m touchd.model.studies adapting`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
@@ -18,6 +18,7 @@ from touchd.model.adapt.threads import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
+from touchd.model.studies.results import STORED
 from touchd.model.training import checkpoint, haart, metrics
 from touchd.model.training.recipe import fold_jobs, read_recipe
 from touchd.model.training.ship import fold_path, remember
@@ -25,18 +26,17 @@ from touchd.model.training.studies import Folders
 from touchd.model.training.train import CHECKPOINT_NAME
 
 SHOTS = (1, 2, 4)
-"""Recordings a gesture that are adapted to; all those in no draw's first four are evaluated."""
+"""Recordings a gesture to adapt to. Those in no draw's first four are evaluated."""
 DRAWS = 2
 FRAMES = 144
-FILE = Path(__file__).parents[2] / "docs" / "adapt.json"
-PAGE = FILE.with_suffix(".md")
+FILE = STORED / "adapt.json"
 
 
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
-    """One network adapted to `each` recordings a gesture of one person that it never saw.
+    """One network, adapted to `each` recordings a gesture of a person it never saw.
 
-    before, after: macro accuracy on that person's other recordings, after 144 frames; error: of calibration.
-    others: mean gain on the other people whom the network never saw.
+    before, after: macro accuracy on that person's other recordings over 144 frames; error: of calibration.
+    others: mean gain on the other people it never saw.
     """
 
     participant: str
@@ -49,14 +49,14 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """What docs/adapt.json holds."""
+    """The stored figures."""
 
     settings: AdaptSettings
     trials: tuple[Trial, ...]
 
 
 class PersonFold:
-    """A network, the people whom it never saw, and its features of their windows."""
+    """A network, the people it never saw, and its features of their windows."""
 
     def __init__(self, pretrained: Pretrained, unseen: Sequence[Recording]) -> None:
         self.pretrained = pretrained
@@ -66,11 +66,11 @@ class PersonFold:
         self.people = sorted({recording.participant for recording in unseen})
 
     def of(self, name: str) -> list[int]:
-        """Return the numbers of a person's recordings."""
+        """Return the indices of a person's recordings."""
         return [i for i, recording in enumerate(self.unseen) if recording.participant == name]
 
     def accuracy(self, head: nn.Sequential, recordings: Sequence[int]) -> tuple[float, float]:
-        """Return macro accuracy and calibration error on the windows of some recordings."""
+        """Return macro accuracy and calibration error over the windows of these recordings."""
         chosen: NDArray[np.bool_] = np.isin(self.windows.recordings, recordings)
         answers = logits(head, self.windows, chosen) / self.pretrained.temperatures[FRAMES]
         odds = np.exp(answers - answers.max(axis=1, keepdims=True))
@@ -108,7 +108,7 @@ class PersonFold:
 
 
 def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[int]]:
-    """Return the first four of a random order of each gesture's recordings of one person."""
+    """Return, for each gesture, four random recordings of one person, by their indices."""
     rng = np.random.default_rng([number, *name.encode()])
     whose = [(each.participant, each.gesture) for each in recordings]
     return [
@@ -118,7 +118,7 @@ def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[i
 
 
 def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
-    """Yield the trials of everybody of both studies."""
+    """Yield the trials of everybody in both studies."""
     takes = folders.to_train_on(("haart", "second"))
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
@@ -146,17 +146,7 @@ def tables(measured: Measured) -> dict[str, str]:
             shown = (f"{100 * before:.1f}", f"**{100 * after:.1f}**", gained, f"{100 * others:+.1f}")
             rows.append((group, each, *shown, f"{error:.3f}"))
     headings = ("people", "a gesture", "before", "after", "95 % of the difference")
-    people = []
-    names = {t.participant for t in measured.trials}
-    for name in sorted(names, key=lambda name: (name[0], int(name[1:]))):
-        own = [t for t in measured.trials if t.participant == name]
-        afters = [np.mean([t.after for t in own if t.each == each]) for each in SHOTS]
-        values = [np.mean([t.before for t in own]), *afters]
-        people.append((name, *(f"{100 * value:.1f}" for value in values)))
-    return {
-        "summary": table((*headings, "others", "calibration error after"), rows),
-        "people": table(("person", "before", *(f"{each} a gesture" for each in SHOTS)), people),
-    }
+    return {"summary": table((*headings, "others", "calibration error"), rows)}
 
 
 def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Floats:
@@ -167,7 +157,7 @@ def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Flo
 
 def main(arguments: Sequence[str]) -> int:
     """Measure everybody and fill the page; returns 0."""
-    parser = study_parser("adapting", __doc__, "haart", "second-study")
+    parser = study_parser("adapting", __doc__, "haart", "second-study", "docs")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
     options = parser.parse_args(arguments)
     settings = AdaptSettings()
@@ -176,5 +166,5 @@ def main(arguments: Sequence[str]) -> int:
         trials = tuple(measure(folders, options.runs, settings))
     measured = Measured(settings, trials)
     FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")
-    fill(PAGE, tables(measured))
+    fill(options.docs / "adapt.md", tables(measured))
     return 0

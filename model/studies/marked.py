@@ -1,4 +1,4 @@
-"""Fills a study's tables into the places that a hand-written page marks for them.
+"""Fills a study's tables into their places on a hand-written page.
 
 A place is everything from `<!-- table: NAME -->` to `<!-- end -->`.
 """
@@ -13,7 +13,7 @@ PLACE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 class PageError(TouchdError):
-    """A page and its tables do not match; the message names the table."""
+    """A page has no place for a table; the message names it."""
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
@@ -22,14 +22,11 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
 
 
-def fill(page: Path, tables: Mapping[str, str], others: Sequence[str] = ()) -> None:
-    """Put each table into its place, and leave everything else as it is.
-
-    others: places that another study fills. Raises PageError when a table has no place, or a place no table.
-    """
+def fill(page: Path, tables: Mapping[str, str]) -> None:
+    """Put each table into its place, and leave the rest of the page; raises PageError without a place."""
     text = page.read_text(encoding="utf-8")
-    if unmatched := {name for _, name, _ in PLACE.findall(text)} ^ {*tables, *others}:
-        raise PageError(f"{page}: table and place must go together: {', '.join(sorted(unmatched))}")
+    if homeless := tables.keys() - {name for _, name, _ in PLACE.findall(text)}:
+        raise PageError(f"{page}: no place for the table {', '.join(sorted(homeless))}")
 
     def filled(place: re.Match[str]) -> str:
         return f"{place[1]}\n{tables[place[2]].strip()}\n\n{place[3]}" if place[2] in tables else place[0]

@@ -1,121 +1,299 @@
-"""Size and speed of one answer, ours against the paper's TGC: `python -m touchd.model.studies speed`.
+"""Time of one answer against its error, ours and others': `python -m touchd.model.studies speed`.
 
-Shares are of processor time, each network on one thread. The paper's networks have random weights, which
-takes the same time. Needs the extra `train`.
+All networks answer in turn in one run, each on one thread, so that other load on the machine affects them
+equally. Other people's networks have random weights here, which does not change the time.
 """
 
-import sys
+import logging
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import msgspec
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from matplotlib.figure import Figure
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from torch import Tensor, nn
 
+from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.model.adapt.threads import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
+from touchd.model.studies.challenge.hughes import AUTOENCODER_RNN, CNN, CRNN, HughesNetwork
+from touchd.model.studies.challenge.table import FILE as CHALLENGE_FILE
+from touchd.model.studies.challenge.table import scores_of
 from touchd.model.studies.checks.hard_cases import hand
-from touchd.model.studies.checks.timing import Timing, time_in_turn
+from touchd.model.studies.checks.scores import read_scores
+from touchd.model.studies.checks.timing import time_in_turn
 from touchd.model.studies.folders import study_parser
-from touchd.model.studies.report.front import ONNX_RUNTIME, PYTORCH, answers_of
-from touchd.model.studies.report.networks import OURS, TimedNetwork, papers
-from touchd.model.studies.report.paper_tgc import PaperSettings
+from touchd.model.studies.marked import fill, table
+from touchd.model.studies.paper import FILE as PAPER_FILE
+from touchd.model.studies.paper import our_key
+from touchd.model.studies.paper_network import PaperSettings, PaperTGC
+from touchd.model.studies.published import TABLE3
+from touchd.model.studies.results import STORED, Results, machine
+from touchd.model.training.export import OPSET
+from touchd.model.training.haart import GESTURES
+from touchd.model.training.ship import HAART_MODEL, SCORES_NAME
 
-PAPER = (PaperSettings("printed"), PaperSettings("public"))
+FILE = STORED / "speed.json"
 ANSWERS = 200
-BY_STATE = "ONNX Runtime, next frame"
-# Of the paper's time for an answer, in each runtime; of our own whole window's, by the state.
-ALLOWED_SHARE = {ONNX_RUNTIME: 1 / 10, PYTORCH: 1 / 25, BY_STATE: 1 / 6}
+WINDOW, NEXT_FRAME, PYTORCH = "window", "next frame", "PyTorch"
+"""What is asked: a whole window, its last frame from the state before it, a window in PyTorch eager."""
+PAPER_LENGTHS = (54, 72, 144)
+PAPERS: Mapping[str, str] = MappingProxyType(
+    {"printed": "the paper's, printed", "public": "the paper's, its code"}
+)
+CHALLENGE: Mapping[str, str] = MappingProxyType(
+    {"hughes-cnn": CNN, "hughes-crnn": CRNN, "hughes-autoencoder": AUTOENCODER_RNN}
+)
+"""Networks of the challenge by their keys in table 1."""
+TABLE_FRAMES = 144
+
+
+class Speed(msgspec.Struct, frozen=True, kw_only=True):
+    """How long one answer takes. error: macro error on the challenge's test participants, None if unknown."""
+
+    network: str
+    asked: str
+    frames: int
+    file_bytes: int
+    processor_ms: float
+    """Median processor time, which other load hardly changes."""
+    error: float | None
+
+
+class Measured(msgspec.Struct, frozen=True):
+    """One run, the shipped network first."""
+
+    machine: str
+    speeds: tuple[Speed, ...]
+
+    @property
+    def shipped(self) -> Speed:
+        """The shipped network's answer to the table's window."""
+        return next(each for each in self.speeds if each.frames == TABLE_FRAMES)
 
 
 @dataclass(frozen=True)
-class Speed:
-    """How long one answer takes.
-
-    share: our processor time over the same window as a share of it; by the state, its share of that.
-    """
+class Asked:
+    """One answer to time."""
 
     network: str
-    runtime: str
+    asked: str
     frames: int
-    file_bytes: int
-    timing: Timing
-    share: float | None = None
+    file: Path
+    error: float | None
+    answer: Callable[[], object]
+
+
+class HughesAnswer(nn.Module):
+    """A network of the challenge as deployed: counts (B, L, 8, 8) to log probabilities (B, classes)."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__()
+        self.network = HughesNetwork(kind, len(GESTURES))
+
+    def forward(self, counts: Tensor) -> Tensor:
+        """Return (B, classes) log probabilities."""
+        return self.network.answer(counts)
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Time the answers and show the table; returns 0."""
-    parser = study_parser("speed", "Times one answer.")
-    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file; ours without it")
+    """Time the answers and print the table; with --write also fill the page. Returns 0."""
+    parser = study_parser("speed", "Times one answer of every network, in a minute or two.", "docs")
+    parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file of touchd's")
     parser.add_argument("--answers", type=int, default=ANSWERS, help="answers timed of each (%(default)s)")
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of a table")
+    parser.add_argument("--write", action="store_true", help="store the times, fill docs/speed.md, draw")
     options = parser.parse_args(arguments)
-    speeds = run(options.model, options.answers)
-    if options.json:
-        sys.stdout.buffer.write(msgspec.json.encode({"speeds": speeds}) + b"\n")
-    else:
-        Console().print(table(speeds))
+    with tempfile.TemporaryDirectory() as folder, one_torch_thread():
+        measured = run(answers_of(options.model, Path(folder)), options.answers)
+    if options.write:
+        FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=1) + b"\n")
+        fill(options.docs / "speed.md", tables(measured))
+        draw(measured, options.docs / "figures" / "front.png")
+    shown = Table(box=SIMPLE_HEAD)
+    for heading in HEADINGS:
+        shown.add_column(heading, justify="left" if heading == HEADINGS[0] else "right")
+    for row in rows(measured):
+        shown.add_row(*row)
+    Console().print(shown)
     return 0
 
 
-def run(
-    model: Path = SHIPPED_MODEL, answers: int = ANSWERS, paper: Sequence[PaperSettings] = PAPER
-) -> list[Speed]:
-    """Time the model file at each answered length and the paper's networks; raises ModelError."""
-    lengths = tuple(sorted(LENGTHS, reverse=True))
-    networks = [TimedNetwork(model.stem, OURS, "float32", lengths, model, 0, 0)]
-    with tempfile.TemporaryDirectory() as folder, one_torch_thread():
-        for settings in paper:
-            networks += [each for each in papers(settings, Path(folder)) if each.eager is not None]
-        asked = [(network, *each) for network in networks for each in answers_of(network)]
-        asked.insert(1, (networks[0], lengths[0], BY_STATE, next_frame(model, lengths[0])))
-        timings = time_in_turn([answer for *_, answer in asked], answers)
-        speeds = [
-            Speed(network.name, runtime, frames, network.path.stat().st_size, timing)
-            for (network, frames, runtime, _), timing in zip(asked, timings, strict=True)
-        ]
-    return with_shares(speeds)
+def run(asked: Sequence[Asked], answers: int) -> Measured:
+    """Time the answers in turn."""
+    times_ms = time_in_turn([each.answer for each in asked], answers)
+    return Measured(
+        machine(),
+        tuple(
+            Speed(
+                network=each.network,
+                asked=each.asked,
+                frames=each.frames,
+                file_bytes=each.file.stat().st_size,
+                processor_ms=round(processor_ms, 4),
+                error=None if each.error is None else round(each.error, 4),
+            )
+            for each, processor_ms in zip(asked, times_ms, strict=True)
+        ),
+    )
 
 
-def next_frame(model: Path, frames: int) -> Callable[[], object]:
-    """Return what answers over so many frames by the state that all but the last left."""
-    classifier, counts = Classifier.load(model), hand(frames)
-    _, state = classifier.step(counts[:-1])
-    return partial(classifier.step, counts[-1:], state)
+def answers_of(model: Path, folder: Path) -> list[Asked]:
+    """Return the answers of every network; `folder` takes the exported files of others'."""
+    asked = [*ours(model, _shipped_error), *ours(HAART_MODEL, _touchd_1_error)]
+    for variant, title in PAPERS.items():
+        for frames in PAPER_LENGTHS:
+            settings = PaperSettings("printed" if variant == "printed" else "public", frames)
+            asked += paper(title, settings, folder, 1.0 - TABLE3[frames] / 100)
+    results = Results(CHALLENGE_FILE)
+    for key, kind in CHALLENGE.items():
+        for frames in LENGTHS:
+            error = 1.0 - float(np.mean(scores_of(results, key, frames, "macro_accuracy")))
+            torch.manual_seed(0)
+            path = folder / f"{key}-{frames}.onnx"
+            export(HughesAnswer(kind).eval(), frames, path)
+            title = f"Hughes, {kind}"
+            asked.append(Asked(title, WINDOW, frames, path, error, _session(path, frames)))
+    return asked
 
 
-def with_shares(speeds: Sequence[Speed]) -> list[Speed]:
-    """Return the speeds with their shares, but for the first network's whole windows."""
-    whole = [each for each in speeds if (each.network, each.runtime) == (speeds[0].network, ONNX_RUNTIME)]
-    ours = {each.frames: each.timing.processor_ms for each in whole}
+def ours(model: Path, error: Callable[[int], float | None]) -> list[Asked]:
+    """Return a file's answers to windows, the longest first, and to the last frame of the longest."""
+    classifier = Classifier.load(model)
+    asked = [
+        Asked(classifier.name, WINDOW, n, model, error(n), partial(classifier.probabilities, hand(n)))
+        for n in sorted(LENGTHS, reverse=True)
+    ]
+    if classifier.states:
+        counts = hand(TABLE_FRAMES)
+        _, state = classifier.step(counts[:-1])
+        step = partial(classifier.step, counts[-1:], state)
+        asked.insert(1, Asked(classifier.name, NEXT_FRAME, TABLE_FRAMES, model, error(TABLE_FRAMES), step))
+    return asked
 
-    def share(each: Speed) -> float | None:
-        if each in whole:
-            return None
-        theirs_ms, ours_ms = each.timing.processor_ms, ours[each.frames]
-        return theirs_ms / ours_ms if each.runtime == BY_STATE else ours_ms / theirs_ms
 
-    return [replace(each, share=share(each)) for each in speeds]
+def paper(title: str, settings: PaperSettings, folder: Path, error: float | None) -> list[Asked]:
+    """Return the answers of one of the paper's networks: in ONNX Runtime, and in PyTorch at the longest."""
+    torch.manual_seed(0)
+    network, frames = PaperTGC(settings, len(GESTURES)).eval(), settings.frames
+    path = folder / f"{settings.variant}-{frames}.onnx"
+    export(network, frames, path)
+    asked = [Asked(title, WINDOW, frames, path, error, _session(path, frames))]
+    if frames == TABLE_FRAMES:
+        window = torch.from_numpy(hand(frames)[None])
+        asked.append(Asked(title, PYTORCH, frames, path, error, partial(_ask_eagerly, network, window)))
+    return asked
 
 
-def table(speeds: Sequence[Speed]) -> Table:
-    """Return the times as a table for the terminal, with our share of each of the paper's."""
-    shown = Table(title="One answer on one thread, asked in turn", caption="The paper's weights are random.")
-    for heading in ("network", "runtime"):
-        shown.add_column(heading, overflow="fold")
-    for heading in ("frames", "file MB", "p50 ms", "p99 ms", "processor ms"):
-        shown.add_column(heading, justify="right", overflow="fold")
-    for heading in ("ours takes", "allowed"):
-        shown.add_column(heading, justify="right")
-    for each in speeds:
-        share = (f"1/{1 / each.share:.1f}", f"1/{1 / ALLOWED_SHARE[each.runtime]:.0f}") if each.share else ()
-        times = (each.timing.p50_ms, each.timing.p99_ms, each.timing.processor_ms)
-        size = f"{each.file_bytes / 1e6:.2f}"
-        shown.add_row(
-            each.network, each.runtime, str(each.frames), size, *(f"{ms:.2f}" for ms in times), *share
+def export(network: nn.Module, frames: int, path: Path) -> None:
+    """Write a network that answers at one length as an ONNX file: (1, frames, 8, 8) counts to answers."""
+    # The exporter warns of torchvision, which is not needed, and of an LSTM's weights, which are exported.
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            network,
+            (torch.zeros(1, frames, ROWS, COLUMNS),),
+            dynamo=True,
+            opset_version=OPSET,
+            input_names=["counts"],
+            output_names=["answers"],
+            verbose=False,
         )
-    return shown
+    assert program is not None
+    onnx.save(program.model_proto, path)
+
+
+HEADINGS = ("one answer", "file, MB", "ms", "times ours", "error, %")
+
+
+def rows(measured: Measured) -> list[tuple[str, ...]]:
+    """Return the rows under HEADINGS: all networks at 144 frames, the shipped one at every length."""
+    shipped = measured.shipped
+    return [
+        (
+            _title(each),
+            f"{each.file_bytes / 1e6:.1f}",
+            f"{each.processor_ms:.2f}",
+            f"{each.processor_ms / shipped.processor_ms:.2f}",
+            "" if each.error is None else f"{100 * each.error:.1f}",
+        )
+        for each in measured.speeds
+        if each.frames == TABLE_FRAMES or each.network == shipped.network
+    ]
+
+
+def tables(measured: Measured) -> dict[str, str]:
+    """Return the page's table."""
+    return {"speed": table(HEADINGS, rows(measured))}
+
+
+def draw(measured: Measured, path: Path) -> None:
+    """Draw error against processor time, a line a network from its shortest window to its longest."""
+    figure = Figure(figsize=(7.6, 4.4), layout="constrained")
+    axes = figure.subplots()
+    windows = [each for each in measured.speeds if each.asked == WINDOW and each.error is not None]
+    shipped = measured.shipped.network
+    for network in dict.fromkeys(each.network for each in windows):
+        own = sorted((each for each in windows if each.network == network), key=lambda each: each.frames)
+        line = [(each.processor_ms, 100 * (each.error or 0.0)) for each in own]
+        is_ours, is_papers = network.startswith("touchd"), network in PAPERS.values()
+        colour = "#1f5fa8" if is_ours else "#c4611a" if is_papers else "0.45"
+        axes.plot(*zip(*line, strict=True), "o-", color=colour, markersize=4)
+        above = network in (PAPERS["printed"], f"Hughes, {CNN}") or (is_ours and network != shipped)
+        axes.annotate(
+            f"{network} (ships)" if network == shipped else network,
+            line[0] if above else line[-1],
+            xytext=(0, 6) if above else (0, -14) if is_papers else (8, -3),
+            textcoords="offset points",
+            ha="right" if is_papers and not above else "left" if not above else "center",
+            color=colour,
+            fontsize=8,
+        )
+    axes.set(xscale="log", xlabel="processor time of one answer, ms", xlim=(0.02, 400))
+    axes.set_ylabel("macro error on the test participants, %")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.spines[["top", "right"]].set_visible(False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+
+
+def _title(speed: Speed) -> str:
+    """Return what was asked, the window's length only if it is not that of the table."""
+    frames = () if speed.frames == TABLE_FRAMES else (f"{speed.frames} frames",)
+    asked = () if speed.asked == WINDOW else (speed.asked,)
+    return ", ".join((speed.network, *frames, *asked))
+
+
+def _shipped_error(frames: int) -> float | None:
+    scores = read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))
+    return 1.0 - next(row.accuracy for row in scores.test.realigned if row.frames == frames)
+
+
+def _touchd_1_error(frames: int) -> float:
+    return 1.0 - float(np.mean(Results(PAPER_FILE).get(our_key("realigned", frames))["accuracies"]))
+
+
+def _session(path: Path, frames: int) -> Callable[[], object]:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
+    return partial(session.run, None, {"counts": hand(frames)[None]})
+
+
+def _ask_eagerly(network: nn.Module, window: Tensor) -> object:
+    with torch.inference_mode():
+        return network(window)

@@ -58,27 +58,25 @@ def export(arguments: Sequence[str]) -> int:
 
 
 def evaluate(arguments: Sequence[str]) -> int:
-    """Write scores.json beside the model; returns 0."""
-    what = "Scores the model on the test participants, and on both studies' people left out."
+    """Print the model's scores on the recordings there are, or write scores.json; returns 0."""
+    what = "Scores the model on people whom it never saw: on HAART's, and on further studies' where they are."
     parser = study_parser("evaluate", what, *BOTH)
     parser.add_argument("--weights", **WEIGHTS)
+    parser.add_argument(
+        "--write",
+        action="store_true",
+        help="score all studies in detail, write scores.json beside the model",
+    )
     options = parser.parse_args(arguments)
     if not (options.weights / SHIPPED_MODEL.name).exists():
         raise ModelError(f"{options.weights}: no model files there; name their folder with --weights")
 
-    from touchd.model.studies.checks.evaluate import write_scores
-    from touchd.model.training.ship import SCORES_NAME, evaluate_shipped
+    from touchd.model.studies.checks.scores import show, write
 
-    scores = evaluate_shipped(_folders(options), options.weights, "python -m touchd.model.studies evaluate")
-    write_scores(scores, options.weights / SCORES_NAME)
-    sets = scores.test.realigned, scores.left_out.realigned, scores.second_study.realigned
-    for test, left_out, second in zip(*sets, strict=True):
-        sys.stdout.write(
-            f"{test.frames:4d} frames: {100 * test.accuracy:.1f} % on the test participants, "
-            f"{100 * left_out.accuracy:.1f} % on the training participants left out, "
-            f"{100 * second.accuracy:.1f} % on the second study's people\n"
-        )
-    sys.stdout.write(f"{options.weights / SCORES_NAME}\n")
+    if options.write:
+        sys.stdout.write(f"{write(_folders(options), options.weights)}\n")
+    else:
+        show(_folders(options), options.weights)
     return 0
 
 

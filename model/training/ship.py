@@ -1,7 +1,5 @@
-"""From a recipe to the shipped files: train what is missing, calibrate, export, score."""
+"""From a recipe to the shipped files: train what is missing, calibrate, export."""
 
-import hashlib
-import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +14,7 @@ from touchd.model.adapt.backbone import crops, split
 from touchd.model.adapt.remembered import Remembered
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
 from touchd.model.settings import LENGTHS, MAX_LENGTH
-from touchd.model.studies.checks import evaluate
+from touchd.model.studies.checks.evaluate import Split
 from touchd.model.training import calibrate, checkpoint, haart
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.export import export
@@ -98,26 +96,7 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
     )
 
 
-def evaluate_shipped(folders: Folders, weights: Path, command: str) -> evaluate.Scores:
-    """Score the shipped file on the test participants, and the fold files on the people they never saw."""
-    model = weights / SHIPPED_MODEL.name
-    classifier = Classifier.load(model)
-    test = haart.read_test(folders.haart)
-    scored = folders.to_score_on(("second",))
-    return evaluate.Scores(
-        model=classifier.name,
-        model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
-        command=command,
-        machine=f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
-        labels=classifier.labels,
-        test=evaluate.evaluate([(classifier, test)]),
-        left_out=evaluate.evaluate(left_out_split(weights, haart.read_training(folders.haart))),
-        second_study=evaluate.evaluate(left_out_split(weights, scored["second"])),
-        cross_study=evaluate.evaluate([(Classifier.load(WIDE_MODEL), scored["second"])]),
-    )
-
-
-def left_out_split(weights: Path, recordings: Sequence[Recording]) -> evaluate.Split:
+def left_out_split(weights: Path, recordings: Sequence[Recording]) -> Split:
     """Return each fold's classifier with the recordings of the participants that it never saw."""
     return [
         (Classifier.load(path), haart.only(recordings, path.stem.split("-")))

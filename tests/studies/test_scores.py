@@ -1,39 +1,49 @@
 """The scores beside the shipped model belong to that file, are of the right windows, and hold again."""
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
 
-from touchd.drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
+from touchd.drivers.recording import (
+    Recording,
+    Selection,
+    ideal_clock_ms,
+    read_recordings,
+    write_recordings,
+)
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks import evaluate
+from touchd.model.studies.hand import simulate
 from touchd.model.training import haart, second_study
 from touchd.model.training.haart import TRAINING_FILE, find
 
 pytest.importorskip("torch", reason="needs the extra train")
 
+from touchd.model.studies.__main__ import main
+from touchd.model.studies.checks.scores import Scores, read_scores
 from touchd.model.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
 from touchd.model.training.ship import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
-PAGE = Path(__file__).parents[2] / "docs" / "accuracy.md"
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]
 SECOND_STUDY_PEOPLE = ["R02", "R04", "R06", "R08", "R10", "R12", "R14", "R16"]
 TOLERANCE = 0.002
 
 
 @pytest.fixture(scope="module")
-def scores() -> evaluate.Scores:
-    return evaluate.read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))
+def scores() -> Scores:
+    return read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))
 
 
 def stored(rows: list[evaluate.Score], frames: int) -> evaluate.Score:
     return next(row for row in rows if row.frames == frames)
 
 
-def test_the_scores_are_those_of_the_shipped_file(scores: evaluate.Scores) -> None:
+def test_the_scores_are_those_of_the_shipped_file(scores: Scores) -> None:
     assert scores.model_sha256 == hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest()
 
 
@@ -85,7 +95,7 @@ def recordings_in(file: Path, person: str | None) -> list[Recording]:
 @needs_haart
 @pytest.mark.timeout(300)
 @on("T9")
-def test_the_test_participants_score_as_published(scores: evaluate.Scores, person: str | None) -> None:
+def test_the_test_participants_score_as_published(scores: Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), haart.TEST_FILE), person))
     for frames in (54, 144):
         again = evaluate.score([(Classifier.load(), recordings)], frames)
@@ -99,7 +109,7 @@ def test_the_test_participants_score_as_published(scores: evaluate.Scores, perso
 @needs_haart
 @pytest.mark.timeout(300)
 @on("P4")
-def test_the_left_out_participants_score_as_published(scores: evaluate.Scores, person: str | None) -> None:
+def test_the_left_out_participants_score_as_published(scores: Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), TRAINING_FILE), person))
     again = evaluate.score(left_out_of(recordings), 144)
     published = stored(scores.left_out.realigned, 144)
@@ -109,7 +119,7 @@ def test_the_left_out_participants_score_as_published(scores: evaluate.Scores, p
 @needs_second_study
 @pytest.mark.timeout(300)
 @on("R14")
-def test_the_second_study_scores_as_published(scores: evaluate.Scores, person: str | None) -> None:
+def test_the_second_study_scores_as_published(scores: Scores, person: str | None) -> None:
     recordings = second_study.scored(recordings_in(find(Path(str(SECOND_STUDY)), second_study.FILE), person))
     left_out = evaluate.score(left_out_of(recordings), 144)
     unseen = evaluate.score([(Classifier.load(WIDE_MODEL), recordings)], 144)
@@ -129,6 +139,55 @@ def left_out_of(recordings: list[Recording]) -> evaluate.Split:
 def tolerance(person: str | None) -> float:
     """A window or two may fall the other way on another processor."""
     return 0.01 if person else TOLERANCE
+
+
+@pytest.fixture
+def small_haart(tmp_path: Path) -> Path:
+    """A folder with two recordings a gesture of one test person and of one training person."""
+    for name, person in ((haart.TEST_FILE, "T1"), (haart.TRAINING_FILE, "P3")):
+        made = [replace(each, participant=person) for each in simulate([(g, 8.0) for g in haart.GESTURES], 3)]
+        write_recordings(tmp_path / name, made, {})
+    return tmp_path
+
+
+def test_evaluating_shows_the_paper_and_leaves_the_clone_clean(
+    small_haart: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = SHIPPED_MODEL.with_name(SCORES_NAME).read_bytes()
+    assert main(["evaluate", "--haart", str(small_haart), "--second-study", str(small_haart / "none")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].startswith("HAART, test participants")
+    assert lines[2].split()[-3:] == ["70.8", "71.1", "72.8"]
+    assert any("second study" in line and "not scored" in line for line in lines)
+    assert max(map(len, lines[:4])) <= 80
+    assert SHIPPED_MODEL.with_name(SCORES_NAME).read_bytes() == before
+
+
+def test_writing_scores_needs_every_study(small_haart: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = str(small_haart / "none")
+    assert main(["evaluate", "--write", "--haart", str(small_haart), "--second-study", missing]) == 2
+    assert "needs all studies: --second-study FOLDER" in capsys.readouterr().err
+
+
+def test_a_gesture_that_a_study_lacks_is_no_answer(classifier: Classifier) -> None:
+    gestures = [gesture for gesture in haart.GESTURES if gesture != "tickle"]
+    recordings = simulate([(gesture, 8.0) for gesture in gestures], 3)
+    scored = evaluate.score([(classifier, recordings)], 144, missing=("tickle",))
+    assert "tickle" not in scored.per_class
+    tickle = classifier.labels.index("tickle")
+    assert [row[tickle] for row in scored.confusion] == [0] * len(classifier.labels)
+
+
+@needs_haart
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_the_headline_is_printed_from_haart_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evaluate", "--haart", str(HAART), "--second-study", "none"]) == 0
+    test, paper, *_ = capsys.readouterr().out.splitlines()[1:]
+    ours = [float(figure) for figure in test.split()[-3:]]
+    published = [stored(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME)).test.realigned, n) for n in LENGTHS]
+    assert ours == pytest.approx([100 * row.accuracy for row in published], abs=0.2)
+    assert paper.split()[-3:] == ["70.8", "71.1", "72.8"]
 
 
 def whole_takes(takes: int) -> Recording:

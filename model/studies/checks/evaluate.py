@@ -1,14 +1,9 @@
-"""The classifier's scores on windows: by length, class, participant, condition, framing and disturbance.
+"""Scores of a classifier on windows: by length, gesture, person, condition and disturbance.
 
-Windows are the paper's: 432 // L non-overlapping windows a recording, accuracy averaged over classes. "Test"
-is the challenge's test participants; nothing was chosen on them. "Left out" is HAART's training participants,
-each answered by a network of the same recipe that never saw them; "second study" is that study's people, in
-the same way.
+Windows are the paper's: 432 // L non-overlapping windows a recording, accuracy averaged over the gestures.
 """
 
-import json
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -26,13 +21,13 @@ BATCH = 64
 
 
 class Score(msgspec.Struct, frozen=True, kw_only=True):
-    """Scores over the windows of one length. Accuracies are macro averages, shares from 0 to 1."""
+    """Scores over the windows of one length. Accuracies are averaged over gestures, from 0 to 1."""
 
     frames: int
     windows: int
     accuracy: float
     right: float
-    """Share of all windows, not averaged over classes."""
+    """Share of all windows, not averaged over gestures."""
     interval: tuple[float, float]
     """95 % bootstrap interval of the mean over participants."""
     per_class: dict[str, float]
@@ -41,15 +36,15 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     negative_log_likelihood: float
     calibration_error: float
     confusion: list[list[int]]
-    """Row: true class; column: answer; both in the order of the labels."""
+    """Row: true gesture; column: answer; both in the order of the labels."""
     scene_accuracy: float
     """Windows of SCENE's gestures alone, answered with the likeliest of these."""
     scene_unrestricted_accuracy: float
-    """The same windows, with all gestures left possible."""
+    """The same windows, answered with the likeliest of all gestures."""
 
 
 class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything scored on one set of participants."""
+    """All scores of one set of participants."""
 
     realigned: list[Score]
     published: list[Score]
@@ -58,45 +53,37 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     """Accuracy at the longest answer, realigned, after each disturbance; "none" is without."""
 
 
-class Scores(msgspec.Struct, frozen=True, kw_only=True):
-    """The machine-written file of scores that stands beside the shipped model."""
-
-    model: str
-    model_sha256: str
-    command: str
-    machine: str
-    labels: tuple[str, ...]
-    test: Evaluation
-    left_out: Evaluation
-    second_study: Evaluation
-    cross_study: Evaluation
-    """The second study's people, answered by the network that learnt from HAART alone, varied widely."""
-
-
 Split = Sequence[tuple[Classifier, Sequence[Recording]]]
-"""Classifiers, each with the published recordings that it is asked about."""
+"""Classifiers, each with the recordings that it classifies."""
 
 
-def evaluate(split: Split) -> Evaluation:
-    """Score every length in both framings, and the longest answer under every disturbance."""
+def evaluate(split: Split, missing: Sequence[str] = ()) -> Evaluation:
+    """Score every length in both framings, and the longest answer under every disturbance.
+
+    missing: gestures that the recordings do not contain and that are not allowed as answers.
+    """
     live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
     published = any(recording.framing == "published" for _, recordings in split for recording in recordings)
     return Evaluation(
-        realigned=[score(live, length) for length in REPORTED_LENGTHS],
-        published=[score(split, length) for length in REPORTED_LENGTHS] if published else [],
+        realigned=[score(live, length, missing=missing) for length in REPORTED_LENGTHS],
+        published=[score(split, length, missing=missing) for length in REPORTED_LENGTHS] if published else [],
         disturbed={
-            name: score(live, LENGTHS[-1], disturb).accuracy for name, disturb in DISTURBANCES.items()
+            name: score(live, LENGTHS[-1], disturb, missing).accuracy
+            for name, disturb in DISTURBANCES.items()
         },
     )
 
 
-def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
-    """Score all windows of one length, each by the classifier it is paired with."""
+def score(split: Split, length: int, disturb: Disturb | None = None, missing: Sequence[str] = ()) -> Score:
+    """Score all windows of one length; `missing` as in `evaluate`."""
     labels, classes = split[0][0].labels, len(split[0][0].labels)
     windows = [haart.cut(recordings, length) for _, recordings in split]
     probabilities = np.concatenate(
         [answer(classifier, w.counts, disturb) for (classifier, _), w in zip(split, windows, strict=True)]
     )
+    if missing:
+        probabilities[:, [labels.index(gesture) for gesture in missing]] = 0.0
+        probabilities /= probabilities.sum(axis=1, keepdims=True)
     truth = np.concatenate([w.labels for w in windows])
     participants = np.concatenate([w.participants for w in windows])
     conditions = np.concatenate([w.conditions for w in windows])
@@ -108,14 +95,14 @@ def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
     kept = np.array([labels.index(gesture) for gesture in SCENE])
     scene = np.isin(truth, kept)
     in_scene = kept[probabilities[:, kept].argmax(axis=1)]
-    per_class = metrics.class_accuracies(predicted, truth, classes)
+    per_class = zip(labels, metrics.class_accuracies(predicted, truth, classes).tolist(), strict=True)
     return Score(
         frames=length,
         windows=len(truth),
         accuracy=metrics.macro_accuracy(predicted, truth, classes),
         right=float((predicted == truth).mean()),
         interval=metrics.participant_interval(accuracy, participants),
-        per_class=dict(zip(labels, per_class.tolist(), strict=True)),
+        per_class={gesture: share for gesture, share in per_class if gesture not in missing},
         per_participant={str(name): accuracy(participants == name) for name in np.unique(participants)},
         per_condition={str(name): accuracy(conditions == name) for name in np.unique(conditions)},
         negative_log_likelihood=metrics.negative_log_likelihood(probabilities, truth),
@@ -127,22 +114,11 @@ def score(split: Split, length: int, disturb: Disturb | None = None) -> Score:
 
 
 def answer(
-    classifier: Classifier, counts: NDArray[np.uint16], disturb: Disturb | None = None
+    classifier: Classifier, counts: NDArray[np.uint16] | NDArray[np.float32], disturb: Disturb | None = None
 ) -> NDArray[np.float64]:
-    """Return probabilities (N, 7) for windows (N, L, 8, 8), disturbed first where asked."""
+    """Return probabilities (N, 7) for windows (N, L, 8, 8), after `disturb` if there is one."""
     batches = []
     for start in range(0, len(counts), BATCH):
         batch = counts[start : start + BATCH].astype(np.float32)
         batches.append(classifier.batch_probabilities(disturb(batch) if disturb else batch))
     return np.concatenate(batches)
-
-
-def read_scores(path: Path) -> Scores:
-    """Read a file of scores."""
-    return msgspec.json.decode(path.read_bytes(), type=Scores)
-
-
-def write_scores(scores: Scores, path: Path) -> None:
-    """Write a file of scores, one figure a line, rounded to five digits."""
-    rounded = json.loads(msgspec.json.encode(scores), parse_float=lambda figure: round(float(figure), 5))
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")

@@ -1,24 +1,26 @@
-"""Numerical stability of a model file, case by case.
+"""Numerical stability of a model file on hard cases: `python -m touchd.model.studies stability`.
 
 Probabilities must be finite, sum to 1, agree with the same network in float64, and depend only on their
-frames: not on the batch, later frames, threads, the counts' type, chance or how many frames come at a time.
+frames: not on the batch, later frames, threads, the counts' type or how many frames come at a time.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import cycle
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.box import SIMPLE_HEAD
+from rich.console import Group, JustifyMethod
 from rich.table import Table
 
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
@@ -32,24 +34,23 @@ if TYPE_CHECKING:
 EXTREME_FACTORS = (1e4, -1e4, 1e30, -1e30)
 TIMED_ANSWERS = 60
 REPEATS = 3
-EMPTY = "Empty: does not apply, or needs the extra `train` and the checkpoint beside the model."
-TITLE = "Worst deviation seen; what is allowed is in the heading"
+NOT_CHECKED = "not checked: needs the extra `train` and the checkpoint"
 LATER_FRAMES = 54
 CHUNKS = (1, 2, 5, 1, 9, 27, 1)
-"""Frames that come at a time, over and over."""
+"""Sizes of the chunks that frames arrive in, repeated."""
 SAMPLED_FRAMES = 18
 GESTURES = ("stroke", "pat", "constant", "tickle", "rub", "scratch")
 SEED = 1
 
 SUMS_TO_1 = "sums to 1"
-FLOAT64 = "float64"
-BATCH = "batch"
-LATER = "later frames"
-CHUNKED = "in chunks"
-THREADS = "2 threads"
-REPEATED = "repeated"
-TYPES = "uint16"
-REFUSED = "refused"
+FLOAT64 = "equals float64"
+BATCH = "same in a batch"
+LATER = "ignores later frames"
+CHUNKED = "same in chunks"
+THREADS = "same on 2 threads"
+REPEATED = "same again"
+TYPES = "same for uint16"
+REFUSED = "refuses bad input"
 SLOWDOWN = "slowdown"
 TOLERANCES = {
     SUMS_TO_1: 1e-6,
@@ -63,14 +64,17 @@ TOLERANCES = {
     REFUSED: 0.0,
     SLOWDOWN: 1.5,
 }
+COLUMNS: Mapping[str, JustifyMethod] = MappingProxyType(
+    {"property": "left", "allowed": "right", "worst": "right", "in the case": "left"}
+)
 
 
 @dataclass(frozen=True)
 class CaseResult:
     """One property in one case: the worst deviation seen, and what is allowed.
 
-    Deviations are of probabilities (of logits for "later frames"), infinite where an answer is not finite;
-    "refused" counts the windows that were answered; "slowdown" is a ratio of median times.
+    Deviations are of probabilities (of logits for LATER), infinite where an answer is not finite.
+    REFUSED counts the bad windows that were answered; SLOWDOWN is a ratio of median times.
     """
 
     case: str
@@ -83,9 +87,9 @@ class CaseResult:
 def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[CaseResult]:
     """Check a model file in every case; raises ModelError when it cannot be loaded.
 
-    hours: of one unbroken stream to check too, 2 minutes each.
+    hours: length of an unbroken stream to check as well; an hour takes 2 minutes.
 
-    Checks that need the extra `train`, or the checkpoint beside the file (.pt), are left out without it. A
+    Checks that need the extra `train`, or the checkpoint beside the file (.pt), are skipped without it. A
     damaged checkpoint raises CheckpointError.
     """
     classifier = Classifier.load(model)
@@ -120,9 +124,9 @@ def has_train_extra() -> bool:
 def chunked(
     classifier: Classifier, window: NDArray[np.float32], sizes: Sequence[int], every: int = 1
 ) -> float:
-    """Return how far answers to a few frames at a time are from those to whole windows.
+    """Return the largest deviation of answers to chunks of frames from those to whole windows.
 
-    sizes: how many frames come at a time, over and over.
+    sizes: of the chunks, repeated. every: frames between comparisons.
     """
     furthest, stop, state = 0.0, 0, None
     for size in cycle(sizes):
@@ -146,29 +150,43 @@ def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterat
         # Odd pieces first, so that chunks begin anywhere.
         for chunk in np.split(counts.astype(np.float32), [*np.cumsum(CHUNKS), *range(400, len(counts), 400)]):
             answer, state = classifier.step(chunk, state)
-            # On a busy machine, threads that wait for one another take seven times as long as one.
+            # On a busy machine several threads wait for one another and take seven times as long as one.
             with one_torch_thread():
                 expected, exact_state = reference.step(chunk, exact_state)
         yield _distance(answer, expected)
 
 
 def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
-    """Return how many times longer an answer takes on `window` than on `usual`, in processor time."""
+    """Return the processor time of an answer on `window` as a multiple of that on `usual`."""
     asked = [partial(classifier.probabilities, each) for each in (window, usual)]
     slow, normal = time_in_turn(asked, TIMED_ANSWERS)
-    return slow.processor_ms / normal.processor_ms
+    return slow / normal
 
 
-def table(checks: Sequence[CaseResult]) -> Table:
-    """Return the checks as a table for the terminal: a case a row, a property a column."""
-    shown = Table(title=TITLE, caption=EMPTY, box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    shown.add_column("case", min_width=16)
+def table(checks: Sequence[CaseResult]) -> Group:
+    """Return a table for the terminal, a property a row with its worst case, and a sentence below it."""
+    shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for heading, justify in COLUMNS.items():
+        shown.add_column(heading, justify=justify)
     for measure, tolerance in TOLERANCES.items():
-        shown.add_column(f"{measure}\n≤{tolerance:.2g}", justify="right", overflow="fold")
-    cells = {(check.case, check.measure): check for check in checks}
-    for case in dict.fromkeys(check.case for check in checks):
-        shown.add_row(case, *(_cell(cells.get((case, measure))) for measure in TOLERANCES))
-    return shown
+        own = [check for check in checks if check.measure == measure]
+        if not own:
+            shown.add_row(measure, f"{tolerance:.2g}", "", NOT_CHECKED)
+            continue
+        worst = max(own, key=lambda check: check.worst)
+        colour = "green" if worst.passed else "bold red"
+        where = worst.case if worst.worst else f"all {len(own)} cases" if len(own) > 1 else worst.case
+        shown.add_row(measure, f"{tolerance:.2g}", f"[{colour}]{worst.worst:.2g}[/]", where)
+    return Group(shown, sentence(checks))
+
+
+def sentence(checks: Sequence[CaseResult]) -> str:
+    """Return what the checks say together."""
+    failed = [check for check in checks if not check.passed]
+    if not failed:
+        return f"All {len(checks)} checks passed: no window of counts breaks this file's arithmetic."
+    names = "; ".join(f"{check.measure} ({check.case})" for check in failed)
+    return f"{len(failed)} of {len(checks)} checks FAILED, so do not use this file: {names}."
 
 
 def _deviations(
@@ -232,10 +250,3 @@ def _off_one(probabilities: NDArray[np.float64]) -> float:
 def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
     distance = float(np.abs(one - other).max())
     return distance if np.isfinite(distance) else float("inf")
-
-
-def _cell(check: CaseResult | None) -> str:
-    if check is None:
-        return ""
-    worst = f"{check.worst:.0e}" if 0 < check.worst < 1e-2 else f"{check.worst:.2g}"
-    return f"[green]{worst}[/]" if check.passed else f"[bold red]{worst} FAILS[/]"

@@ -1,0 +1,146 @@
+"""Scores of the shipped model on people it never saw: `python -m touchd.model.studies evaluate`.
+
+The challenge's test participants are scored with the shipped file; nothing was chosen on them. Everybody
+else is scored with a network of the same recipe that was trained without that person.
+"""
+
+import hashlib
+import json
+import platform
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import msgspec
+from rich.console import Console
+from rich.progress import track
+
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.recording import Recording
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.settings import LENGTHS
+from touchd.model.studies.checks.evaluate import Evaluation, Split, evaluate, score
+from touchd.model.studies.published import TABLE3
+from touchd.model.training import haart
+from touchd.model.training.ship import SCORES_NAME, WIDE_MODEL, left_out_split
+from touchd.model.training.studies import Folders
+
+TITLES: Mapping[str, str] = MappingProxyType(
+    {
+        "test": "HAART, test participants",
+        "left_out": "HAART, training participants",
+        "second_study": "second study",
+        "cross_study": "second study, trained on HAART alone",
+    }
+)
+"""The sets of people by their fields in `Scores`."""
+COMMAND = "python -m touchd.model.studies evaluate --write"
+PAPER = "  the paper's (1.50 s: after 1.33 s)"
+NEAR = {81: 72}
+"""Where the paper has no row for a length of ours, the length that it has instead."""
+SECOND_STUDY_ADDS = """\
+It adds people who touch the pad around a robot that stands still or breathes.
+Its authors have the recordings; name their folder with --second-study."""
+
+
+class MissingStudyError(TouchdError):
+    """The scores of all studies are asked for, and the recordings of one are not there."""
+
+
+class Scores(msgspec.Struct, frozen=True, kw_only=True):
+    """The scores stored beside the shipped model."""
+
+    model: str
+    model_sha256: str
+    command: str
+    machine: str
+    labels: tuple[str, ...]
+    test: Evaluation
+    left_out: Evaluation
+    second_study: Evaluation
+    cross_study: Evaluation
+
+
+def show(folders: Folders, weights: Path) -> None:
+    """Print accuracies at the answered lengths, the paper's too, for the studies whose recordings exist."""
+    columns = "".join(f"{length / FRAME_RATE_HZ:8.2f} s" for length in LENGTHS)
+    _print(f"Macro accuracy in percent, after{'':6}{columns}")
+    for key, split in _splits(folders, weights):
+        live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
+        rows = [score(live, length) for length in _progress(TITLES[key])]
+        _print(_row(TITLES[key], [100 * row.accuracy for row in rows]))
+        if key == "test":
+            _print(_row(PAPER, [TABLE3[NEAR.get(length, length)] for length in LENGTHS]))
+    if not folders.second_study.is_dir():
+        _print(f"{TITLES['second_study']:38}not scored: there is no folder {folders.second_study}")
+        _print(SECOND_STUDY_ADDS)
+
+
+def write(folders: Folders, weights: Path) -> Path:
+    """Score everything and write scores.json; raises MissingStudyError unless all recordings exist."""
+    if not folders.second_study.is_dir():
+        raise MissingStudyError(
+            f"{folders.second_study}: no such folder; {SCORES_NAME} needs all studies: --second-study FOLDER"
+        )
+    model = weights / SHIPPED_MODEL.name
+    classifier = Classifier.load(model)
+    evaluations = {}
+    for key, split in _splits(folders, weights):
+        with Console(stderr=True).status(f"scoring {TITLES[key]}, some minutes"):
+            evaluations[key] = evaluate(split)
+    scores = Scores(
+        model=classifier.name,
+        model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
+        command=COMMAND,
+        machine=f"{platform.machine()} {platform.system()}, Python {platform.python_version()}",
+        labels=classifier.labels,
+        **evaluations,
+    )
+    path = weights / SCORES_NAME
+    write_scores(scores, path)
+    return path
+
+
+def read_scores(path: Path) -> Scores:
+    """Read a file of scores."""
+    return msgspec.json.decode(path.read_bytes(), type=Scores)
+
+
+def write_scores(scores: Scores, path: Path) -> None:
+    """Write a file of scores, one figure a line, rounded to five digits."""
+    rounded = json.loads(msgspec.json.encode(scores), parse_float=lambda figure: round(float(figure), 5))
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")
+
+
+def _splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split]]:
+    """Yield the sets of people that can be scored, with the networks that classify them."""
+    shipped = Classifier.load(weights / SHIPPED_MODEL.name)
+    yield "test", [(shipped, haart.read_test(folders.haart))]
+    yield "left_out", _held_out(weights, haart.read_training(folders.haart))
+    if folders.second_study.is_dir():
+        second: list[Recording] = folders.to_score_on(("second",))["second"]
+        yield "second_study", _held_out(weights, second)
+        yield "cross_study", [(Classifier.load(WIDE_MODEL), second)]
+
+
+def _held_out(weights: Path, recordings: Sequence[Recording]) -> Split:
+    """Return the networks that never saw some of these people, with those people's recordings."""
+    return [(classifier, own) for classifier, own in left_out_split(weights, recordings) if own]
+
+
+def _progress(title: str) -> Iterator[int]:
+    """Yield the answered lengths, with a progress bar on a terminal."""
+    console = Console(stderr=True)
+    hidden = not console.is_terminal
+    yield from track(LENGTHS, description=title, console=console, transient=True, disable=hidden)
+
+
+def _row(title: str, percents: list[float]) -> str:
+    return f"{title:38}" + "".join(f"{percent:10.1f}" for percent in percents)
+
+
+def _print(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

@@ -1,0 +1,493 @@
+"""When to tell the robot, and how often it is right: `python -m touchd.model.studies decision`.
+
+Each touching recording stands between notouch of the same participant and condition, as in
+`touchd.model.studies.tracker.measure`. The daemon's tracker finds the touch, a network that never saw the
+person answers after each of its first 144 frames, and all settings of the daemon's decision are tried on
+these answers.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise, product, takewhile
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.progress import track
+
+from touchd.daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
+from touchd.daemon.events import Stage
+from touchd.daemon.pipeline import STAGES, PipelineSettings
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
+from touchd.drivers.recording import NO_TOUCH
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, State
+from touchd.model.studies.checks.evaluate import Split
+from touchd.model.studies.folders import study_parser
+from touchd.model.studies.marked import fill, table
+from touchd.model.studies.published import TABLE3
+from touchd.model.studies.results import STORED
+from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
+from touchd.model.training import haart, metrics
+from touchd.model.training.ship import left_out_split
+from touchd.model.training.studies import Folders
+
+FILE = STORED / "decision.json"
+FRAMES = 144
+REST_FRAMES = 60
+"""Notouch before a touch; the tracker learns the rest in half a second."""
+MARKS = DecisionSettings().answer_at_frames
+SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
+REVISE_MARGIN = (0.1, 0.2, 0.3, 0.4, 0.5)
+"""A margin below a tenth would let noise revise an answer."""
+LIMITS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+"""Confidences after a second at which an early answer counts as sure."""
+SHOWN = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+"""Of both, the rows of the page's tables."""
+LEAST_RIGHT_EARLY = 0.85
+MOST_CHANGED = 0.10
+MOST_HARMED = 0.02
+AS_GOOD = 0.005
+"""Half a point: of 492 touches, two."""
+EARLY_S = 0.9
+LABELS_AT = ((0.75, 85.5), (1.1, 80.2), (1.1, 69.5))
+"""Of the lines in the left panel: seconds, percent."""
+HAART, TEST, SECOND = "HAART held out", "HAART test", "second study"
+
+
+@dataclass(frozen=True, eq=False)
+class Streams:
+    """The answers to N touches after each of their first FRAMES frames, and their true gestures.
+
+    probabilities: (N, FRAMES, labels). truth: (N,) indices of labels. noticed: (N,) the frame of the touch at
+    which the tracker detected it; nothing can be told before.
+    """
+
+    probabilities: NDArray[np.float32]
+    truth: NDArray[np.int64]
+    noticed: NDArray[np.int64]
+    participants: NDArray[np.str_]
+    labels: tuple[str, ...]
+
+    @cached_property
+    def named(self) -> NDArray[np.float32]:
+        """The probabilities with "notouch", which is never told, set to zero."""
+        named: NDArray[np.float32] = self.probabilities.copy()
+        named[:, :, self.labels.index(NO_TOUCH)] = 0.0
+        return named
+
+
+@dataclass(frozen=True)
+class Told:
+    """The answers that the robot was told of one touch: seconds since it began, and whether right."""
+
+    answers: tuple[tuple[Stage, float, bool], ...]
+
+    @property
+    def right(self) -> list[bool]:
+        """Whether each answer was right."""
+        return [right for *_, right in self.answers]
+
+    @property
+    def harmed(self) -> bool:
+        """Whether a right answer was replaced by a wrong one."""
+        return any(before and not after for before, after in pairwise(self.right))
+
+    @property
+    def settled_s(self) -> float | None:
+        """When the first right answer that stayed was told; None if the last was wrong."""
+        stayed = [at_s for _, at_s, _ in takewhile(lambda answer: answer[2], reversed(self.answers))]
+        return stayed[-1] if stayed else None
+
+
+class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
+    """The network's own answers at one stage, told or not."""
+
+    stage: Stage
+    accuracy: float
+    calibration_error: float
+
+
+class Point(msgspec.Struct, frozen=True, kw_only=True):
+    """What the robot is told under one pair of settings; shares of the touches."""
+
+    speak_above: float
+    revise_margin: float
+    told_early: float
+    right_when_told_early: float
+    right_at_end: float
+    changed: float
+    """Touches with a replaced answer."""
+    harmed: float
+    """Touches with a right answer replaced by a wrong one."""
+
+    @property
+    def good(self) -> bool:
+        """Whether early answers can be trusted, changes are rare, and harmful ones rarer."""
+        return (
+            self.right_when_told_early >= LEAST_RIGHT_EARLY
+            and self.changed <= MOST_CHANGED
+            and self.harmed <= MOST_HARMED
+        )
+
+
+class Choice(msgspec.Struct, frozen=True, kw_only=True):
+    """What `scene.early` and `scene.sure` cost. first: the first answer told; settled: the last, if right."""
+
+    early: str
+    sure: str
+    first_mean_s: float
+    first_median_s: float
+    first_right: float
+    right: float
+    settled_mean_s: float
+    harmed: float
+
+
+class StudyFigures(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything measured on one study's people."""
+
+    people: int
+    touches: int
+    stages: tuple[StageFigures, ...]
+    curve: tuple[Point, ...]
+    choices: tuple[Choice, ...]
+
+
+class AtLimit(msgspec.Struct, frozen=True, kw_only=True):
+    """The challenge's test windows, answered once the confidence reaches a limit, or at the end."""
+
+    limit: float
+    mean_s: float
+    median_s: float
+    accuracy: float
+
+
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """The stored figures. fixed: accuracy on the challenge's test windows by frames."""
+
+    studies: dict[str, StudyFigures]
+    challenge: tuple[AtLimit, ...]
+    fixed: dict[int, float]
+
+    @property
+    def default(self) -> Point:
+        """The point with the default settings, on HAART."""
+        settings = DecisionSettings()
+        pair = settings.speak_above, settings.revise_margin
+        return next(p for p in self.studies[HAART].curve if (p.speak_above, p.revise_margin) == pair)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure, store the figures, fill the page and draw; returns 0."""
+    parser = study_parser("decision", __doc__, "haart", "second-study", "docs")
+    options = parser.parse_args(arguments)
+    folders = Folders(options.haart, options.second_study)
+    training, test = haart.read_training(folders.haart), haart.read_test(folders.haart)
+    weights, shipped = SHIPPED_MODEL.parent, Classifier.load()
+    studies = {
+        HAART: collect(left_out_split(weights, training), HAART),
+        TEST: collect([(shipped, test)], TEST),
+        SECOND: collect(left_out_split(weights, folders.to_train_on(("second",))), SECOND),
+    }
+    windows = windows_of(haart.cut(haart.realigned(test), FRAMES), shipped)
+    measured = measure(studies, windows)
+    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
+    fill(options.docs / "decision.md", tables(measured))
+    draw(measured, options.docs / "figures" / "decision.png")
+    picked = choose(measured.studies[HAART].curve)
+    sys.stdout.write(
+        f"{options.docs / 'decision.md'}\n"
+        f"The rule picks speak_above {picked.speak_above}, revise_margin {picked.revise_margin}.\n"
+        f"The figures support scene.early: {best_choice(measured)}.\n"
+    )
+    return 0
+
+
+def measure(studies: Mapping[str, Streams], windows: Streams) -> Measured:
+    """Return the figures of the studies' touches and of the challenge's test windows."""
+    return Measured(
+        studies={title: figures_of(streams) for title, streams in studies.items()},
+        challenge=tuple(at_limit(windows, limit) for limit in LIMITS),
+        fixed={
+            frames: _accuracy(windows, np.full(len(windows.truth), frames))
+            for frames in TABLE3
+            if frames <= FRAMES
+        },
+    )
+
+
+def figures_of(streams: Streams) -> StudyFigures:
+    """Return one study's figures."""
+    settings = [DecisionSettings(), *(DecisionSettings(early="when_sure", sure=sure) for sure in SURE)]
+    return StudyFigures(
+        people=len(set(streams.participants)),
+        touches=len(streams.truth),
+        stages=tuple(stage_figures(streams, *each) for each in zip(STAGES, MARKS, strict=True)),
+        curve=tuple(point(streams, *pair) for pair in product(SPEAK_ABOVE, REVISE_MARGIN)),
+        choices=tuple(choice(streams, each) for each in settings),
+    )
+
+
+def stage_figures(streams: Streams, stage: Stage, frames: int) -> StageFigures:
+    """Return accuracy and calibration error of the network's answers after so many frames."""
+    said = streams.probabilities[:, frames - 1].astype(np.float64)
+    return StageFigures(
+        stage=stage,
+        accuracy=float((said.argmax(axis=1) == streams.truth).mean()),
+        calibration_error=metrics.expected_calibration_error(said, streams.truth),
+    )
+
+
+def point(streams: Streams, speak_above: float, revise_margin: float) -> Point:
+    """Return what the robot would be told under one pair of settings."""
+    told = tell(streams, DecisionSettings(speak_above=speak_above, revise_margin=revise_margin))
+    early = [t.right[0] for t in told if t.answers and t.answers[0][0] == "early"]
+    return Point(
+        speak_above=speak_above,
+        revise_margin=revise_margin,
+        told_early=len(early) / len(told),
+        right_when_told_early=float(np.mean(early)) if early else 1.0,
+        right_at_end=float(np.mean([t.settled_s is not None for t in told])),
+        changed=float(np.mean([len(t.right) > 1 for t in told])),
+        harmed=float(np.mean([t.harmed for t in told])),
+    )
+
+
+def choice(streams: Streams, settings: DecisionSettings) -> Choice:
+    """Return what one choice of `scene.early` and `scene.sure` costs."""
+    told = tell(streams, settings)
+    first_s = [t.answers[0][1] for t in told if t.answers]
+    settled_s = [t.settled_s for t in told if t.settled_s is not None]
+    return Choice(
+        early=settings.early,
+        sure=settings.sure if settings.early == "when_sure" else "",
+        first_mean_s=float(np.mean(first_s)),
+        first_median_s=float(np.median(first_s)),
+        first_right=float(np.mean([t.right[0] for t in told if t.answers])),
+        right=len(settled_s) / len(told),
+        settled_mean_s=float(np.mean(settled_s)),
+        harmed=float(np.mean([t.harmed for t in told])),
+    )
+
+
+def tell(streams: Streams, settings: DecisionSettings) -> list[Told]:
+    """Return what the daemon's decision would tell the robot of each touch."""
+    told = []
+    for said, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
+        decision = Decision(settings, streams.labels)
+        due = dict(zip(settings.answer_at_frames, STAGES, strict=True))
+        answers = []
+        frames_to_ask = range(int(noticed) + 1, FRAMES + 1) if decision.may_be_early else MARKS
+        for frames in frames_to_ask:
+            probabilities = said[frames - 1].astype(np.float64)
+            stage = due.get(frames)
+            may = decision.may_be_early and "early" in due.values()
+            if may and decision.is_sure(probabilities, frames):
+                stage = "early"
+            if stage is None:
+                continue
+            due = {length: name for length, name in due.items() if name != stage}
+            answer = decision.answer(stage, probabilities)
+            if answer.told:
+                answers.append((stage, frames / FRAME_RATE_HZ, answer.gesture == streams.labels[truth]))
+        told.append(Told(tuple(answers)))
+    return told
+
+
+def choose(curve: Sequence[Point]) -> Point:
+    """Return the good point that tells early most often; among equals, the one that revises most readily.
+
+    Points whose last answer is right less often than the best one's, by more than AS_GOOD, are excluded.
+    """
+    good = [candidate for candidate in curve if candidate.good]
+    best = max(candidate.right_at_end for candidate in good)
+    as_good = [candidate for candidate in good if candidate.right_at_end >= best - AS_GOOD]
+    return max(as_good, key=lambda p: (p.told_early, -p.revise_margin))
+
+
+def best_choice(measured: Measured) -> str:
+    """Return the fastest `when_sure` that pays in every study, else `at_mark`.
+
+    It pays if the first answer comes within EARLY_S on average and is right as often as at the marks, within
+    AS_GOOD, and at most MOST_HARMED of the touches are harmed.
+    """
+
+    def pays(place: int) -> bool:
+        return all(
+            study.choices[place].first_mean_s <= EARLY_S
+            and study.choices[place].first_right >= study.choices[0].first_right - AS_GOOD
+            and study.choices[place].harmed <= MOST_HARMED
+            for study in measured.studies.values()
+        )
+
+    return next((f"when_sure, {sure}" for place, sure in enumerate(SURE, 1) if pays(place)), "at_mark")
+
+
+def at_limit(windows: Streams, limit: float) -> AtLimit:
+    """Return how windows are answered once the confidence reaches the daemon's limit."""
+    limits = np.array([sure_above(limit, frames) for frames in range(1, FRAMES + 1)])
+    sure = windows.probabilities.max(axis=2) >= limits
+    sure[:, : EARLIEST_FRAMES - 1] = False
+    sure[:, -1] = True
+    frames = sure.argmax(axis=1) + 1
+    seconds = frames / FRAME_RATE_HZ
+    return AtLimit(
+        limit=limit,
+        mean_s=float(seconds.mean()),
+        median_s=float(np.median(seconds)),
+        accuracy=_accuracy(windows, frames),
+    )
+
+
+def _accuracy(windows: Streams, frames: NDArray[np.int64]) -> float:
+    """Return the macro accuracy of windows answered after so many frames each, (N,)."""
+    said = windows.probabilities[np.arange(len(frames)), frames - 1]
+    return metrics.macro_accuracy(said.argmax(axis=1), windows.truth, len(windows.labels))
+
+
+def collect(split: Split, title: str) -> Streams:
+    """Ask each network about the touches of its recordings, frame by frame."""
+    cases = [
+        (model, case)
+        for model, recordings in split
+        for case in spliced(haart.realigned(recordings), level_rest=True)
+    ]
+    labels = split[0][0].labels
+    console = Console(stderr=True)
+    rows = [
+        (said, labels.index(case.gesture), noticed, case.participant)
+        for model, case in track(
+            cases, title, console=console, transient=True, disable=not console.is_terminal
+        )
+        for noticed, said in _follow(case, model)
+    ]
+    answers, truth, noticed_at, people = zip(*rows, strict=True)
+    return Streams(np.stack(answers), np.array(truth), np.array(noticed_at), np.array(people), labels)
+
+
+def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
+    """Ask a network about windows of FRAMES frames, "notouch" among them, frame by frame."""
+    states: list[State | None] = [None] * len(windows.labels)
+    said = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
+    for frame in range(FRAMES):
+        answered = model.steps(list(windows.counts[:, frame : frame + 1]), states)
+        said[:, frame] = [answer for answer, _ in answered]
+        states = [state for _, state in answered]
+    noticed = np.zeros(len(windows.labels), np.int64)
+    return Streams(said, windows.labels, noticed, windows.participants, model.labels)
+
+
+def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Yield the frame at which the case's touch was detected and the answers; nothing for a short touch."""
+    scans = case.scans[LEAD_FRAMES - REST_FRAMES : case.stop]
+    touch = next(feel(scans, PipelineSettings().touch), None)
+    if touch is None or touch.noticed < REST_FRAMES or touch.first + FRAMES > len(scans):
+        return
+    state, said = None, []
+    for scan in scans[touch.first : touch.first + FRAMES]:
+        answer, state = model.step(np.clip(np.rint(scan), 0, MAX_COUNT)[None], state)
+        said.append(answer)
+    yield touch.noticed - touch.first, np.array(said, np.float32)
+
+
+def tables(measured: Measured) -> dict[str, str]:
+    """Return the page's tables, in percent and seconds."""
+    default, curve = measured.default, measured.studies[HAART].curve
+    return {
+        "choices": table(
+            ("people", "`scene`", "first told after", "then right", "right at the end", "harmed"),
+            [
+                (
+                    title,
+                    f"`{each.early}`" + (f", `{each.sure}`" if each.sure else ""),
+                    f"{each.first_mean_s:.2f}",
+                    *map(_percent, (each.first_right, each.right, each.harmed)),
+                )
+                for title, study in measured.studies.items()
+                for each in study.choices
+            ],
+        ),
+        "stages": table(
+            ("people", "touches", *STAGES, "calibration error"),
+            [
+                (
+                    title,
+                    study.touches,
+                    *(_percent(each.accuracy) for each in study.stages),
+                    ", ".join(f"{each.calibration_error:.2f}" for each in study.stages),
+                )
+                for title, study in measured.studies.items()
+            ],
+        ),
+        "curve": table(
+            ("`speak_above`", "told early", "right when told early", "right at the end", "changed", "harmed"),
+            [
+                (
+                    f"{p.speak_above:.2f}" + (" (default)" if p == default else ""),
+                    *map(
+                        _percent,
+                        (p.told_early, p.right_when_told_early, p.right_at_end, p.changed, p.harmed),
+                    ),
+                )
+                for p in curve
+                if p.revise_margin == default.revise_margin and (p == default or p.speak_above in SHOWN)
+            ],
+        ),
+        "challenge": table(
+            ("confidence after 1 s", "told after, mean", "median", "macro accuracy"),
+            [
+                (f"{each.limit:.1f}", f"{each.mean_s:.2f}", f"{each.median_s:.2f}", _percent(each.accuracy))
+                for each in measured.challenge
+                if each.limit in SHOWN
+            ],
+        ),
+    }
+
+
+def draw(measured: Measured, path: Path) -> None:
+    """Draw accuracy over time on the challenge's windows, and right when told over told early."""
+    figure = Figure(figsize=(10.4, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    lines = {
+        "touchd, once it is sure": ("#1f5fa8", [(e.mean_s, 100 * e.accuracy) for e in measured.challenge]),
+        "touchd, fixed time": ("#5b9bd5", [(n / FRAME_RATE_HZ, 100 * a) for n, a in measured.fixed.items()]),
+        "the paper, fixed time": ("#c4611a", [(n / FRAME_RATE_HZ, TABLE3[n]) for n in measured.fixed]),
+    }
+    for place, (title, (colour, points)) in enumerate(lines.items()):
+        left.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4)
+        left.annotate(title, LABELS_AT[place], color=colour)
+    left.set(xlabel="mean time to the answer, s", ylabel="macro accuracy on the test participants, %")
+    left.set(xlim=(0, 2.8), ylim=(55, 90))
+    margin = measured.default.revise_margin
+    for colour, (title, study) in zip(
+        ("#1f5fa8", "#2a8a57", "#7a3f98"), measured.studies.items(), strict=False
+    ):
+        along = [p for p in study.curve if p.revise_margin == margin]
+        points = [(100 * p.told_early, 100 * p.right_when_told_early) for p in along]
+        right.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4)
+        va = "top" if title == HAART else "bottom"
+        right.annotate(title, points[0], xytext=(6, 0), textcoords="offset points", va=va, color=colour)
+        chosen = next(p for p in along if p.speak_above == measured.default.speak_above)
+        right.plot(
+            100 * chosen.told_early, 100 * chosen.right_when_told_early, "*", color=colour, markersize=14
+        )
+    for p in [p for p in measured.studies[HAART].curve if p.revise_margin == margin][::2]:
+        dot = (100 * p.told_early, 100 * p.right_when_told_early)
+        name = f"{p.speak_above:.2g}"
+        right.annotate(name, dot, xytext=(-4, -12), textcoords="offset points", ha="right", fontsize=8)
+    right.set(xlabel="touches told after 1 s, %", ylabel="right when told, %", xlim=(0, 125))
+    right.set_xticks(range(0, 101, 20))
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f}"

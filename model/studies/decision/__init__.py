@@ -1,1 +1,0 @@
-"""How early and how often the daemon is right (docs/decision.md)."""

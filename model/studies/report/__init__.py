@@ -1,1 +1,0 @@
-"""The paper's tables, the challenge's systems, speed against error, what windows and pads cost."""

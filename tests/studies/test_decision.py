@@ -1,0 +1,132 @@
+"""What the robot would be told under each setting, on made-up answers and as stored."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from touchd.daemon.decide import DecisionSettings
+from touchd.model.studies.decision import (
+    FILE,
+    FRAMES,
+    HAART,
+    LIMITS,
+    Measured,
+    Point,
+    Streams,
+    Told,
+    at_limit,
+    best_choice,
+    choose,
+    draw,
+    figures_of,
+    measure,
+    tell,
+)
+
+LABELS = ("notouch", "pat", "rub", "stroke")
+
+
+def streams_sure_from(frames: list[int], sure: float, always_right: bool = True) -> Streams:
+    """Touches of four people; their gesture leads from the first frame and is sure from these frames on."""
+    rng = np.random.default_rng(1)
+    truth = rng.integers(1, len(LABELS), len(frames))
+    predicted = np.full((len(frames), FRAMES, len(LABELS)), 0.15)
+    for row, (place, begin) in enumerate(zip(truth, frames, strict=True)):
+        wrong = 1 + place % (len(LABELS) - 1)
+        predicted[row, :, place] = 0.4
+        predicted[row, begin - 1 :, place] = sure / (1 - sure) * 0.45
+        if not always_right:
+            predicted[row, : begin - 1, wrong] = 0.6
+    predicted += rng.uniform(0, 0.001, predicted.shape)
+    predicted /= predicted.sum(axis=2, keepdims=True)
+    people = np.array([f"P{row % 4}" for row in range(len(frames))])
+    return Streams(predicted.astype(np.float32), truth, np.full(len(frames), 3), people, LABELS)
+
+
+@pytest.fixture(scope="module")
+def late() -> Streams:
+    """Wrong up to frame 30 or so, right and sure from then on."""
+    return streams_sure_from([28 + row % 5 for row in range(40)], 0.9, always_right=False)
+
+
+@pytest.fixture(scope="module")
+def measured() -> Measured:
+    return msgspec.json.decode(FILE.read_bytes(), type=Measured)
+
+
+def other_gesture(streams: Streams, frames: slice) -> Streams:
+    """Return the same touches with another gesture predicted in these frames."""
+    predicted = streams.probabilities.copy()
+    predicted[:, frames, 1:] = np.roll(predicted[:, frames, 1:], 1, axis=2)
+    return replace(streams, probabilities=predicted)
+
+
+def test_at_its_mark_a_sure_answer_is_told_once(late: Streams) -> None:
+    for told in tell(late, DecisionSettings()):
+        assert told.answers == (("early", 1.0, True),)
+
+
+def test_a_sure_answer_is_told_before_its_mark(late: Streams) -> None:
+    told = tell(late, DecisionSettings(early="when_sure", sure="balanced"))
+    assert np.mean([t.answers[0][1] for t in told]) == pytest.approx(30 / 54)
+    assert all(t.right == [True] for t in told)
+
+
+def test_a_right_answer_that_a_mark_undoes_is_harmful() -> None:
+    undone = other_gesture(streams_sure_from([9] * 8, 0.9), slice(80, None))
+    assert all(t.harmed and t.settled_s is None for t in tell(undone, DecisionSettings()))
+
+
+def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
+    told = Told((("early", 1.0, False), ("revised", 1.5, True), ("final", 2.67, True)))
+    assert told.settled_s == 1.5
+    assert not told.harmed
+
+
+def test_windows_are_answered_at_the_first_sure_frame(late: Streams) -> None:
+    found = at_limit(late, 0.7)
+    assert found.mean_s == pytest.approx(30 / 54)
+    assert found.accuracy == 1.0
+
+
+def test_early_answers_become_the_default_only_where_right() -> None:
+    right = figures_of(streams_sure_from([10 + row % 5 for row in range(40)], 0.95))
+    wrong = figures_of(other_gesture(streams_sure_from([9] * 8, 0.95), slice(50)))
+    good = Measured(studies={HAART: right}, challenge=(), fixed={})
+    assert best_choice(good) == "when_sure, eager"
+    assert best_choice(Measured(studies={HAART: right, "other": wrong}, challenge=(), fixed={})) == "at_mark"
+
+
+def test_the_rule_picks_the_point_that_tells_early_most_often() -> None:
+    def at(speak_above: float, told: float, right: float, end: float = 0.8) -> Point:
+        return Point(
+            speak_above=speak_above,
+            revise_margin=0.1,
+            told_early=told,
+            right_when_told_early=right,
+            right_at_end=end,
+            changed=0.0,
+            harmed=0.0,
+        )
+
+    curve = [at(0.4, 0.9, 0.80), at(0.5, 0.8, 0.86), at(0.6, 0.7, 0.88), at(0.45, 0.85, 0.86, end=0.78)]
+    assert choose(curve).speak_above == 0.5
+
+
+def test_the_default_is_within_the_limits_of_the_rule(measured: Measured) -> None:
+    assert measured.default.good
+    assert choose(measured.studies[HAART].curve).speak_above <= DecisionSettings().speak_above
+
+
+def test_confidence_is_calibrated_at_every_stage(measured: Measured) -> None:
+    assert all(stage.calibration_error <= 0.05 for stage in measured.studies[HAART].stages)
+
+
+def test_the_figure_is_drawn_from_the_figures(late: Streams, tmp_path: Path) -> None:
+    made = measure({HAART: late, "made up": late}, late)
+    assert [each.limit for each in made.challenge] == list(LIMITS)
+    draw(made, tmp_path / "decision.png")
+    assert (tmp_path / "decision.png").stat().st_size > 10_000

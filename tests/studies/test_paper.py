@@ -1,0 +1,193 @@
+"""The paper's network, as printed and as in its code, and its training, which resumes to the same weights."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+import torch
+from rigs.haart_folder import HAART, needs_haart
+from torch import nn
+
+from touchd.drivers.recording import Recording, ideal_clock_ms
+from touchd.model.classifier import Classifier
+from touchd.model.studies import paper
+from touchd.model.studies.challenge.table import touchd_1_files
+from touchd.model.studies.checks import evaluate
+from touchd.model.studies.paper import CHECKPOINT_NAME, PaperCell, PaperTraining, train
+from touchd.model.studies.paper_network import Attention, FeedForward, PaperSettings, PaperTGC, Variant
+from touchd.model.studies.results import Results
+from touchd.model.training import haart
+from touchd.model.training.checkpoint import CheckpointError
+from touchd.model.training.haart import GESTURES, Windows
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+RESULTS = Results(paper.FILE)
+TOLERANCE = 0.002
+"""A window or two may fall the other way on another processor, or when probabilities are rounded."""
+CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)
+
+
+def windows(seed: int) -> Windows:
+    """Two windows a gesture; each gesture presses harder than the one before."""
+    rng = np.random.default_rng(seed)
+    labels = np.repeat(np.arange(len(GESTURES)), 2)
+    counts = rng.integers(0, 8 * (labels[:, None, None, None] + 1), size=(len(labels), 9, 8, 8))
+    return Windows(counts.astype(np.uint16), labels, np.repeat("P3", len(labels)), np.repeat("", len(labels)))
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+    """A short made-up recording of each gesture."""
+    monkeypatch.setattr(haart, "PUBLISHED_FRAMES", 9)
+    return [
+        Recording("P3", "foam", "fur", gesture, counts, ideal_clock_ms(len(counts)), "published")
+        for gesture, counts in zip(GESTURES, windows(0).counts[::2], strict=True)
+    ]
+
+
+@pytest.fixture
+def results(tmp_path: Path) -> Results:
+    return Results(tmp_path / "paper.json")
+
+
+def training(cell: PaperCell = CELL) -> PaperTraining:
+    return PaperTraining(cell, windows(0), windows(1), "cpu")
+
+
+def test_a_cut_off_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+    cell = PaperCell("printed", blocks=1, frames=9, epochs=2, seed=0)
+    whole = training(cell)
+    whole.run_epoch()
+    whole.save(tmp_path / "checkpoint.pt")
+    whole.run_epoch()
+    resumed = training(cell)
+    resumed.resume(tmp_path / "checkpoint.pt")
+    resumed.run_epoch()
+    assert resumed.accuracies == whole.accuracies
+    for name, value in whole.network.state_dict().items():
+        torch.testing.assert_close(resumed.network.state_dict()[name], value, rtol=0.0, atol=0.0)
+
+
+def test_every_epoch_is_scored_in_evaluation_mode() -> None:
+    one = training()
+    probabilities = one.run_epoch()
+    assert one.epoch == 1
+    np.testing.assert_array_equal(probabilities, paper.answer(one.network, windows(1).counts))
+    assert one.accuracies[-1] == paper.macro_accuracy(probabilities.argmax(axis=1), windows(1).labels)
+
+
+def test_a_cell_keeps_every_epoch_and_the_last_ones_answers(
+    results: Results, made: list[Recording], tmp_path: Path
+) -> None:
+    train(results, CELL, made, made, tmp_path)
+    values = results.get(CELL.key)
+    assert len(values["accuracies"]) == 2
+    named = np.array(list(values["answers"]), dtype=np.int64)
+    again = paper.macro_accuracy(named, haart.cut(made, 9).labels)
+    assert again == pytest.approx(values["accuracies"][-1], abs=1e-5)
+
+
+def test_more_epochs_continue_a_training(results: Results, made: list[Recording], tmp_path: Path) -> None:
+    train(results, CELL, made, made, tmp_path)
+    longer = PaperCell("public", 1, 9, epochs=3, seed=0)
+    train(results, longer, made, made, tmp_path)
+    before, after = (results.get(cell.key)["accuracies"] for cell in (CELL, longer))
+    assert after[:2] == before
+    with pytest.raises(CheckpointError, match="trained for 3 epochs already"):
+        train(results, PaperCell("public", 1, 9, epochs=1, seed=0), made, made, tmp_path)
+
+
+def test_a_damaged_checkpoint_is_named_in_one_line(
+    results: Results, made: list[Recording], tmp_path: Path
+) -> None:
+    path = tmp_path / CELL.training / CHECKPOINT_NAME
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"no checkpoint")
+    with pytest.raises(CheckpointError, match="move it away") as raised:
+        train(results, CELL, made, made, tmp_path)
+    assert "\n" not in str(raised.value)
+
+
+def test_a_row_shows_the_longest_training_with_six_blocks(results: Results) -> None:
+    for blocks, epochs, accuracy in ((1, 100, 0.9), (6, 10, 0.5), (6, 60, 0.6), (8, 25, 0.8)):
+        cell = PaperCell("public", blocks, 144, epochs, 0)
+        results.put(cell.key, {"accuracies": [0.7, accuracy]}, 0.0)
+    assert paper._row(results, paper.trained(results)) == ("6 blocks, 60 epochs", "60.0", "70.0")
+
+
+@needs_haart
+def test_the_papers_network_scores_as_its_stored_answers() -> None:
+    test = haart.read_test(Path(str(HAART)))
+    labels = {frames: haart.cut(test, frames).labels for frames in evaluate.REPORTED_LENGTHS}
+    for cell in paper.trained(RESULTS):
+        values = RESULTS.get(cell.key)
+        named = np.array(list(values["answers"]), dtype=np.int64)
+        assert len(named) == values["windows"]
+        again = paper.macro_accuracy(named, labels[cell.frames])
+        assert again == pytest.approx(values["accuracies"][-1], abs=TOLERANCE), cell.key
+
+
+@needs_haart
+@pytest.mark.parametrize(("file", "frames"), [(0, 54), (1, 144)])
+def test_our_networks_score_in_the_papers_windows_as_stored(file: int, frames: int) -> None:
+    test = haart.read_test(Path(str(HAART)))
+    stored = RESULTS.get(paper.our_key("published", frames))["accuracies"]
+    assert len(stored) == len(touchd_1_files())
+    again = evaluate.score([(Classifier.load(touchd_1_files()[file]), test)], frames)
+    assert again.accuracy == pytest.approx(stored[file], abs=TOLERANCE)
+
+
+def parameters(network: nn.Module) -> int:
+    return sum(parameter.numel() for parameter in network.parameters())
+
+
+def test_the_printed_block_is_the_encoder_block_of_pytorch() -> None:
+    torch.manual_seed(0)
+    attention, forward = Attention(32, 4, 0.1).eval(), FeedForward(32, 64, 0.1).eval()
+    theirs = nn.TransformerEncoderLayer(32, 4, 64, dropout=0.1, batch_first=True).eval()
+    query_key_value = (attention.query, attention.key, attention.value)
+    theirs.load_state_dict(
+        {
+            "self_attn.in_proj_weight": torch.cat([layer.weight for layer in query_key_value]),
+            "self_attn.in_proj_bias": torch.cat([layer.bias for layer in query_key_value]),
+            "self_attn.out_proj.weight": attention.project.weight,
+            "self_attn.out_proj.bias": attention.project.bias,
+            "linear1.weight": forward.layers[0].weight,
+            "linear1.bias": forward.layers[0].bias,
+            "linear2.weight": forward.layers[2].weight,
+            "linear2.bias": forward.layers[2].bias,
+            "norm1.weight": attention.norm.weight,
+            "norm1.bias": attention.norm.bias,
+            "norm2.weight": forward.norm.weight,
+            "norm2.bias": forward.norm.bias,
+        }
+    )
+    x = torch.randn(2, 9, 32)
+    with torch.no_grad():
+        torch.testing.assert_close(forward(attention(x)), theirs(x), rtol=1e-5, atol=1e-5)
+
+
+def test_both_networks_have_the_published_sizes() -> None:
+    embedding, attention = 64 * 512 + 512, 4 * (512 * 512 + 512) + 2 * 512
+    feed_forward = 512 * 2048 + 2048 + 2048 * 512 + 512 + 2 * 512
+    dense = (512 * 128 + 128) + (128 * 16 + 16) + (16 * 4 + 4) + (144 * 4 * 7 + 7)
+    printed, public = (PaperTGC(PaperSettings(variant), 7) for variant in ("printed", "public"))
+    assert parameters(printed) == embedding + 6 * (attention + feed_forward) + dense
+    assert parameters(public) == 2 * 144 + embedding + 6 * attention + dense
+    assert sum(isinstance(layer, nn.ReLU) for layer in printed.dense) == 0
+    assert sum(isinstance(layer, nn.ReLU) for layer in public.dense) == 3
+    assert public.input_norm.num_features == 144
+
+
+@pytest.mark.parametrize("variant", ["printed", "public"])
+@pytest.mark.parametrize("frames", [9, 72])
+def test_each_answers_at_its_own_length(variant: Variant, frames: int) -> None:
+    settings = PaperSettings(variant, frames, blocks=1, width=16, heads=4, inner=32)
+    network = PaperTGC(settings, 7).eval()
+    with torch.no_grad():
+        assert network(torch.zeros(3, frames, 8, 8)).shape == (3, 7)
+    with pytest.raises(RuntimeError):
+        network(torch.zeros(3, frames + 1, 8, 8))
