@@ -7,7 +7,6 @@ from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.settings import MqttSettings, Section
 from touchd.daemon.config import Settings
 from touchd.daemon.decide import NO_TOUCH
-from touchd.drivers.errors import one_line
 from touchd.drivers.extras import how_to_install
 from touchd.model.classifier import Classifier
 
@@ -38,7 +37,7 @@ def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> B
         raise BridgeError(f"{name}: {error.name} is not installed: {how_to_install(name)}") from error
     except RuntimeError as error:
         # pylsl without its library, as on a processor that it is not built for.
-        raise BridgeError(f"{name}: cannot be used on this machine ({one_line(str(error))})") from error
+        raise BridgeError(f"{name}: cannot be used on this machine ({error})") from error
     bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, pad, gestures)
     return bridge
 

@@ -2,17 +2,24 @@
 
 import secrets
 import ssl
-import threading
-import time
+from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 import msgspec
 import paho.mqtt.client as mqtt
-from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 
-from touchd.daemon.bridges.bridge import POLL_S, Bridge, BridgeError, arrival_s
+from touchd.daemon.bridges.bridge import (
+    MOST_FRAMES,
+    POLL_S,
+    Allowance,
+    BridgeError,
+    ConnectedBridge,
+    arrival_s,
+)
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
 from touchd.drivers.frame import Frame
@@ -20,8 +27,9 @@ from touchd.drivers.paths import written_out
 
 KEEPALIVE_S = 10
 CONNECT_S = 3.0
-RECONNECT_FIRST_S, RECONNECT_CAP_S = 0.1, 1.0
 MAX_PASSWORD_BYTES = 4096
+# A broker greets, acknowledges each event in a few bytes, and answers a ping every few seconds.
+FIRST_BYTES, ACKNOWLEDGEMENT_BYTES = 16 * 1024, 64
 # Home Assistant's template: told answers only, with the gesture as the event's type.
 TO_HOME_ASSISTANT = (
     "{% if value_json.type == 'prediction' and value_json.told %}"
@@ -30,110 +38,159 @@ TO_HOME_ASSISTANT = (
 )
 
 
-class MqttBridge(Bridge):
+class MqttBridge(ConnectedBridge):
     """Publishes each event with QoS 1, one at a time and in order, and keeps the state retained.
 
     The state is the pad's (see `SensorEvent`), stopped (touchd has ended) or, as the last will, lost.
-    paho's own thread keeps the connection and reconnects.
+    It speaks MQTT 5, in which a broker says what it refuses, and 3.1.1 with a broker that knows no other.
     """
 
     def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
         self._labels = labels
         self._topic = f"{settings.topic}/{pad}"
-        self._where = f"{settings.host}:{settings.port}"
         self._state = "down"
-        self._refusal = ""
-        self._greeting: mqtt.MQTTMessageInfo | None = None
-        self._acknowledged: set[int] = set()
-        self._acknowledging = threading.Condition()
+        self._version = MQTTProtocolVersion.MQTTv5
         # By its name a broker knows whose lost connection, and will, it still holds.
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, f"touchd-{secrets.token_hex(8)}")
-        self._client.connect_timeout = CONNECT_S
-        self._client.reconnect_delay_set(RECONNECT_FIRST_S, RECONNECT_CAP_S)  # type: ignore[arg-type]
-        self._client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)
-        self._log_in()
-        if settings.tls:
-            self._client.tls_set_context(_tls(settings.ca_file))
-        self._client.on_pre_connect = self._on_pre_connect
-        self._client.on_connect = self._on_connect
-        self._client.on_connect_fail = lambda *_: self._tell_away(self._where, "cannot be reached")
-        self._client.on_disconnect = self._on_disconnect
-        self._client.on_publish = self._on_publish
-        super().__init__("mqtt", pad, settings.pressure_hz)
+        self._client_id = f"touchd-{secrets.token_hex(8)}"
+        self._client: _Client | None = None
+        self._tls = _tls(settings.ca_file) if settings.tls else None
+        self._password()
+        super().__init__("mqtt", pad, settings.pressure_hz, f"{settings.host}:{settings.port}")
 
-    def open(self) -> None:
-        self._client.connect_async(self._settings.host, self._settings.port, KEEPALIVE_S)
-        self._client.loop_start()
+    def hold(self) -> str:
+        client = _Client(self._client_id, self._version)
+        client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)
+        if self._settings.user is not None:
+            client.username_pw_set(self._settings.user, self._password())
+        if self._tls is not None:
+            client.tls_set_context(self._tls)
+        client.on_connect = self._on_connect
+        client.on_publish = self._on_publish
+        client.connect(self._settings.host, self._settings.port, KEEPALIVE_S)
+        self._client = client
+        while client.loop(1.0) == MQTTErrorCode.MQTT_ERR_SUCCESS:
+            pass
+        if not client.was_greeted:
+            is_5 = self._version == MQTTProtocolVersion.MQTTv5
+            self._version = MQTTProtocolVersion.MQTTv311 if is_5 else MQTTProtocolVersion.MQTTv5
+        return client.why
 
-    def write(self, item: Event | Frame) -> None:
-        """Publish an event and wait until the broker has it, or publish a frame."""
-        if isinstance(item, Frame):
-            self._client.publish(f"{self._topic}/pressure", _pressure(item))
-            with self._acknowledging:
-                # paho reports frames too, and uses its numbers again.
-                self._acknowledged.clear()
+    def send_event(self, event: Event) -> bool:
+        if isinstance(event, SensorEvent):
+            self._state = event.state
+        client = self._client
+        if client is None:
+            return False
+        if isinstance(event, SensorEvent):
+            self._publish_state(client)
+        return self._await(client, client.publish(f"{self._topic}/event", encode(event), qos=1))
+
+    def send_frame(self, frame: Frame) -> None:
+        client = self._client
+        if client is None:
             return
-        if isinstance(item, SensorEvent):
-            self._state = item.state
-        if not self._await_peer():
+        # paho queues without a limit for a broker that reads nothing.
+        while client.frames and client.frames[0].is_published():
+            client.frames.popleft()
+        if len(client.frames) >= MOST_FRAMES:
+            self._items.dropped += 1
             return
-        if isinstance(item, SensorEvent):
-            self._publish_state()
-        self._await(self._client.publish(f"{self._topic}/event", encode(item), qos=1))
+        info = client.publish(f"{self._topic}/pressure", _pressure(frame))
+        if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
+            client.frames.append(info)
 
     def close(self) -> None:
-        if self._peer_is_there.is_set():
+        if self._peer_is_there.is_set() and (client := self._client):
             self._state = "stopped"
-            self._await(self._publish_state())
-        self._client.disconnect()
-        self._client.loop_stop()
+            self._await(client, self._publish_state(client))
+        super().close()
 
-    def _log_in(self) -> None:
-        """Take user and password from the settings; raises BridgeError."""
-        if self._settings.user is not None:
-            file = self._settings.password_file
-            self._client.username_pw_set(self._settings.user, _read_password(file) if file else None)
+    def hang_up(self) -> None:
+        if self._client is not None:
+            self._client.disconnect()
 
-    def _on_pre_connect(self, *_: Any) -> None:
-        # The password may have been corrected since.
-        with suppress(BridgeError):
-            self._log_in()
+    def _password(self) -> str | None:
+        """Return the password, read again for each connection; raises BridgeError."""
+        file = self._settings.password_file
+        return _read_password(file) if file else None
 
-    def _on_connect(self, client: mqtt.Client, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
+    def _on_connect(
+        self, client: mqtt.Client, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        assert isinstance(client, _Client)
+        # A broker of 3.1.1 says so to a client of 5.
+        client.was_greeted = code.getName() != "Unsupported protocol version"
         if code.is_failure:
-            refusal, self._refusal = self._refusal, str(code)
-            self._tell_away(self._where, str(code), is_news=refusal != str(code))
+            client.why = _words(code, properties)
             return
-        self._refusal = ""
-        # What the broker has not acknowledged, paho sends again.
-        if self._greeting is None or self._greeting.is_published():
-            if self._settings.discovery is not None:
-                topic, payload = discovery(self._settings.discovery, self._topic, self._labels)
-                client.publish(topic, payload, qos=1, retain=True)
-            self._greeting = self._publish_state()
-        self._tell_there(self._where)
+        if self._settings.discovery is not None:
+            topic, payload = discovery(self._settings.discovery, self._topic, self._labels)
+            client.publish(topic, payload, qos=1, retain=True)
+        self._publish_state(client)
+        self.connected()
 
-    def _on_disconnect(self, *ends: Any) -> None:
-        self._tell_away(self._where, str(ends[3]))
-        until_s = time.monotonic() + self._backoff.pause_s()
-        while time.monotonic() < until_s and not self._draining:
-            time.sleep(POLL_S)
+    def _on_publish(
+        self, client: mqtt.Client, _data: Any, _mid: int, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        if code.is_failure:
+            self._note_refused(_words(code, properties))
 
-    def _publish_state(self) -> mqtt.MQTTMessageInfo:
-        return self._client.publish(f"{self._topic}/state", self._state, qos=1, retain=True)
+    def _publish_state(self, client: "_Client") -> mqtt.MQTTMessageInfo:
+        return client.publish(f"{self._topic}/state", self._state, qos=1, retain=True)
 
-    def _on_publish(self, _client: mqtt.Client, _data: Any, mid: int, *_: Any) -> None:
-        with self._acknowledging:
-            self._acknowledged.add(mid)
-            self._acknowledging.notify()
+    def _await(self, client: "_Client", info: mqtt.MQTTMessageInfo) -> bool:
+        """Wait until the broker has acknowledged or refused a message; False if the connection ends first."""
+        client.allowance.sent()
+        while info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS and not self._abandoned.is_set():
+            info.wait_for_publish(POLL_S)
+            if info.is_published():
+                return True
+            if client.has_ended:
+                return False
+        return False
 
-    def _await(self, info: mqtt.MQTTMessageInfo) -> None:
-        """Wait until the broker has acknowledged a message; over a lost connection paho sends it again."""
-        with self._acknowledging:
-            while info.mid not in self._acknowledged and not self._abandoned.is_set():
-                self._acknowledging.wait(POLL_S)
-            self._acknowledged.clear()
+
+class _Client(mqtt.Client):
+    """paho for one connection. why: it ended. frames: those that paho has not written yet."""
+
+    def __init__(self, name: str, version: MQTTProtocolVersion) -> None:
+        super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)
+        self.connect_timeout = CONNECT_S
+        self.allowance = Allowance(FIRST_BYTES, ACKNOWLEDGEMENT_BYTES)
+        self.frames: deque[mqtt.MQTTMessageInfo] = deque()
+        self.was_greeted = self.has_ended = False
+        self.why = ""
+        self.on_disconnect = self._on_end
+        # With it paho writes in `loop` only, and not also in the thread that publishes.
+        self.on_socket_register_write = lambda *_: None
+
+    def _sock_recv(self, bufsize: int) -> bytes:
+        # paho would keep a message of 256 MiB, and every one of QoS 2 until it is released.
+        data: bytes = super()._sock_recv(bufsize)
+        if not self.allowance.take(len(data)):
+            raise ConnectionAbortedError
+        return data
+
+    def _on_end(
+        self, _client: Any, _data: Any, flags: Any, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        self.has_ended = True
+        if self.allowance.is_spent:
+            self.why = "it sends messages, and touchd subscribes to none"
+        elif flags.is_disconnect_packet_from_server or code.getName() == "Keep alive timeout":
+            self.why = _words(code, properties)
+        elif not self.why and self.was_greeted:
+            # paho's "Unspecified error" says no more.
+            self.why = "the connection was closed"
+        elif not self.why:
+            self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"
+
+
+def _words(code: ReasonCode, properties: Properties | None) -> str:
+    """Return a reason code with the broker's own words, if it sent any."""
+    said = getattr(properties, "ReasonString", "")
+    return f"{code}: {said}" if said else str(code)
 
 
 def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, bytes]:

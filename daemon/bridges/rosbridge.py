@@ -3,15 +3,16 @@
 import base64
 import logging
 import socket
-import threading
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import msgspec
+from websockets.client import ClientProtocol
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.bridge import Allowance, ConnectedBridge
 from touchd.daemon.bridges.settings import RosbridgeSettings
 from touchd.daemon.events import Event, Prediction, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
@@ -21,70 +22,74 @@ CONNECTION: Mapping[str, Any] = {
     "close_timeout": 0.2,
     "ping_interval": 5.0,
     "ping_timeout": 5.0,
-    # Replies are short, and without a subscription there are none.
+    # Replies are short, and without a subscription only refusals come.
     "max_size": 64 * 1024,
     "compression": None,
     "proxy": None,
 }
+# A server may refuse each message in a few words.
+FIRST_BYTES, REFUSAL_BYTES = 64 * 1024, 1024
 # websockets cannot ping, nor see that no answer comes, while it waits for what it sends to be taken.
 UNTAKEN_MS = 10_000
 # In the form that servers of ROS 1 and ROS 2 accept.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
-class RosbridgeBridge(Bridge):
-    """Publishes the topics of `Ros2Bridge`; a thread of its own keeps the connection and reconnects."""
+class RosbridgeBridge(ConnectedBridge):
+    """Publishes the topics of `Ros2Bridge`."""
 
     def __init__(self, settings: RosbridgeSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
         self._prefix = f"{settings.namespace}/{pad}"
         self._connection: ClientConnection | None = None
-        self._ending = threading.Event()
-        self._keeper = threading.Thread(
-            target=self._keep_connected, name="touchd-rosbridge-link", daemon=True
-        )
-        super().__init__("rosbridge", pad, settings.pressure_hz)
+        self._allowance = Allowance(FIRST_BYTES, REFUSAL_BYTES)
+        super().__init__("rosbridge", pad, settings.pressure_hz, settings.shown_url)
 
     def open(self) -> None:
-        # The keeper thread logs failed attempts itself, once.
+        # Why a connection ends is logged here, once; the library's lines would also show the URL's token.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
-        self._keeper.start()
+        super().open()
 
-    def write(self, item: Event | Frame) -> None:
-        """Send one message, or two; an event is sent again over the next connection if this one is lost."""
-        if isinstance(item, Frame):
-            self._send([self._publish("pressure", self._image(item))])
-            return
-        messages = [self._publish("event", {"data": encode(item).decode()})]
-        if isinstance(item, Prediction) and item.told:
-            messages.insert(0, self._publish("gesture", {"data": item.gesture}))
-        while self._await_peer() and not self._send(messages):
-            pass
+    def hold(self) -> str:
+        url, allowance = self._settings.url, Allowance(FIRST_BYTES, REFUSAL_BYTES)
+        self._allowance = allowance
+        try:
+            with connect(url, create_connection=_limited(allowance), **CONNECTION) as connection:
+                connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNTAKEN_MS)
+                self._connection = connection
+                for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
+                    advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}
+                    connection.send(msgspec.json.encode(advertised).decode())
+                self.connected()
+                for message in connection:
+                    self._heed(message)
+            reason = "the connection was closed"
+        except WebSocketException as error:
+            reason = str(error)
+        if allowance.is_spent:
+            return "it sends more than answers, and touchd subscribes to nothing"
+        return reason.replace(url, self._settings.shown_url)
 
-    def close(self) -> None:
-        self._ending.set()
-        if (connection := self._connection) is not None:
-            connection.close()
-        self._keeper.join()
+    def send_event(self, event: Event) -> bool:
+        messages = [self._publish("event", {"data": encode(event).decode()})]
+        if isinstance(event, Prediction) and event.told:
+            messages.insert(0, self._publish("gesture", {"data": event.gesture}))
+        return self._send(messages)
 
-    def _keep_connected(self) -> None:
-        url = self._settings.url
-        while not self._ending.is_set():
-            try:
-                with connect(url, **CONNECTION) as connection:
-                    connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNTAKEN_MS)
-                    self._connection = connection
-                    for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
-                        advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}
-                        connection.send(msgspec.json.encode(advertised).decode())
-                    self._tell_there(url)
-                    for _ in connection:
-                        pass
-                self._tell_away(url, "the connection was closed")
-            # A URL that cannot be one is a ValueError.
-            except (OSError, WebSocketException, ValueError) as error:
-                self._tell_away(url, str(error))
-            self._ending.wait(self._backoff.pause_s())
+    def send_frame(self, frame: Frame) -> None:
+        self._send([self._publish("pressure", self._image(frame))])
+
+    def hang_up(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+
+    def _heed(self, message: str | bytes) -> None:
+        """Note what the server refuses; anything else that it sends is ignored."""
+        # RecursionError: lists nested too deeply.
+        with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
+            status = msgspec.json.decode(message, type=_Status)
+            if status.level == "error":
+                self._note_refused(str(status.msg))
 
     def _send(self, messages: Sequence[str]) -> bool:
         connection = self._connection
@@ -92,9 +97,10 @@ class RosbridgeBridge(Bridge):
             return False
         try:
             for message in messages:
+                self._allowance.sent()
                 connection.send(message)
         except (OSError, WebSocketException):
-            # The other thread then notices, and connects again.
+            # The keeper then notices, and connects again.
             connection.close()
             return False
         return True
@@ -114,3 +120,30 @@ class RosbridgeBridge(Bridge):
             "step": 2 * COLUMNS,
             "data": base64.b64encode(frame.pressure.astype("<u2").tobytes()).decode(),
         }
+
+
+class _Status(msgspec.Struct, tag_field="op", tag="status"):
+    """A server's remark on something that was sent to it. level: "error" if it refused that."""
+
+    level: str = ""
+    msg: Any = ""
+
+
+def _limited(allowance: Allowance) -> type[ClientConnection]:
+    """Return a class of connections that are cut once the server has spent its allowance."""
+
+    class Limited(ClientConnection):
+        def __init__(self, line: socket.socket, protocol: ClientProtocol, **options: Any) -> None:
+            receive = protocol.receive_data
+
+            def limited(data: bytes | bytearray) -> None:
+                if allowance.take(len(data)):
+                    receive(data)
+                else:
+                    with suppress(OSError):
+                        line.shutdown(socket.SHUT_RDWR)
+
+            protocol.receive_data = limited  # type: ignore[method-assign]
+            super().__init__(line, protocol, **options)
+
+    return Limited

@@ -56,6 +56,7 @@ class Ros2Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A rosbridge server of ROS 1 or ROS 2; the topics are those of `Ros2Settings`.
 
+    url: may end with ?token=..., which is never logged.
     pressure_hz: frames a second to publish at most; None publishes none.
     """
 
@@ -69,8 +70,13 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             _ = urlsplit(self.url).port
         except ValueError as error:
             raise ValueError(
-                f"url: {self.url} is no address ({error}); write it like ws://robot:9090"
+                f"url: invalid address {self.shown_url} ({error}); write it like ws://robot:9090"
             ) from error
+
+    @property
+    def shown_url(self) -> str:
+        """The URL as it may be logged: without what follows a question mark."""
+        return self.url.partition("?")[0]
 
 
 Section = MqttSettings | LslSettings | Ros2Settings | RosbridgeSettings

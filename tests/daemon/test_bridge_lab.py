@@ -38,7 +38,9 @@ def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch: pytest.MonkeyP
     for name in ("pylsl", "touchd.daemon.bridges.lsl"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setattr(sys, "meta_path", [Broken(), *sys.meta_path])
-    with pytest.raises(BridgeError, match=r"lsl: cannot be used on this machine \(LSL .* found\. See .*\)$"):
+    with pytest.raises(
+        BridgeError, match=r"lsl: cannot be used on this machine \(LSL .* found\.\\nSee .*\)$"
+    ):
         make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()}, {})
 
 

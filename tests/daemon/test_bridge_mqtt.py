@@ -167,18 +167,6 @@ def test_pressure_comes_at_the_stated_rate_and_only_when_asked(messages: list[An
     assert len(payloads(messages, "touchd/pad/pressure")) == 18
 
 
-def test_frames_leave_nothing_behind(messages: list[Any], opened: Open) -> None:
-    bridge = opened(pressure_hz=500.0)
-    put(bridge, 1, messages)
-    start_s = time.monotonic()
-    for number in range(200):
-        bridge.put_frame(frame(number, start_s + number / 500))
-        time.sleep(0.001)
-    wait_for(lambda: len(payloads(messages, "touchd/pad/pressure")) > 100)
-    # The numbers of published frames, which events may get again.
-    assert len(bridge._acknowledged) < 10
-
-
 def only_robot(folder: Path) -> str:
     """Return a broker's settings that admit only the user robot with the password s3cret."""
     users = str(folder / "users")
