@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import itertools
 import logging
-import math
 import threading
 import time
 import typing
@@ -16,7 +15,6 @@ from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
-from touchd.daemon.pad.steps import work_off
 from touchd.daemon.setup.destinations import scenes_of
 from touchd.daemon.setup.parts import Pad, Parts
 from touchd.daemon.sinks import EventFanout, Sink
@@ -26,8 +24,6 @@ from touchd.drivers.queue import Signal
 
 # How often the loop looks at the stop flag when nothing arrives.
 IDLE_S = 0.25
-# Delay after a frame before the model catches up: late, so that the next frame's answer finds warm caches.
-CATCH_UP_S = 0.008
 SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
@@ -79,12 +75,10 @@ class Service:
         try:
             while not stop.is_set():
                 pads = tuple(self._pads.values())
-                due_s = min(pad.catch_up_s for pad in pads) - time.monotonic()
-                if not took and not self._arrived.wait(max(0.0, min(IDLE_S, due_s))):
+                if not took and not self._arrived.wait(IDLE_S):
                     self._health.idle()
                 # One item of each in turn, so that a pad that floods its queue holds up no other.
                 took = self._take(pads)
-                self._catch_up(pads)
                 self._health.report(self._events.touches, self._dropped())
                 if self._next is not None:
                     self._move_on_to(self._next)
@@ -197,8 +191,8 @@ class Service:
         if self._parts.kept is not None:
             for pad, frame in frames:
                 self._parts.kept.take(frame, pad.name)
-        work_off(pad.pipeline.take(frame) for pad, frame in frames)
         for pad, frame in frames:
+            pad.pipeline.on_frame(frame)
             self._pass_on(pad, frame)
         for pad, item in taken:
             if isinstance(item, SensorState):
@@ -209,7 +203,6 @@ class Service:
     def _pass_on(self, pad: Pad, frame: Frame) -> None:
         """Pass on a frame that a pad's pipeline has processed."""
         parts = self._parts
-        pad.catch_up_s = frame.host_s + CATCH_UP_S if pad.pipeline.is_behind else math.inf
         self._health.frame_processed(pad.name)
         pad.watch.update(frame)
         if self._view is not None and pad.name == next(iter(self._pads)):
@@ -219,14 +212,6 @@ class Service:
         for bridge in parts.bridges.values():
             if bridge.pad == pad.name:
                 bridge.put_frame(frame)
-
-    def _catch_up(self, pads: Sequence[Pad]) -> None:
-        """Have the model catch up on the pads that are due."""
-        now_s = time.monotonic()
-        behind = [pad for pad in pads if pad.catch_up_s <= now_s]
-        for pad in behind:
-            pad.catch_up_s = math.inf
-        work_off(pad.pipeline.catch_up() for pad in behind)
 
 
 def _stop(sinks: Sequence[Sink], within_s: float) -> None:

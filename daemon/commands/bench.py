@@ -7,7 +7,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from itertools import cycle, islice
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.commands.run import favour_latency
-from touchd.daemon.config import MAX_PADS, LiveSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, decode, epoch_s
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon
@@ -25,7 +25,7 @@ from touchd.daemon.playback.stream import DEMO_RECORDING, play
 from touchd.daemon.setup.destinations import encoder_for
 from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import Stream, read_recordings, splice
 
@@ -79,12 +79,6 @@ def parser() -> argparse.ArgumentParser:
         default=120.0,
         help="how long to touch the pad (default 120)",
     )
-    parser.add_argument(
-        "--pads",
-        type=within(int, 1, MAX_PADS),
-        default=1,
-        help="how many pads, all touched at once (default 1)",
-    )
     parser.add_argument("--json", action="store_true", help="figures as JSON instead of a table")
     return parser
 
@@ -92,7 +86,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Measure and print; returns 0 whatever the figures are."""
     options = parser().parse_args(arguments)
-    figures = measure(options.seconds, pads=options.pads)
+    figures = measure(options.seconds)
     sys.stdout.write(msgspec.json.encode(figures).decode() + "\n" if options.json else table(figures))
     return 0
 
@@ -108,10 +102,10 @@ def table(figures: Figures) -> str:
     return "".join(lines)
 
 
-def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> Figures:
-    """Run the daemon on pads that rest for 20 s and are then touched for `touch_s`; live: with a page."""
+def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
+    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; live: with a page."""
     stream = touched(touch_s)
-    # As in the daemon: the pads' threads must not delay the one that reads the answers.
+    # As in the daemon: the pad's thread must not delay the one that reads the answers.
     favour_latency()
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
@@ -119,12 +113,8 @@ def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> 
         ready = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         ready.bind(str(folder / "notify"))
         ready.settimeout(START_S)
-        ports = {
-            f"pad{number}": closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
-            for number in range(1, pads + 1)
-        }
-        sensors = {name: PadSettings(port=port.path) for name, port in ports.items()}
-        settings = Settings(sensors=sensors, live=live)
+        port = closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
+        settings = Settings(sensor=SensorSettings(port=port.path), live=live)
         started_s = time.monotonic()
         daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
         closing.callback(daemon.stop)
@@ -137,12 +127,11 @@ def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> 
         idle_percent = _cpu_percent(daemon.process.pid, QUIET_S - 2.0)
         time.sleep(2.0)
         touching_percent = _cpu_percent(daemon.process.pid, touch_s)
-        for port in ports.values():
-            port.wait(START_S)
+        port.wait(START_S)
         memory_mb = _peak_memory_mb(daemon.process.pid)
         daemon.stop()
         reader.join()
-    latencies_ms = _latencies_ms({name: port.sent_s for name, port in ports.items()}, received)
+    latencies_ms = _latencies_ms(port.sent_s, received)
     answers = [event for event, *_ in received if isinstance(event, Prediction)]
     inner_ms = [event.latency_ms for event in answers]
     speed, classified = _classify(stream)
@@ -157,7 +146,7 @@ def measure(touch_s: float, live: LiveSettings | None = None, pads: int = 1) -> 
         memory_mb=memory_mb,
         start_to_ready_s=start_to_ready_s,
         classify_times_real_time=speed,
-        same_predictions=all(_stages(answers, name) == _stages(classified, DEFAULT_PAD) for name in ports),
+        same_predictions=_stages(answers) == _stages(classified),
     )
 
 
@@ -178,26 +167,25 @@ def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
         received.append((decode(line), *read_s))
 
 
-def _stages(events: Sequence[Event], pad: str) -> list[tuple[object, ...]]:
-    """Return the answers to a pad's touches, without what differs between two playbacks."""
-    answers = [event for event in events if isinstance(event, Prediction) and event.pad == pad]
+def _stages(events: Sequence[Event]) -> list[tuple[object, ...]]:
+    """Return the answers, without what differs between two playbacks."""
+    answers = [event for event in events if isinstance(event, Prediction)]
     return [(said.stage, said.gesture, said.changed, said.told, said.degraded) for said in answers]
 
 
-def _latencies_ms(sent_s: Mapping[str, NDArray[np.float64]], received: Sequence[Received]) -> list[float]:
+def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
     """Return, for each answer, the time from writing the frame that made it due to reading its line.
 
-    sent_s: (T,) when each frame was written, of each pad. The event gives its frame: it says when it was
-    handed over and how long after its frame.
+    sent_s: (T,) when each frame was written. The event gives its frame: it says when it was handed over and
+    how long after its frame.
     """
     latencies_ms = []
     for event, read_s, read_epoch_s in received:
         if isinstance(event, Prediction):
             since_hand_over_s = read_epoch_s - epoch_s(event.time)
             frame_s = read_s - since_hand_over_s - event.latency_ms / 1000
-            sent = sent_s[event.pad]
-            frame = int(np.searchsorted(sent, frame_s + STAMP_S)) - 1
-            latencies_ms.append(1000 * (read_s - float(sent[frame])))
+            frame = int(np.searchsorted(sent_s, frame_s + STAMP_S)) - 1
+            latencies_ms.append(1000 * (read_s - float(sent_s[frame])))
     return latencies_ms
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, suppress
@@ -18,7 +17,7 @@ from touchd.daemon.config import ConfigError, SceneSettings, Settings
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN, Event
 from touchd.daemon.kept.touch_sink import TouchSink
-from touchd.daemon.pipeline import BEHIND_FRAMES, Pipeline, Viewers
+from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
 from touchd.daemon.sinks import JournalSink, RobotSink, Sink
 from touchd.drivers.frame import COLUMNS, ROWS
@@ -33,9 +32,6 @@ if typing.TYPE_CHECKING:
 
 Emit = Callable[[Event], None]
 
-# Pads that are touched at once catch up at once: fewer frames at a time, so that each time is short.
-BEHIND_OF_SEVERAL_FRAMES = 9
-
 
 class Pad:
     """One pad: its reader, the queue that this fills, and the pipeline that empties it.
@@ -43,7 +39,6 @@ class Pad:
     settings: those of this pad. make_pipeline: makes its pipeline, perhaps from the one before.
     arrived: set whenever something waits in the queue.
     before: the same pad under the previous settings; its queue is kept, and its reader if the port stays.
-    catch_up_s: when its pipeline should catch up, `time.monotonic()`.
     """
 
     def __init__(
@@ -61,7 +56,6 @@ class Pad:
         self.model_file = model_file(settings)
         self._make_pipeline = make_pipeline
         self.pipeline = make_pipeline()
-        self.catch_up_s = math.inf
         self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
         self.watch: PadWatch = before.watch if before else PadWatch(name)
         sensor = settings.sensor
@@ -107,7 +101,6 @@ class Parts:
         if before is None or settings.sensor.port != before.settings.sensor.port:
             check_pad(settings)
         models = load_models(settings, pads_before)
-        behind_frames = BEHIND_OF_SEVERAL_FRAMES if len(settings.pads) > 1 else BEHIND_FRAMES
         # Also those of pads that are gone: one may come back.
         self._touch_numbers: dict[str, Iterator[int]] = before._touch_numbers if before else {}
         self.pads: dict[str, Pad] = {
@@ -122,7 +115,6 @@ class Parts:
                     emit,
                     pad=name,
                     viewers=viewers,
-                    behind_frames=behind_frames,
                     first_index=number,
                     numbers=self._touch_numbers.setdefault(name, itertools.count(1)),
                 ),

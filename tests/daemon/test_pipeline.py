@@ -16,7 +16,6 @@ from rigs.scripted_model import LABELS, Scripted
 
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.pad.steps import work_off
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
 from touchd.daemon.touch import TouchSettings
@@ -116,7 +115,7 @@ def test_a_prediction_says_everything_a_listener_needs() -> None:
     ("scans", "expected"),
     [
         pytest.param([palm(3.0)], [EARLY, REVISED, FINAL], id="long"),
-        pytest.param([palm(0.5), nothing(2.0)], [("released", 27)], id="short"),
+        pytest.param([palm(0.45), nothing(2.0)], [("released", 24)], id="short"),
         pytest.param([palm(1.2), nothing(2.0)], [EARLY, ("released", 65)], id="the second one deferred"),
         pytest.param([palm(40 / 54), nothing(41 / 54), palm(2.0)], [REVISED, FINAL], id="overtaken"),
         pytest.param([pat(3.0)], [EARLY, REVISED, FINAL], id="a pat and its lift-offs"),
@@ -146,27 +145,23 @@ def test_without_a_touch_the_model_only_glances() -> None:
     assert bench.model.asked == bench.model.stepped == []
 
 
-def test_catching_up_leaves_one_frame_at_a_mark() -> None:
+def test_the_model_is_given_frames_as_they_come_so_few_are_left_at_a_mark() -> None:
     bench = Bench()
-    for pressure in np.concatenate([palm(4.0), nothing(2.0)]):
-        bench.feel(pressure[None])
-        work_off([bench.pipeline.catch_up()])
+    bench.feel(palm(4.0), nothing(2.0))
     lengths = [len(window) for window in bench.model.stepped]
-    assert lengths == [27, 52, 53, 54, 79, 80, 81, 108, 135, 142, 143, 144]
+    assert lengths == list(range(9, 145, 9))
 
 
-def test_pads_touched_at_once_are_answered_in_one_run() -> None:
-    model, alone, emitted = Counting(), Bench(), list[Event]()
+def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
+    model, alone, emitted = Scripted(), Bench(), list[Event]()
     pads = [
         Pipeline(PipelineSettings(), model, emitted.append, STOPPED, pad=name, first_index=number)
         for number, name in enumerate("abc")
     ]
     spoken = alone.feel(palm(3.5))
     for number, counts in enumerate(alone.sent):
-        frame = Frame(number, round(number * 1000 / 54), 99.998, counts)
-        work_off([*(pad.take(frame) for pad in pads), *(pad.catch_up() for pad in pads)])
-    assert model.together
-    assert set(model.together) == {3}
+        for pad in pads:
+            pad.on_frame(Frame(number, round(number * 1000 / 54), 99.998, counts))
     for name in "abc":
         assert [
             msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in emitted if event.pad == name
@@ -239,20 +234,6 @@ def test_a_lasting_change_of_gesture_is_told() -> None:
     assert answered(events) == [EARLY, REVISED, FINAL, ("ongoing", 40)]
     assert predictions(events)[-1].elapsed_s == 3.667
     assert [end.gesture for end in ended(events)] == ["rub"]
-
-
-class Counting(Scripted):
-    """Records the number of touches in each batch."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.together: list[int] = []
-
-    def steps(
-        self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
-    ) -> list[tuple[NDArray[np.float64], State]]:
-        self.together.append(len(frames))
-        return super().steps(frames, states)
 
 
 class Wavering(Scripted):

@@ -1,6 +1,6 @@
 """A model with scripted answers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +37,6 @@ class Scripted:
         so_far = frames if state is None else np.concatenate([state["counts"], frames])
         self.stepped.append(so_far)
         return self.answer(), {"counts": so_far}
-
-    def steps(
-        self, frames: Sequence[NDArray[np.float32]], states: Sequence[State | None]
-    ) -> list[tuple[NDArray[np.float64], State]]:
-        return [self.step(*each) for each in zip(frames, states, strict=True)]
 
     def answer(self) -> NDArray[np.float64]:
         gesture = self._gesture(len(self.asked))
