@@ -18,7 +18,7 @@ from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
 from touchd.drivers.pad.grid import RingSettings
 from touchd.drivers.paths import written_out
-from touchd.drivers.robot.actions import ActionRule, Words
+from touchd.drivers.robot.reactions import ActionRule, Words
 from touchd.drivers.robot.settings import RobotSettings
 
 RENAMED = {"touch": {"onset_level": "onset_threshold", "release_level": "release_threshold"}}
@@ -77,7 +77,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene for the pipeline, and what the robot does in it: see `touchd.drivers.robot.actions`."""
+    """A scene for the pipeline, and what the robot does in it: see `touchd.drivers.robot.reactions`."""
 
     actions: tuple[ActionRule, ...] = ()
 

@@ -26,7 +26,7 @@ from touchd.daemon.events import (
 from touchd.daemon.kept.journal import Journal
 from touchd.drivers.queue import DroppingQueue
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.reactions import RobotMessage
 
 log = logging.getLogger(__name__)
 

@@ -7,8 +7,8 @@ from abc import abstractmethod
 
 from touchd.daemon.events import Event, kind_of
 from touchd.daemon.sinks import QueuedSink
-from touchd.drivers.backoff import Backoff
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 
 # One second of frames; more would only delay events.

@@ -23,7 +23,7 @@ from touchd.daemon.bridges.bridge import Bridge, arrival_s
 from touchd.daemon.bridges.settings import Ros2Settings
 from touchd.daemon.events import Event, Prediction, encode
 from touchd.daemon.live.address import own_addresses
-from touchd.drivers.backoff import Backoff
+from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 BYTES_PER_TAXEL = 2

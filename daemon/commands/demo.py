@@ -35,9 +35,8 @@ from touchd.drivers.fakes.services import Call
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Stream, read_recordings, splice
-from touchd.drivers.robot.actions import Action, ActionRule, Leds
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import qi_installed
+from touchd.drivers.robot.link import RobotLink, qi_installed
+from touchd.drivers.robot.reactions import Action, ActionRule, Leds
 from touchd.drivers.robot.settings import RobotSettings
 
 # The recording lasts 37 s; whatever goes wrong, the demo ends within a minute.

@@ -30,8 +30,7 @@ from touchd.drivers.pad.diagnosis import (
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.robot.session import RobotError
-from touchd.drivers.robot.settings import RobotSettings, read_login
+from touchd.drivers.robot.settings import RobotError, RobotSettings, read_login
 from touchd.drivers.whole_file import whole_file
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.

@@ -12,9 +12,8 @@ from touchd.daemon.doctor.check import Check
 from touchd.daemon.setup.parts import load_model
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.paths import PathError
-from touchd.drivers.robot.limits import RobotLimits
-from touchd.drivers.robot.session import QiSession, RobotError, RobotLost, RobotRefused
-from touchd.drivers.robot.settings import RobotSettings, read_login
+from touchd.drivers.robot.link import QiSession, RobotLost, RobotRefused
+from touchd.drivers.robot.settings import RobotError, RobotLimits, RobotSettings, read_login
 from touchd.model.classifier import ModelError
 
 UNIT = "touchd"

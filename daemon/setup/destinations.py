@@ -18,10 +18,8 @@ from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import encode_frame
 from touchd.drivers.pad.port import at_baud
 from touchd.drivers.recording import RecordingError
-from touchd.drivers.robot.actions import Kind
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.message import RobotMessage
-from touchd.drivers.robot.worker import LinkState
+from touchd.drivers.robot.link import LinkState, RobotLink
+from touchd.drivers.robot.reactions import Kind, RobotMessage
 from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:

@@ -5,7 +5,7 @@ from typing import Literal, TypeAlias
 
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN
-from touchd.drivers.robot.actions import Words
+from touchd.drivers.robot.reactions import Words
 
 Language: TypeAlias = Literal["en", "de"]
 Vocabulary: TypeAlias = Mapping[str, Words]

@@ -19,8 +19,8 @@ import msgspec
 from touchd.drivers.fakes.loopback_gate import Gate
 from touchd.drivers.fakes.services import SERVICE_NAMES, Call, fake_services
 from touchd.drivers.numbers import within
-from touchd.drivers.robot.session import Login, RobotError, load_qi
-from touchd.drivers.robot.settings import RobotSettings, read_login
+from touchd.drivers.robot.link import load_qi
+from touchd.drivers.robot.settings import Login, RobotError, RobotSettings, read_login
 
 LONGEST_S = 9999.0
 

@@ -14,7 +14,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
-from touchd.drivers.robot.session import Login, RobotError
+from touchd.drivers.robot.settings import Login, RobotError
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,8 @@ from typing import IO
 import msgspec
 
 from touchd.drivers.fakes.services import Call
-from touchd.drivers.robot.session import RobotError, load_qi
+from touchd.drivers.robot.link import load_qi
+from touchd.drivers.robot.settings import RobotError
 
 START_S = 20.0
 

@@ -4,7 +4,7 @@ import logging
 import threading
 import time
 
-from touchd.drivers.backoff import Backoff
+from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.diagnosis import RECENT_BYTES, diagnose
 from touchd.drivers.pad.line_watch import LineWatch

@@ -1,27 +1,165 @@
-"""From an answer to what the robot does about it, and the doing of it."""
+"""What the robot does about an answer: the configured rules, and which of them an answer sets off.
 
-import logging
+Nothing here needs a robot. The rules in the configuration:
+
+actions:
+  - gestures: [stroke, rub]            # left out: any gesture
+    stages: [final, released]          # left out: whenever the answer is news
+    do:                                # in this order
+      - leds: {color: green, fade_s: 0.2}
+      - say: "That was {phrase}, I am {confidence} percent sure"
+    refractory_s: 5                    # left out: 0
+  - gestures: [tickle]
+    changed: true                      # only when the robot was told something else in this touch
+    do:
+      - animated_say: "Oh, that was a tickle!"
+      - behavior: animations/Stand/Emotions/Positive/Laugh_1
+"""
+
 import math
+import re
+import string
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from threading import Event
+from typing import Annotated, Literal, TypeAlias
 
-from touchd.drivers.robot.actions import UNCERTAIN, Action, ActionRule, Kind, Words, spoken
-from touchd.drivers.robot.limits import RobotLimits
-from touchd.drivers.robot.message import RobotMessage
-from touchd.drivers.robot.session import RobotLost, RobotRefused, RobotSession
-from touchd.drivers.robot.worker import RobotWorker
+import msgspec
 
-log = logging.getLogger(__name__)
+from touchd.drivers.frame import DEFAULT_PAD
 
+# The daemon has the same names in a type of its own; drivers import nothing above them.
+Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
+UNCERTAIN = "uncertain"
+Measure: TypeAlias = Literal[
+    "duration_s", "peak", "mean", "area", "row", "column", "path", "down", "right", "rhythm_hz"
+]
+# Not a NaN, which no measure is above or below.
+Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+
+COLORS = {
+    "white": 0xFFFFFF,
+    "red": 0xFF0000,
+    "green": 0x00FF00,
+    "blue": 0x0000FF,
+    "yellow": 0xFFFF00,
+    "magenta": 0xFF00FF,
+    "cyan": 0x00FFFF,
+    "off": 0x000000,
+}
 # Touches that may go on at once, with room to spare.
 MOST_TOUCHES = 64
+PLACEHOLDERS = {"gesture", "name", "phrase", "confidence"}
+
+Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+Kind: TypeAlias = Literal["say", "animated_say", "behavior", "leds"]
+Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
+
+
+@dataclass(frozen=True, slots=True)
+class RobotMessage:
+    """One answer to what a touch was.
+
+    gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
+    stage: early, revised, final, released, ongoing or uncertain.
+    touch: number of the touch on its pad since the daemon started. sequence: number of the message.
+    pad: where it was. feel: what the touch was like so far, by the names in `touchd.daemon.pad.feel`.
+    """
+
+    gesture: str
+    confidence: float
+    time_s: float
+    stage: str
+    touch: int
+    sequence: int
+    pad: str = DEFAULT_PAD
+    feel: Mapping[str, float | None] = field(default_factory=dict)
+
+
+class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What a gesture is called ("pat"), and how it is spoken of ("a pat")."""
+
+    name: Name
+    phrase: Name
+
+
+class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fade a group of lights to a colour. color: a name of COLORS or "#rrggbb". fade_s: seconds it takes."""
+
+    color: str
+    group: Name = "FaceLeds"
+    fade_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.3
+
+    def __post_init__(self) -> None:
+        if self.color not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.color):
+            raise ValueError(f"color {self.color!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
+
+    @property
+    def rgb(self) -> int:
+        """The colour as 0xRRGGBB, as ALLeds takes it."""
+        return COLORS[self.color] if self.color in COLORS else int(self.color[1:], 16)
+
+
+class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """One thing the robot does: exactly one of these is set.
+
+    say: speak. animated_say: speak and move along. Both may hold {gesture} (the model's label), {name} and
+    {phrase} (see Words), and {confidence} (whole percent).
+    behavior: an installed behaviour, run to its end. leds: lights.
+    """
+
+    say: Speech | None = None
+    animated_say: Speech | None = None
+    behavior: Name | None = None
+    leds: Leds | None = None
+
+    def __post_init__(self) -> None:
+        kinds = self.__struct_fields__
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"an action is exactly one of {', '.join(kinds)}; here: {', '.join(given) or 'none'}"
+            )
+        for template in (self.say, self.animated_say):
+            if template is not None:
+                _check_placeholders(template)
+
+
+class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When the robot does what.
+
+    do: the actions, in order.
+    gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
+    stages: the stages that this is for, whether the robot is told the answer then or has heard it before.
+    Empty means any stage at which the answer is news: the first of its touch, or another than the last.
+    Either way an answer sets a rule off once in a touch: [final, released] acts once on what each settles on.
+    changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
+    with changed: true if any fits, and only otherwise those without.
+    above, below: only for a touch of which a measure is at least, or below, so much: docs/events.md.
+    refractory_s: how long the rule rests after it was set off, in seconds.
+    """
+
+    do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]
+    gestures: tuple[Name, ...] = ()
+    stages: tuple[Stage, ...] = ()
+    changed: bool = False
+    above: dict[Measure, Finite] = {}
+    below: dict[Measure, Finite] = {}
+    refractory_s: Seconds = 0.0
+
+    def __post_init__(self) -> None:
+        is_told_only = set(self.stages) == {UNCERTAIN} and UNCERTAIN not in self.gestures
+        is_meant_only = set(self.gestures) == {UNCERTAIN} and self.stages and UNCERTAIN not in self.stages
+        if is_told_only or is_meant_only:
+            raise ValueError(
+                f"such a rule never acts: {UNCERTAIN} is told at stage {UNCERTAIN}; name it in both"
+            )
 
 
 @dataclass
-class _Heard:
-    """What the robot has heard of a touch, and the rules that this answer has set off."""
+class _Reported:
+    """The answer that the robot was last sent for a touch, and the rules that this answer has set off."""
 
     gesture: str | None = None
     rules: set[int] = field(default_factory=set)
@@ -36,89 +174,37 @@ class Reaction:
 
 
 class Reactions:
-    """Chooses the rules that an answer sets off; remembers what the last touches were taken for."""
+    """Chooses the rules that an answer sets off; remembers the last answer of each recent touch."""
 
     def __init__(self, rules: Sequence[ActionRule]) -> None:
         self._rules = tuple(rules)
         self._ready_s = [float("-inf")] * len(self._rules)
-        self._heard: OrderedDict[int, _Heard] = OrderedDict()
+        self._reported: OrderedDict[int, _Reported] = OrderedDict()
 
     def choose(self, message: RobotMessage, now_s: float, *, is_told: bool = True) -> Reaction | None:
         """Return what to do about an answer, None for nothing. now_s: any clock that never goes back.
 
-        is_told: the robot is told this answer now. One that it is not told counts only as the settled word on
-        what it has heard already.
+        is_told: whether the robot is sent this answer. One that is not sent counts only where it confirms the
+        answer sent before, at another stage.
         """
-        heard = self._heard.setdefault(message.touch, _Heard())
-        if len(self._heard) > MOST_TOUCHES:
-            self._heard.popitem(last=False)
-        before = heard.gesture
+        last = self._reported.setdefault(message.touch, _Reported())
+        if len(self._reported) > MOST_TOUCHES:
+            self._reported.popitem(last=False)
+        before = last.gesture
         news = message.gesture != before
         if news and not is_told:
             return None
         if news:
-            heard.gesture, heard.rules = message.gesture, set()
+            last.gesture, last.rules = message.gesture, set()
         fitting = {index: rule for index, rule in enumerate(self._rules) if _fits(rule, message, news)}
         is_change = news and before is not None and any(rule.changed for rule in fitting.values())
         actions: list[Action] = []
         for index, rule in fitting.items():
-            if rule.changed == is_change and now_s >= self._ready_s[index] and index not in heard.rules:
+            if rule.changed == is_change and now_s >= self._ready_s[index] and index not in last.rules:
                 self._ready_s[index] = now_s + rule.refractory_s
-                heard.rules.add(index)
+                last.rules.add(index)
                 actions += rule.do
         return Reaction(message, tuple(actions)) if actions else None
-
-
-class ReactionWorker(RobotWorker[Reaction]):
-    """Carries reactions out, one action after the other, each to its end.
-
-    words: of the gestures, for speech. on_act: told which action begins, and with which words or name.
-    """
-
-    def __init__(
-        self,
-        words: Mapping[str, Words],
-        on_act: Callable[[RobotMessage, Kind, str], None],
-        open_session: Callable[[Event], RobotSession],
-        limits: RobotLimits,
-    ) -> None:
-        # Whether the robot comes or goes is told by the worker that raises events.
-        super().__init__("touchd-robot-actions", open_session, limits)
-        self._words = words
-        self._on_act = on_act
-
-    def handle(self, session: RobotSession, item: Reaction) -> None:
-        """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""
-        refused: list[RobotRefused] = []
-        for left, action in zip(range(len(item.actions) - 1, -1, -1), item.actions, strict=True):
-            try:
-                self._perform(session, action, item.message)
-            except RobotRefused as error:
-                refused.append(error)
-            except RobotLost as lost:
-                log.warning("an action is given up, with %d after it: %s", left, lost)
-                raise
-        if refused:
-            raise RobotRefused("; ".join(map(str, refused)))
-
-    def _perform(self, session: RobotSession, action: Action, message: RobotMessage) -> None:
-        """Have the robot do one action and wait for its end; raises RobotLost or RobotRefused."""
-
-        def call(kind: Kind, what: str, service: str, method: str, *arguments: object) -> None:
-            self._on_act(message, kind, what)
-            session.call(service, method, *arguments, limit_s=self._limits.action_s)
-
-        if action.say is not None:
-            words = spoken(action.say, message.gesture, message.confidence, self._words)
-            call("say", words, "ALTextToSpeech", "say", words)
-        elif action.animated_say is not None:
-            words = spoken(action.animated_say, message.gesture, message.confidence, self._words)
-            call("animated_say", words, "ALAnimatedSpeech", "say", words)
-        elif action.behavior is not None:
-            call("behavior", action.behavior, "ALBehaviorManager", "runBehavior", action.behavior)
-        elif action.leds is not None:
-            leds = action.leds
-            call("leds", leds.color, "ALLeds", "fadeRGB", leds.group, leds.rgb, leds.fade_s)
 
 
 def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:
@@ -128,3 +214,24 @@ def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:
     is_like = all(felt.get(measure, -math.inf) >= least for measure, least in rule.above.items())
     is_like &= all(felt.get(measure, math.inf) < most for measure, most in rule.below.items())
     return named and is_like and (message.stage in rule.stages if rule.stages else news)
+
+
+def spoken(template: str, gesture: str, confidence: float, words: Mapping[str, Words]) -> str:
+    """Fill in the gesture, its words where it has any, and the confidence (0 to 1) in whole percent."""
+    called = words.get(gesture) or Words(name=gesture, phrase=gesture)
+    return template.format(
+        gesture=gesture, name=called.name, phrase=called.phrase, confidence=round(100 * confidence)
+    )
+
+
+def _check_placeholders(template: str) -> None:
+    try:
+        parts = list(string.Formatter().parse(template))
+    except ValueError as error:
+        raise ValueError(f"{template!r}: {error}; write {{{{ for a brace") from error
+    for _, name, form, conversion in parts:
+        if name is not None and (name not in PLACEHOLDERS or form or conversion):
+            raise ValueError(
+                f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, "
+                "nothing else in braces"
+            )

@@ -37,9 +37,7 @@ from touchd.daemon.terminal.terms import term
 from touchd.daemon.terminal.view import View
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import read_recordings, splice
-from touchd.drivers.robot.actions import spoken
-from touchd.drivers.robot.message import RobotMessage
-from touchd.drivers.robot.reactions import Reactions
+from touchd.drivers.robot.reactions import Reactions, RobotMessage, spoken
 from touchd.drivers.robot.settings import RobotSettings
 
 # The page goes grey when frames stop.

@@ -24,8 +24,8 @@ from dataclasses import dataclass
 from rigs.robots import GESTURE, Robot, States, linked, message
 
 from touchd.daemon.commands.run import favour_latency
-from touchd.drivers.robot.actions import Action, ActionRule
 from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.reactions import Action, ActionRule
 
 # Far more often than answers come, so that calls meet the worker in every phase.
 EVERY_S = 0.005

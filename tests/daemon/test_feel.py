@@ -11,9 +11,7 @@ from touchd.daemon.events import Event, Prediction, TouchEnded
 from touchd.daemon.pad.feel import Feel
 from touchd.daemon.pipeline import Pipeline, PipelineSettings
 from touchd.drivers.frame import Frame
-from touchd.drivers.robot.actions import Action, ActionRule
-from touchd.drivers.robot.message import RobotMessage
-from touchd.drivers.robot.reactions import Reactions
+from touchd.drivers.robot.reactions import Action, ActionRule, Reactions, RobotMessage
 
 RATE_HZ = 54
 

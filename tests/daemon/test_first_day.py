@@ -33,8 +33,8 @@ from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.extras import how_to_install
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame
-from touchd.drivers.robot.actions import Action, ActionRule
-from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.reactions import Action, ActionRule
+from touchd.drivers.robot.settings import RobotLimits
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "systemd" / "touchd.example.yaml"

@@ -46,8 +46,8 @@ from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.drivers.robot.actions import ActionRule
 from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.reactions import ActionRule
 from touchd.drivers.robot.settings import RobotSettings
 from touchd.model.classifier import SHIPPED_MODEL
 

@@ -23,7 +23,7 @@ from touchd.daemon.events import Event, RobotAction, SensorEvent, decode, encode
 from touchd.daemon.kept.journal import PAGE_BYTES, Journal, JournalError
 from touchd.daemon.sinks import EventFanout, JournalSink, LinesSink, QueuedSink, RobotSink
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.message import RobotMessage
+from touchd.drivers.robot.reactions import RobotMessage
 
 
 @pytest.fixture

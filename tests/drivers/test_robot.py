@@ -11,11 +11,9 @@ import pytest
 from rigs.robots import DETAIL, GESTURE, SAY, STATUS, Robot, linked, message
 
 from touchd.drivers.fakes import fake_robot
-from touchd.drivers.robot.actions import Action, ActionRule, Leds
-from touchd.drivers.robot.limits import RobotLimits
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import QiSession, RobotError, RobotRefused
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.link import QiSession, RobotLink, RobotRefused
+from touchd.drivers.robot.reactions import Action, ActionRule, Leds
+from touchd.drivers.robot.settings import RobotError, RobotLimits, RobotSettings
 
 
 # Starting a process takes longer than most of the tests that talk to it.

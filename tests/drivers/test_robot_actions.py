@@ -8,9 +8,8 @@ import yaml
 from rigs.robots import message
 
 from touchd.daemon.setup.words import Language, vocabulary
-from touchd.drivers.robot import actions as robot_actions
-from touchd.drivers.robot.actions import Action, ActionRule, Words, spoken
-from touchd.drivers.robot.reactions import MOST_TOUCHES, Reactions
+from touchd.drivers.robot import reactions
+from touchd.drivers.robot.reactions import MOST_TOUCHES, Action, ActionRule, Reactions, Words, spoken
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -28,7 +27,7 @@ def done(chosen: Reactions, *args: Any, now_s: float = 0.0, **other: Any) -> lis
 
 
 def test_the_example_in_the_documentation_is_valid() -> None:
-    example = robot_actions.__doc__
+    example = reactions.__doc__
     assert example is not None
     first, second = msgspec.convert(yaml.safe_load(example.partition("\n\n")[2])["actions"], Rules)
     assert first.do[0].leds is not None

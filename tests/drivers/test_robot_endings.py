@@ -12,7 +12,7 @@ from rigs.programs import ran
 from rigs.robots import IMPATIENT, LOGIN, SAY, Robot, link_threads, linked, needs_qi_and_openssl, reach
 from rigs.wait import AT_ONCE_S
 
-from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.robot.settings import RobotLimits
 
 
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])

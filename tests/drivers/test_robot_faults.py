@@ -17,11 +17,9 @@ from rigs.robots import GESTURE, IMPATIENT, LOGIN, SAY, STATUS, Robot, States, h
 from rigs.wait import AT_ONCE_S, wait_for
 
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.robot.actions import Action, ActionRule
-from touchd.drivers.robot.limits import RobotLimits
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import RobotLost, RobotSession
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.link import RobotLink, RobotLost, RobotSession
+from touchd.drivers.robot.reactions import Action, ActionRule
+from touchd.drivers.robot.settings import RobotLimits, RobotSettings
 
 
 def test_a_kill_during_a_call_is_survived() -> None:
@@ -109,7 +107,7 @@ def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
 SPEAKER = """
 import sys, time
 from touchd.drivers.fakes.services import fake_services
-from touchd.drivers.robot.session import load_qi
+from touchd.drivers.robot.link import load_qi
 session = load_qi().Session()
 session.connect(sys.argv[1])
 session.listen("tcp://127.0.0.1:0")
@@ -235,7 +233,20 @@ def test_an_absent_robot_is_one_warning(caplog: pytest.LogCaptureFixture) -> Non
         states.wait_for("down", "up")
     lines = [(record.levelname, record.getMessage()) for record in caplog.records]
     assert [level for level, _ in lines] == ["WARNING", "INFO"]
-    assert "up again after " in lines[1][1]
+    assert "is up again (after " in lines[1][1]
+
+
+def test_a_robot_that_comes_and_goes_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    limits = RobotLimits(backoff_first_s=0.001, backoff_cap_s=0.001)
+    robot = StubRobot()
+    with linked(robot, limits=limits) as (_, states):
+        for times in range(1, 6):
+            states.wait_for(*["down", "up"] * (times - 1), "down")
+            robot.start()
+            states.wait_for(*["down", "up"] * times)
+            robot.kill()
+    assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
 
 
 def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixture) -> None:

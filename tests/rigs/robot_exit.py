@@ -11,8 +11,7 @@ from rigs.wait import AT_ONCE_S
 
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import Login
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.settings import Login, RobotSettings
 
 
 def main(state: str) -> int:

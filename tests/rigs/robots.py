@@ -18,12 +18,9 @@ from rigs.wait import WITHIN_S
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.actions import Action, ActionRule
-from touchd.drivers.robot.limits import RobotLimits
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.message import RobotMessage
-from touchd.drivers.robot.session import Login, qi_installed
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.link import RobotLink, qi_installed
+from touchd.drivers.robot.reactions import Action, ActionRule, RobotMessage
+from touchd.drivers.robot.settings import Login, RobotLimits, RobotSettings
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 needs_qi_and_openssl = pytest.mark.skipif(

@@ -1,10 +1,12 @@
-"""Retries back off while a peer is missing, and start again quickly after it was there."""
+"""Retries back off while a peer is missing; a fault that flaps is logged ever less often."""
 
+import logging
 import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from rigs.formats import encode_fabric_grid
 from rigs.made_events import touch
@@ -13,10 +15,10 @@ from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
 from rigs.wait import wait_for
 
-from touchd.drivers.backoff import Backoff
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.robot.limits import RobotLimits
+from touchd.drivers.faults import FORGOTTEN_S, LASTS_S, Backoff, FaultLog
+from touchd.drivers.robot.settings import RobotLimits
 
 Paused = Callable[[str], list[float]]
 
@@ -68,7 +70,7 @@ def test_a_missing_pad_is_retried_at_the_cap_a_lost_one_quickly(tmp_path: Path, 
 
 
 def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
-    pauses = paused("touchd.drivers.robot.worker")
+    pauses = paused("touchd.drivers.robot.link")
     robot = StubRobot()
     with linked(robot, limits=RobotLimits(backoff_first_s=0.02)) as (_, states):
         wait_for(lambda: pauses[-1:] > [0.1])
@@ -91,3 +93,42 @@ def test_a_bridge_retries_a_lost_peer_quickly(tmp_path: Path, paused: Paused) ->
         pauses.clear()
         peer.stop()
         assert first(pauses) <= 0.1
+
+
+def lines(caplog: pytest.LogCaptureFixture, *lasting_s: tuple[float, float]) -> list[str]:
+    """Return what is logged of a fault that lasts in these spans of seconds, noted four times a second."""
+    caplog.set_level(logging.INFO)
+    faults, now_s = FaultLog(logging.getLogger("test"), "pad: "), 0.0
+    for begin_s, end_s in lasting_s:
+        now_s = begin_s
+        while now_s < end_s:
+            faults.begin("down", "gone", now_s)
+            now_s += 0.25
+        faults.end("down", "back", end_s)
+    return [f"{record.levelname} {record.message}" for record in caplog.records]
+
+
+def test_a_fault_is_logged_as_it_begins_and_as_it_ends(caplog: pytest.LogCaptureFixture) -> None:
+    assert lines(caplog, (5.0, 9.0)) == ["WARNING pad: gone", "INFO pad: back (after 4.0 s)"]
+
+
+def test_a_fault_that_comes_back_soon_is_logged_once_it_lasts(caplog: pytest.LogCaptureFixture) -> None:
+    assert len(lines(caplog, (0, 1), (20, 20 + LASTS_S), (100, 101))) == 2
+    caplog.clear()
+    assert len(lines(caplog, (0, 1), (20, 21 + LASTS_S), (100, 101))) == 4
+
+
+def test_a_fault_that_was_away_for_long_is_a_new_one(caplog: pytest.LogCaptureFixture) -> None:
+    assert len(lines(caplog, (0, 1), (2 + FORGOTTEN_S, 3 + FORGOTTEN_S))) == 4
+
+
+@pytest.mark.parametrize("lasts_s", [0.5, 4.0, 30.0, 300.0])
+def test_an_hour_of_flapping_is_a_few_lines(caplog: pytest.LogCaptureFixture, lasts_s: float) -> None:
+    spans = [(float(at), at + lasts_s) for at in np.arange(0.0, 3600.0, 2 * lasts_s)]
+    assert len(lines(caplog, *spans)) <= 24
+
+
+def test_a_fault_that_never_ends_for_long_is_logged_again(caplog: pytest.LogCaptureFixture) -> None:
+    gone = [line for line in lines(caplog, *((at, at + 0.75) for at in range(60))) if "gone" in line]
+    # At first, and after 10 and 20 seconds more.
+    assert len(gone) == 3
