@@ -16,12 +16,11 @@ from touchd.daemon.touch import TouchSettings
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
-from touchd.drivers.pad.grid import RingSettings
 from touchd.drivers.paths import written_out
 from touchd.drivers.robot.reactions import ActionRule, Words
 from touchd.drivers.robot.settings import RobotSettings
 
-RENAMED = {"touch": {"onset_level": "onset_threshold", "release_level": "release_threshold"}}
+RENAMED = {"touch": {"onset_level": "onset_threshold"}}
 
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
@@ -134,7 +133,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     sensor: SensorSettings = SensorSettings()
     sensors: dict[str, PadSettings] = {}
     model: str | None = None
-    ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
     scene: SceneSettings = SceneSettings()
     robot: RobotSettings | None = None
@@ -193,9 +191,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def pipeline(self) -> PipelineSettings:
-        return PipelineSettings(
-            ring=self.ring, touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm
-        )
+        return PipelineSettings(touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm)
 
 
 def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:

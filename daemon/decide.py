@@ -23,11 +23,11 @@ EARLIEST_FRAMES = 9
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
-Sure: TypeAlias = Literal["eager", "balanced", "careful"]
+Sure: TypeAlias = Literal["eager", "balanced"]
 
 # The confidence from which an answer is sure one second into a touch; more is asked of one that comes
 # earlier, for the later it is, the less waiting helps (docs/decision.md).
-SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7, "careful": 0.75}
+SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7}
 SURE_FALLS = 0.2
 
 

@@ -32,7 +32,7 @@ from touchd.daemon.pad.held import LEFT_ANYHOW_FRAMES
 from touchd.daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
-from touchd.drivers.pad.grid import GridFrame, Ring, RingSettings
+from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
 from touchd.drivers.pad.sensor_state import SensorState
 from touchd.model.classifier import Classifier, State
 
@@ -69,7 +69,6 @@ Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Everything between a frame and an event. size_mm: of the 8x8 taxels, height and width."""
 
-    ring: RingSettings = RingSettings()
     touch: TouchSettings = TouchSettings()
     decision: DecisionSettings = DecisionSettings()
     size_mm: tuple[float, float] | None = None
@@ -147,9 +146,7 @@ class Pipeline:
         self._tracker: TouchTracker = TouchTracker(
             settings.touch, self._no_touch, before._tracker if before else None
         )
-        self._ring: Ring = Ring(
-            settings.ring, _history_frames(settings), before._ring if before else None, first_index
-        )
+        self._ring: Ring = Ring(_history_frames(settings), before._ring if before else None, first_index)
         self._numbers: Iterator[int] = before._numbers if before else numbers or itertools.count(1)
         self._size_mm = settings.size_mm
         self._is_disturbed: bool = before._is_disturbed if before else False
@@ -157,7 +154,7 @@ class Pipeline:
         self._loose_lines: tuple[str, ...] = before._loose_lines if before else ()
         self._touch: Touch | None = None
         self._age: Age = before._age if before else Age()
-        self._feeling: Feeling = Feeling(settings.ring.max_gap_s, before._feeling if before else None)
+        self._feeling: Feeling = Feeling(before._feeling if before else None)
 
     @property
     def has_touch(self) -> bool:
@@ -386,5 +383,5 @@ def _as_sent(frame: GridFrame) -> int:
 
 def _history_frames(settings: PipelineSettings) -> int:
     """Return the frames to keep: the longest window, and a quiet and a bridged gap after it."""
-    spare_frames = round((settings.touch.quiet_s + settings.ring.max_gap_s + 2) * FRAME_RATE_HZ)
+    spare_frames = round((settings.touch.quiet_s + MAX_GAP_S + 2) * FRAME_RATE_HZ)
     return settings.decision.answer_at_frames[-1] + CALIBRATION_FRAMES + LEFT_ANYHOW_FRAMES + spare_frames

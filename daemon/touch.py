@@ -32,6 +32,12 @@ SMOOTH_FRAMES = 3
 CALIBRATION_FRAMES = 27
 # Up to this threshold the network may begin a touch that has too little contact.
 NOTICED_COUNTS = 4.0
+# Contact below which the pad is quiet, in the same counts.
+RELEASE_COUNTS = 4.0
+# A load that has kept still for ten seconds is the pad's new rest.
+SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
+# A touch that goes on for ten minutes is ended, and what lies on the pad is its new rest.
+LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 # A pad silent for longer, or restarted, may have been moved or changed: it is calibrated anew.
 CHANGED_AFTER_MS = 2000.0
 
@@ -65,24 +71,11 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     onset_threshold: contact that begins a touch, in counts summed over the pad above each taxel's noise
         floor; lower notices lighter touches and raises more false alarms. Above the default, none begins
         because the network sees it.
-    release_threshold: contact below which the pad is quiet, in the same counts.
     quiet_s: a touch ends after this much quiet; longer than the lift-off between two strokes. Seconds.
-    settled_s: a load that has kept still for this long is taken for the pad's new rest. Seconds.
-    longest_s: a touch that goes on for longer is ended, and what lies on the pad is its new rest. Seconds.
     """
 
     onset_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = NOTICED_COUNTS
-    release_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = 4.0
     quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
-    settled_s: Annotated[float, msgspec.Meta(ge=5, le=3600)] = 10.0
-    longest_s: Annotated[float, msgspec.Meta(ge=5, le=86_400)] = 600.0
-
-    def __post_init__(self) -> None:
-        if self.release_threshold > self.onset_threshold:
-            raise ValueError(
-                f"release_threshold {self.release_threshold} is above onset_threshold "
-                f"{self.onset_threshold}; set it to {self.onset_threshold} or less too"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +124,7 @@ class TouchTracker:
         self._sight = Sight(no_touch)
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
-        self._settled_frames = round(settings.settled_s * FRAME_RATE_HZ)
-        self._longest_frames = round(settings.longest_s * FRAME_RATE_HZ)
+        self._release_counts = min(settings.onset_threshold, RELEASE_COUNTS)
 
     @property
     def baseline(self) -> Baseline:
@@ -274,7 +266,7 @@ class TouchTracker:
 
     def _hold(self, smooth: Taxels, held: HeldTouch) -> Release | None:
         above = np.maximum(smooth - self._baseline.counts - self._baseline.noise_floor, 0)
-        if float(above.sum()) >= max(self._settings.release_threshold, self._restless):
+        if float(above.sum()) >= max(self._release_counts, self._restless):
             held.touched(self._index, self._sight)
         elif (quiet_frames := self._index - held.last) >= self._quiet_frames:
             # About the quiet alone, where `quiet_s` is short.
@@ -282,7 +274,7 @@ class TouchTracker:
             if len(asked) < LEAST_ASKED_FRAMES or not self._sight.sees_touch(asked, NO_TOUCH_STILL):
                 return self._end("released")
             held.last = self._index - self._quiet_frames + ASK_FRAMES
-        if self._index - held.first >= self._longest_frames:
+        if self._index - held.first >= LONGEST_FRAMES:
             return self._take_for_rest(held, "longest")
         if self._is_time_to_look and self._index - held.first >= SECOND_FRAMES:
             return self._look_for_end(held)
@@ -295,7 +287,7 @@ class TouchTracker:
         is_quiet = held.last < self._index and self._quiet_frames > SECOND_FRAMES
         if not is_quiet and held.is_over(self._recent, self._sight):
             return self._take_for_rest(held, "released")
-        return self._take_for_rest(held, "settled") if held.still_frames >= self._settled_frames else None
+        return self._take_for_rest(held, "settled") if held.still_frames >= SETTLED_FRAMES else None
 
     def _take_for_rest(self, held: HeldTouch, reason: EndReason) -> Release | None:
         """End the touch, and take the current readings as rest."""

@@ -47,7 +47,7 @@ def check_rest(heard: Heard, settings: Settings) -> Check:
 
 def check_quiet(heard: Heard, settings: Settings) -> Check:
     """Report whether the daemon would have felt a touch."""
-    ring, tracker = Ring(settings.ring, 1), TouchTracker(settings.touch)
+    ring, tracker = Ring(1), TouchTracker(settings.touch)
     laid = (laid for frame in heard.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from touchd.daemon.touch import CALIBRATION_FRAMES
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
-from touchd.drivers.pad.grid import GridFrame
+from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame
 
 # A frame that arrives later than the one before by more than this, by the pad's clock, was held up.
 HELD_UP_S = 0.1
@@ -56,14 +56,13 @@ class Age:
 class Feeling:
     """Whether frames come close enough together, by the pad's clock, for touches to be felt."""
 
-    def __init__(self, max_gap_s: float, before: "Feeling | None" = None) -> None:
+    def __init__(self, before: "Feeling | None" = None) -> None:
         self._frames: deque[Frame] = deque(maxlen=CALIBRATION_FRAMES)
         self._without_gap = 0
         self._since_s: float | None = None
         self._is_degraded = False
         if before:
             vars(self).update(vars(before))
-        self._max_gap_s = max_gap_s
 
     def update(self, frame: Frame, restarted: bool) -> str | None:
         """Take a frame, and whether the grid restarted with it; return what changed, None for nothing.
@@ -86,7 +85,7 @@ class Feeling:
 
     def forget(self) -> None:
         """The pad went away."""
-        self.__init__(self._max_gap_s)  # type: ignore[misc]
+        self.__init__()  # type: ignore[misc]
 
     def _why(self) -> str:
         first, last = self._frames[0], self._frames[-1]
@@ -100,7 +99,7 @@ class Feeling:
                 "no touch can be felt: the pad's clock goes back and forth; do frames overtake one another "
                 "on the way, or do two boards send there?"
             )
-        if rate_hz > 1.0 / self._max_gap_s:
+        if rate_hz > 1.0 / MAX_GAP_S:
             # By how many milliseconds the clock advances in a second.
             if not 500 < step_ms * rate_hz < 2000:
                 return (
@@ -113,5 +112,5 @@ class Feeling:
             )
         return (
             f"no touch can be felt: {rate_hz:.1f} frames a second come, and more than "
-            f"{1.0 / self._max_gap_s:.0f} are needed, best {FRAME_RATE_HZ:.0f}"
+            f"{1.0 / MAX_GAP_S:.0f} are needed, best {FRAME_RATE_HZ:.0f}"
         )

@@ -11,7 +11,7 @@ from touchd.daemon.config import Settings
 from touchd.daemon.recorder.session import Setting
 from touchd.daemon.touch import Onset, Release, TouchTracker
 from touchd.drivers.frame import CLOCK_MODULUS, Frame
-from touchd.drivers.pad.grid import Ring, RingSettings
+from touchd.drivers.pad.grid import MAX_GAP_S, Ring
 from touchd.drivers.pad.health import PadHealth
 from touchd.drivers.pad.line_watch import CLOCK_OFF
 from touchd.drivers.pad.pace import clock_by_ours, clock_ms, pace_of
@@ -23,7 +23,7 @@ SILENCE_S = 2.5
 RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
-LEAST_RATE_HZ = 1.0 / RingSettings().max_gap_s
+LEAST_RATE_HZ = 1.0 / MAX_GAP_S
 NO_FRAME = "no frame comes: is the pad plugged in, and does it run?"
 
 
@@ -115,7 +115,7 @@ class Contact:
     """Tracks whether a hand is on the pad; the first frames must be of a pad at rest."""
 
     def __init__(self, settings: Settings) -> None:
-        self._ring = Ring(settings.ring, 1)
+        self._ring = Ring(1)
         self._tracker = TouchTracker(settings.touch)
         self._touched = False
 

@@ -9,7 +9,6 @@ model learned on single scans and their noise.
 from collections import deque
 from dataclasses import replace
 from itertools import islice
-from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -27,18 +26,11 @@ PHASE_GAIN = 0.2
 IN_STEP_FRAMES = 27
 # Frames further apart than this have one missing between them, at 50 to 60 Hz.
 LOST_MS = 1.75 * PERIOD_MS
+# The longest gap bridged by interpolation, which marks the touch degraded; a longer one ends it.
+MAX_GAP_S = 0.15
+MAX_GAP_MS = 1000 * MAX_GAP_S
 # A clock that runs back by less is a frame that comes late; by more, the sensor has restarted.
 LATE_MS = 1000
-
-
-class RingSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How lost frames are treated.
-
-    max_gap_s: lost frames are bridged by interpolation up to this long (the touch is marked degraded);
-        a longer gap ends the touch. Seconds.
-    """
-
-    max_gap_s: Annotated[float, msgspec.Meta(ge=0.05, le=1.0)] = 0.15
 
 
 class GridFrame(msgspec.Struct, frozen=True, eq=False):
@@ -62,12 +54,10 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
 class Ring:
     """The last `capacity` grid frames; bounded, whatever comes in.
 
-    before: a ring that this one goes on from, by other settings.
+    before: a ring that this one goes on from.
     """
 
-    def __init__(
-        self, settings: RingSettings, capacity: int, before: "Ring | None" = None, first_index: int = 0
-    ) -> None:
+    def __init__(self, capacity: int, before: "Ring | None" = None, first_index: int = 0) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
         self._next_index = first_index
         self._sensor_ms: int | None = None
@@ -80,7 +70,6 @@ class Ring:
         self._vibration = Vibration()
         if before is not None:
             vars(self).update(vars(before), _history=deque(before._history, maxlen=capacity))
-        self._max_gap_ms = settings.max_gap_s * 1000.0
 
     def push(self, frame: Frame) -> list[GridFrame]:
         """Take the sensor's next frame; return the grid frames that it completes, oldest first.
@@ -95,7 +84,7 @@ class Ring:
         elapsed_ms = (frame.sensor_ms - self._sensor_ms) % CLOCK_MODULUS
         if elapsed_ms > CLOCK_MODULUS - LATE_MS:
             late, self._late = self._late, frame
-            if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_MODULUS <= self._max_gap_ms:
+            if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_MODULUS <= MAX_GAP_MS:
                 return []
             # Two that follow each other are no late frames: the clock itself ran back.
             self._sensor_ms = None
@@ -103,7 +92,7 @@ class Ring:
         self._late = None
         if elapsed_ms == 0:
             return []
-        if elapsed_ms > self._max_gap_ms:
+        if elapsed_ms > MAX_GAP_MS:
             return [self._restart(frame, pressure)]
         now_ms = self._clock_ms + elapsed_ms
         was_in_step = self._in_step >= IN_STEP_FRAMES
@@ -184,7 +173,7 @@ def on_grid(recording: Recording) -> Recording:
 
     Counts become float32, as interpolated frames lie between whole counts.
     """
-    ring = Ring(RingSettings(), capacity=1)
+    ring = Ring(capacity=1)
     stretches: list[list[NDArray[np.float32]]] = []
     for number, (scan, ms) in enumerate(zip(recording.counts, recording.sensor_ms.tolist(), strict=True)):
         for laid in ring.push(Frame(number, ms % CLOCK_MODULUS, 0.0, scan.astype(np.uint16))):

@@ -61,7 +61,7 @@ def test_every_line_of_the_example_can_be_used(tmp_path: Path) -> None:
 
 def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     shown, default = loaded(tmp_path, UNCOMMENTED.split("# null: no robot")[0]), Settings()
-    assert (shown.ring, shown.touch) == (default.ring, default.touch)
+    assert shown.touch == default.touch
     assert shown.sensor.described == default.sensor.described
     assert (shown.sensor.port, shown.sensor.baud) == (default.sensor.port, default.sensor.baud)
     for name in ("answer_at_frames", "speak_above", "revise_margin", "stale_s"):
@@ -138,7 +138,7 @@ def test_a_file_in_another_encoding_is_told_with_its_line(tmp_path: Path) -> Non
         ),
         ("scene: {actions: [{above: {peek: 3}, do: [{say: a}]}]}", "rhythm_hz, not ['peek']"),
         ("scene: {actions: [{above: {peak: .nan}, do: [{say: a}]}]}", "actions.above.peak must be a number"),
-        ("touch: {onset_threshold: 2}", "release_threshold 4.0 is above onset_threshold 2.0; set it to 2.0"),
+        ("touch: {settled_s: 20}", "touch.settled_s is not a setting"),
         ("log_level: loud", "log_level must be debug or info or warning or error, not 'loud'"),
         ("model: null\nmodel: x.onnx", "line 2: model is set twice"),
         ("sensor: [", "line 1, column 10: "),

@@ -20,7 +20,6 @@ from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
 from touchd.daemon.touch import TouchSettings
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
-from touchd.drivers.pad.grid import RingSettings
 from touchd.drivers.pad.sensor_state import SensorState
 from touchd.drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice
 from touchd.model.classifier import Classifier, State
@@ -222,9 +221,9 @@ def test_an_unsure_answer_comes_at_its_mark(unsure: dict[str, float]) -> None:
     assert answered(when_sure(**unsure)) == [EARLY, REVISED, FINAL]
 
 
-def test_a_careful_scene_waits_longer_than_an_eager_one() -> None:
-    eager, balanced, careful = (when_sure(sure=sure)[0].frames for sure in ("eager", "balanced", "careful"))
-    assert eager < balanced < careful < 54
+def test_a_balanced_scene_waits_longer_than_an_eager_one() -> None:
+    eager, balanced = (when_sure(sure=sure)[0].frames for sure in ("eager", "balanced"))
+    assert eager < balanced < 54
 
 
 def test_a_lasting_change_of_gesture_is_told() -> None:
@@ -310,8 +309,8 @@ def test_a_frame_missing_before_the_onset_degrades_the_touch() -> None:
 
 
 def test_an_answer_due_in_a_bridged_gap_is_whole() -> None:
-    bench = Bench(ring=RingSettings(max_gap_s=1.0), touch=TouchSettings(quiet_s=0.1))
-    events = bench.feel(palm(4.0), skip=range(130, 182))
+    bench = Bench(touch=TouchSettings(quiet_s=0.1))
+    events = bench.feel(palm(4.0), skip=range(140, 147))
     assert answered(events) == [EARLY, REVISED, FINAL]
     assert [event.degraded for event in predictions(events)] == [False, False, True]
 
@@ -351,8 +350,8 @@ def test_a_raised_threshold_feels_no_lighter_touch_and_firm_ones_at_once() -> No
 
 
 def test_a_still_load_that_slowly_gives_way_ends_as_a_touch() -> None:
-    bench = Bench(Classifier.load(), touch=TouchSettings(settled_s=60.0))
-    gives_way = palm(25.0, 60.0, trembling=False) * np.exp(-np.arange(25 * 54) / (20 * 54))[:, None, None]
+    bench = Bench(Classifier.load())
+    gives_way = palm(9.0, 60.0, trembling=False) * np.exp(-np.arange(9 * 54) / (5 * 54))[:, None, None]
     events = bench.feel(palm(1.0, 60.0), gives_way.astype(np.float32), nothing(3.0))
     assert [end.reason for end in ended(events)] == ["released"]
 

@@ -36,7 +36,7 @@ from touchd.daemon.sinks import JournalSink, LinesSink, LogSink
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.grid import GridFrame, Ring, RingSettings
+from touchd.drivers.pad.grid import GridFrame, Ring
 from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
 from touchd.drivers.robot.settings import RobotError, RobotSettings, read_login
 from touchd.drivers.whole_file import PARTIAL
@@ -352,7 +352,7 @@ def test_a_pad_that_cannot_be_felt_is_degraded_and_says_why(line: Line, why: str
 
 
 def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
-    ring = Ring(RingSettings(), capacity=1000)
+    ring = Ring(capacity=1000)
     counts = np.zeros((8, 8), np.uint16)
     laid = 0
     for number in range(216):

@@ -12,7 +12,7 @@ from rigs.sensor_rig import next_frames, sensing, stream_of
 
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
-from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring, RingSettings, on_grid
+from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring, on_grid
 from touchd.drivers.recording import Recording, Stream, ideal_clock_ms, read_recordings, write_recordings
 from touchd.model.studies.hand import simulate
 
@@ -40,7 +40,7 @@ def push(ring: Ring, counts: Counts, sensor_ms: Iterable[int]) -> list[GridFrame
 
 
 def new_ring(capacity: int = 600) -> Ring:
-    return Ring(RingSettings(), capacity)
+    return Ring(capacity)
 
 
 @pytest.mark.parametrize(

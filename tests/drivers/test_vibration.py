@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 
 from touchd.drivers.frame import Counts, Frame
-from touchd.drivers.pad.grid import Ring, RingSettings
+from touchd.drivers.pad.grid import Ring
 from touchd.drivers.recording import ideal_clock_ms
 
 MOTOR_WEIGHTS = np.random.default_rng(3).uniform(0.5, 1.5, (8, 8)).astype(np.float32)
@@ -30,7 +30,7 @@ def hand_over_most(seconds: float) -> Scans:
 
 def laid(counts: Counts) -> NDArray[np.float32]:
     """Return the grid's frames (T, 8, 8) for counts at 54 Hz."""
-    ring = Ring(RingSettings(), capacity=1)
+    ring = Ring(capacity=1)
     stamps = ideal_clock_ms(len(counts)).tolist()
     frames = [ring.push(Frame(n, ms, 0.0, counts[n]))[0] for n, ms in enumerate(stamps)]
     return np.stack([frame.pressure for frame in frames])
@@ -121,7 +121,7 @@ def test_a_vibration_that_ended_is_forgotten_in_a_second() -> None:
 
 def test_after_a_gap_the_vibration_is_learned_again() -> None:
     counts = MadePad().counts(hum(324))
-    ring = Ring(RingSettings(), capacity=1)
+    ring = Ring(capacity=1)
     stamps = ideal_clock_ms(324) + np.where(np.arange(324) < 300, 0, 5000)
     frames = [ring.push(Frame(n, int(ms), 0.0, counts[n]))[-1] for n, ms in enumerate(stamps)]
     assert np.array_equal(frames[-1].pressure, counts[-1])

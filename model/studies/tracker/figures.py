@@ -160,9 +160,7 @@ def at_level(
     level: float, cases: Sequence[Case], quiet: Sequence[Recording], default: TouchSettings
 ) -> Noticed:
     """Run one participant's cases and notouch recordings at an onset level."""
-    settings = msgspec.structs.replace(
-        default, onset_threshold=level, release_threshold=min(level, default.release_threshold)
-    )
+    settings = msgspec.structs.replace(default, onset_threshold=level)
     return Noticed(
         [delay(case, settings) for case in cases],
         sum(false_touches(recording.counts.astype(np.float32), settings) for recording in quiet),
