@@ -1,18 +1,23 @@
 """Binary frames: bytes in, frames out, no I/O.
 
 Which frames are intact: read from the left, a window of one frame's length is well-formed when it begins with
-the header, holds no value above full scale and its checksum, if any, is right; the sensor's clock, if any,
-then decides (see `clock.py`). A window refused for any of these is given up by its first byte only, so a true
-frame that begins inside is found. Some damage cannot be detected: the fabric pad's checksum
-sums low bytes only, so a flip in bit 8 or 9 of a value passes.
+the header and its checksum, if any, is right; the sensor's clock, if any, then decides (see `clock.py`).
+Some windows are well-formed only if another header follows them, because lost bytes look the same: those
+with values above full scale and, without a checksum, those in which the header comes again and the first one
+after a gap where the header is short.
+A window that is refused is given up by its first byte only, so a true frame that begins inside is found. Some
+damage cannot be detected: the fabric pad's checksum sums low bytes only, so a flip in the upper byte of a
+value passes.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchd.drivers.pad.format import PadFormat, checksum, decode_cells
+from touchd.drivers.pad.format import PadFormat, Values, checksum, decode_cells
 from touchd.drivers.pad.framing import Damage, Reading
 from touchd.drivers.pad.parser import FrameParser
+
+# A header of as many bytes is hardly ever met among cells.
+LONG_HEADER = 3
 
 
 class BinaryFrames(FrameParser):
@@ -25,13 +30,15 @@ class BinaryFrames(FrameParser):
         super().__init__(described)
         self._header = described.first_bytes
         self._size = described.frame_bytes
-        self._cells_at = len(self._header) + 4 * described.clock
-        self._cells_end = self._size - (described.checksum != "none")
+        self._cells_at = len(self._header) + 4 * described.clock + described.skip
+        self._cells_end = self._size - described.tail - (described.checksum != "none")
         self._position = 0
         # Bytes still to be dropped that belong to a damaged frame already counted.
         self._claimed = 0
         # The window that began one byte before the position was refused: both lie in one run of header bytes.
         self._in_refused_run = False
+        # The window at the position follows a frame directly.
+        self._in_step = False
 
     def _parse(self, data: bytes, host_s: float) -> list[Reading]:
         self._buffer += data
@@ -45,33 +52,45 @@ class BinaryFrames(FrameParser):
     def reset(self) -> None:
         super().reset()
         self._claimed = 0
-        self._in_refused_run = False
+        self._in_refused_run = self._in_step = False
 
     def damage_in(self, window: bytes) -> Damage | None:
         """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
         values = self._sound(window)
         return values if isinstance(values, str) else None
 
-    def values_in(self, window: bytes) -> NDArray[np.uint16]:
+    def values_in(self, window: bytes) -> Values:
         """Return the values (cells,) of a whole window."""
         return decode_cells(self.format, window[self._cells_at : self._cells_end])
 
-    def _sound(self, window: bytes) -> NDArray[np.uint16] | Damage:
+    def _sound(self, window: bytes) -> Values | Damage:
         """Return the values (cells,) of a well-formed window, or what is wrong with it."""
-        described, at = self.format, self._cells_at
-        # Looking at the first value alone is enough, and quick, in a long run of header bytes.
-        first = int.from_bytes(window[at : at + 2], described.order)
-        if described.cell == "u16" and first > described.full_scale:
-            return "bad_value"
+        described = self.format
+        # Quick in a long run of header bytes.
+        if self._header and window.startswith(self._header, self._cells_at):
+            return "bad_framing"
         values = self.values_in(window)
-        if np.maximum.reduce(values) > described.full_scale:
+        if described.cell == "f32" and not np.isfinite(values).all():
             return "bad_value"
         if described.checksum == "none":
-            # Bytes were lost, and the next frame has begun.
-            return "bad_framing" if self._header and window.find(self._header, 1) > 0 else values
+            return values
         body = window[len(self._header) : -1]
         total = int(np.add.reduce(values)) + (self.time_in(window) if described.clock else 0)
         return "bad_checksum" if checksum(described, body, total) != window[-1] else values
+
+    def _is_followed(self, window: bytes, values: Values) -> bool | None:
+        """Whether the next header confirms a window where it has to; None when more bytes are needed."""
+        header = self._header
+        is_sure = self.format.checksum != "none" or (
+            window.find(header, 1) < 0 and (self._in_step or len(header) >= LONG_HEADER)
+        )
+        if not header or (is_sure and np.maximum.reduce(values) <= self.format.full_scale):
+            return True
+        at = self._position + self._size
+        after = self._buffer[at : at + len(header)]
+        if not header.startswith(after):
+            return False
+        return True if after == header else None
 
     def time_in(self, window: bytes) -> int:
         """Return the four bytes after the header of a whole window as its clock."""
@@ -99,6 +118,12 @@ class BinaryFrames(FrameParser):
         if isinstance(values, str):
             self._refuse(values)
             return []
+        is_followed = self._is_followed(window, values)
+        if is_followed is None:
+            return None
+        if not is_followed:
+            self._refuse("bad_framing")
+            return []
         sensor_ms = self.time_in(window) if self.format.clock else None
         if self._header and sensor_ms is not None and not self._clock.is_on_time(sensor_ms):
             hides_another = self._hides_another()
@@ -110,13 +135,13 @@ class BinaryFrames(FrameParser):
         self._position += self._size
         self._claimed = 0
         self._in_refused_run = False
+        self._in_step = True
         return self._judge(sensor_ms, host_s, values)
 
     def _hides_another(self) -> bool | None:
         """Whether a well-formed window begins inside the one at the position, None when it takes more bytes.
 
-        Then the outer one, whose clock jumps, is false: in two true frames running, the header of the second
-        would be a value above full scale in every window that begins inside the first.
+        Then the outer one, whose clock jumps, is false.
         """
         inner = self._position
         while (inner := self._buffer.find(self._header, inner + 1, self._position + self._size)) >= 0:
@@ -140,7 +165,7 @@ class BinaryFrames(FrameParser):
         if count == 0:
             return
         self._position += count
-        self._in_refused_run = False
+        self._in_refused_run = self._in_step = False
         self.counts.bytes_dropped += count
         unexplained = count - self._claimed
         lost = max(0, -(-unexplained // self._size))

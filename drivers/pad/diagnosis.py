@@ -48,11 +48,6 @@ def diagnose(data: bytes, expected: PadFormat) -> tuple[str, str]:
         line = max(data.decode("ascii", "replace").splitlines()[1:-1], key=len, default="").strip()
         return "text", f"text arrives, such as {line[:40]!r}, and no frame of {expected}"
     is_as_expected = found is not None and str(found) == str(expected)
-    if is_as_expected and parser.counts.bad_value >= LEAST_FRAMES:
-        return (
-            "format",
-            f"frames of {expected} arrive, with values above their full_scale {expected.full_scale}",
-        )
     if is_as_expected or parser.counts.duplicates + parser.counts.bad_time >= LEAST_FRAMES:
         return "clock", f"frames of {expected} arrive, but their clock stands still or jumps"
     if found is not None:
@@ -112,7 +107,7 @@ def _plausibility(guess: PadFormat, checksum_tells: bool) -> float:
         + 2 * square
         + 0.5 * (guess.cell == "u16")
         # Guessed only where a line without numbers ends each frame.
-        + 3 * (guess.framing == "rows")
+        + 3 * (guess.framing == "text" and guess.end != "")
         - 0.05 * abs(header - 3)
         # Untouched cells beside the header look like a part of it.
         - 0.2 * guess.first_bytes.count(0)
@@ -139,7 +134,7 @@ def caution(proposed: PadFormat) -> str:
     if proposed in PRESETS.values():
         return ""
     parts = []
-    if proposed.framing != "rows" and proposed.rows != proposed.columns:
+    if not proposed.end and proposed.rows != proposed.columns:
         parts.append(f"{proposed.cells} cells came: how many rows and columns is a guess")
     if proposed.framing != "binary" or proposed.cell != "u8":
         parts.append("full_scale is a guess from the largest value seen: set what a cell can send at most")
@@ -200,13 +195,14 @@ def _texts(data: bytes, numbers: int) -> Iterator[PadFormat]:
         known = [(preset.rows, preset.columns) for preset in PRESETS.values() if preset.cells == cells]
         sides = known[0] if known else _sides(cells) if cells >= LEAST_CELLS else None
         if sides is not None and (known or cells == numbers or sides[0] == sides[1]):
-            yield PadFormat(framing="line", rows=sides[0], columns=sides[1], full_scale=scale)
+            skip = numbers - cells
+            yield PadFormat(framing="text", skip=skip, rows=sides[0], columns=sides[1], full_scale=scale)
     between = [line.strip() for line in lines if not _numbers(line)]
     if between and 4 <= numbers <= 32:
         (end, ends), *_ = Counter(between).most_common(1)
         rows = round(len(rows_of) / ends)
         if 4 <= rows <= 32 and end.isascii():
-            yield PadFormat(framing="rows", rows=rows, columns=numbers, full_scale=scale, end=end.decode())
+            yield PadFormat(framing="text", rows=rows, columns=numbers, full_scale=scale, end=end.decode())
 
 
 def _binaries(data: bytes) -> Iterator[PadFormat]:

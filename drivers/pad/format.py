@@ -10,53 +10,79 @@ from numpy.typing import NDArray
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
-Side = Annotated[int, msgspec.Meta(ge=4, le=64)]
-LONGEST_SIDE = 32
-CELL_BITS = {"u8": 8, "u12": 12, "u16": 16}
+SHORTEST_SIDE, LONGEST_SIDE = 4, 64
+Side = Annotated[int, msgspec.Meta(ge=SHORTEST_SIDE, le=LONGEST_SIDE)]
+Few = Annotated[int, msgspec.Meta(ge=0, le=64)]
+CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
+# The largest value of a cell; a float has none that matters.
+CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
 PLAIN_CELLS = {
     ("u8", "little"): "u1",
     ("u8", "big"): "u1",
     ("u16", "little"): "<u2",
     ("u16", "big"): ">u2",
+    ("i16", "little"): "<i2",
+    ("i16", "big"): ">i2",
+    ("f32", "little"): "<f4",
+    ("f32", "big"): ">f4",
 }
 # The bits of a packed cell in the order in which they come.
 U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
 
 Grid = NDArray[np.float32]
+Values = NDArray[np.generic]
+"""The cells of a frame as sent, in order: unsigned, signed or float."""
 
 
 class FormatError(TouchdError, ValueError):
     """A description contradicts itself; the message says which setting and why."""
 
 
+def _check_hex(name: str, text: str) -> None:
+    """Refuse what is not bytes in hex; white space alone would be no bytes at all."""
+    try:
+        is_empty = not bytes.fromhex(text)
+    except ValueError:
+        is_empty = True
+    if text and is_empty:
+        hint = f"; the text {text!r} is '{text.encode().hex(' ')}'" if text.isascii() else ""
+        raise FormatError(f"{name} {text!r} is not bytes in hex, as in 'aa ab ac'{hint}")
+
+
 class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How a pad's bytes become pressure.
 
-    framing: "line" (text, all cells on a line, perhaps after a clock in ms), "rows" (text, a row a line, and
-    a line with `end` after each frame), or "binary".
+    framing: "text" (numbers in lines) or "binary".
+    rows, columns: the grid as sent. Text may hold a frame in one line, or in several lines of as many numbers
+    each. skip: numbers that lead each line, or bytes between a binary frame's header (and clock) and its
+    cells, that are not cells. tail: numbers or bytes after the cells, unchecked.
+    end: text with which the last line of a frame ends, or a line of its own after each frame. Without it, any
+    line with another count of numbers parts frames.
     header, footer: bytes that begin or end a binary frame, in hex as in "aa ab ac".
-    clock: milliseconds since boot, uint32, follow the header. cell: u8, u16, or u12 (two in three bytes).
-    order: of the bytes in clock and cells. checksum: a last byte: "values" sums the cells and the clock,
-    "sum8" and "xor8" take all bytes after the header.
+    clock: milliseconds since boot, uint32, follow the header. cell: u8, u16, u12 (two in three bytes), i16
+    or f32. order: of the bytes in clock and cells. checksum: a last byte: "values" sums the cells and the
+    clock, "sum8" and "xor8" take all bytes after the header.
     poll: bytes to ask for each frame with, in hex, for a pad that only answers. rate_hz: of the pad.
-    rows, columns: the grid as sent. full_scale: the largest value of a cell. invert: that value means no
-    pressure. crop: cells left out on every side. turn: degrees to turn the pad by, clockwise. mirror: left
-    and right are swapped after that.
+    full_scale: a cell's value under the firmest press; larger values are cut to it, negative ones to 0.
+    invert: full_scale means no pressure. crop: cells left out on every side. turn: degrees to turn the pad
+    by, clockwise. mirror: left and right are swapped after that.
     """
 
-    framing: Literal["line", "rows", "binary"] = "binary"
+    framing: Literal["text", "binary"] = "binary"
     rows: Side = 10
     columns: Side = 10
+    skip: Few = 0
+    tail: Few = 0
+    end: str = ""
     header: str = ""
     footer: str = ""
-    end: str = ""
     clock: bool = False
-    cell: Literal["u8", "u12", "u16"] = "u16"
+    cell: Literal["u8", "u12", "u16", "i16", "f32"] = "u16"
     order: Literal["little", "big"] = "little"
     checksum: Literal["none", "values", "sum8", "xor8"] = "none"
     poll: str = ""
-    rate_hz: Annotated[float, msgspec.Meta(ge=20, le=500)] = FRAME_RATE_HZ
-    full_scale: Annotated[int, msgspec.Meta(ge=1, le=65535)] = MAX_COUNT
+    rate_hz: Annotated[float, msgspec.Meta(ge=10, le=500)] = FRAME_RATE_HZ
+    full_scale: Annotated[float, msgspec.Meta(gt=0, le=4e9)] = MAX_COUNT
     invert: bool = False
     crop: Annotated[int, msgspec.Meta(ge=0, le=28)] = 0
     turn: Literal[0, 90, 180, 270] = 0
@@ -64,24 +90,43 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def __post_init__(self) -> None:
         for name in ("header", "footer", "poll"):
-            try:
-                bytes.fromhex(getattr(self, name))
-            except ValueError:
-                raise FormatError(
-                    f"{name} {getattr(self, name)!r} is not bytes in hex, as in 'aa ab ac'"
-                ) from None
+            _check_hex(name, getattr(self, name))
         left = (self.rows - 2 * self.crop, self.columns - 2 * self.crop)
-        if not all(4 <= side <= LONGEST_SIDE for side in left):
+        if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in left):
             raise FormatError(
                 f"{self.rows}x{self.columns} with crop {self.crop} leaves {left[0]}x{left[1]}; "
-                f"a side of 4 to {LONGEST_SIDE} must be left: change rows, columns or crop"
+                f"a side of {SHORTEST_SIDE} to {LONGEST_SIDE} must be left: change rows, columns or crop"
             )
-        if self.framing == "binary" and not (self.header or self.footer or self.poll):
+        if self.framing == "text":
+            self._check_text()
+        else:
+            self._check_binary()
+
+    def _check_text(self) -> None:
+        for name in ("header", "footer", "clock", "poll"):
+            if getattr(self, name):
+                raise FormatError(
+                    f"{name} is for a binary format; text has rows, columns, skip, tail and end"
+                )
+        if self.cell != "u16" or self.order != "little" or self.checksum != "none":
+            raise FormatError("cell, order and checksum are for a binary format")
+        if self.end != self.end.strip() or not self.end.isprintable():
+            raise FormatError(
+                f"end {self.end!r} can never match: lines are compared without line ends and outer spaces; "
+                "leave it out where a blank line ends a frame"
+            )
+
+    def _check_binary(self) -> None:
+        if self.end:
+            raise FormatError("end is for a text format; a binary one has a footer")
+        if not (self.header or self.footer or self.poll):
             raise FormatError(
                 "a binary format needs a header, a footer or a poll: nothing else tells frames apart"
             )
-        if self.framing == "binary" and self.full_scale >= 1 << CELL_BITS[self.cell]:
-            raise FormatError(f"full_scale {self.full_scale} does not fit into a cell of {self.cell}")
+        if self.tail and self.checksum != "none":
+            raise FormatError("tail and checksum both describe a frame's last bytes: keep one")
+        if self.full_scale > CELL_TOP.get(self.cell, self.full_scale):
+            raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
         alike = (name for name, preset in PRESETS.items() if preset.line == self.line)
@@ -91,7 +136,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def line(self) -> tuple[object, ...]:
         """The line's format, without the grid and its values."""
         cells = (self.cell, self.order, self.checksum, self.poll)
-        return (self.framing, self.header, self.footer, self.end, self.clock, *cells)
+        return (self.framing, self.skip, self.tail, self.end, self.header, self.footer, self.clock, *cells)
 
     @property
     def cells(self) -> int:
@@ -107,15 +152,16 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def frame_bytes(self) -> int:
         """Length of a binary frame."""
         cells = -(-self.cells * CELL_BITS[self.cell] // 8)
-        return len(self.first_bytes) + 4 * self.clock + cells + (self.checksum != "none")
+        around = self.skip + self.tail + (self.checksum != "none")
+        return len(self.first_bytes) + 4 * self.clock + cells + around
 
 
 PRESETS = {
     "fabric-grid": PadFormat(header="ffffffff", clock=True, checksum="values", invert=True, crop=1),
-    "csv": PadFormat(framing="line", invert=True, crop=1),
-    "csv12": PadFormat(framing="line", rows=8, columns=8, full_scale=4095),
-    "muca": PadFormat(framing="line", rows=12, columns=21, full_scale=255),
-    "velostat": PadFormat(framing="rows", rows=8, columns=8),
+    "csv": PadFormat(framing="text", skip=1, invert=True, crop=1),
+    "csv12": PadFormat(framing="text", skip=1, rows=8, columns=8, full_scale=4095),
+    "muca": PadFormat(framing="text", rows=12, columns=21, full_scale=255),
+    "velostat": PadFormat(framing="text", rows=8, columns=8),
     "m1616": PadFormat(header="aaabac", order="big", rows=16, columns=16),
     "itas": PadFormat(poll="41", cell="u8", rows=8, columns=8, full_scale=255),
     "fsr-array": PadFormat(poll="41", rows=8, columns=8),
@@ -142,11 +188,11 @@ class Layout:
         is_plain = self._scale == 1 and np.count_nonzero(self._shares) == ROWS * COLUMNS
         self._cells = self._shares.argmax(axis=1).reshape(ROWS, COLUMNS) if is_plain else None
 
-    def pressure(self, values: NDArray[np.uint16]) -> Counts:
-        """Turn values (cells,) as sent into pressure (8, 8) uint16, read-only."""
+    def pressure(self, values: Values) -> Counts:
+        """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""
         counts: Counts
         if self._cells is not None:
-            counts = values.take(self._cells)
+            counts = values.take(self._cells).astype(np.uint16, copy=False)
             if self._format.invert:
                 counts = MAX_COUNT - counts
         else:
@@ -157,7 +203,7 @@ class Layout:
         counts.flags.writeable = False
         return counts
 
-    def values(self, counts: Counts) -> NDArray[np.uint16]:
+    def values(self, counts: Counts) -> Values:
         """Turn pressure (8, 8) into values (rows, columns) that decode to it; cropped cells are at rest."""
         described = self._format
         turned = np.rot90(counts[:, ::-1] if described.mirror else counts, described.turn // 90)
@@ -166,8 +212,8 @@ class Layout:
         grid = np.pad(turned[np.ix_(*at)], described.crop)
         if described.invert:
             grid = MAX_COUNT - grid
-        values: NDArray[np.uint16] = np.rint(grid * (described.full_scale / MAX_COUNT)).astype(np.uint16)
-        return values
+        values = grid * (described.full_scale / MAX_COUNT)
+        return values if described.cell == "f32" else np.rint(values).astype(np.uint16)
 
 
 @lru_cache(maxsize=32)
@@ -194,23 +240,31 @@ def _resampling(side: int, crop: int, wanted: int) -> Grid:
 
 
 def encode_frame(described: PadFormat, counts: Counts, sensor_ms: int | None) -> bytes:
-    """Return pressure (8, 8) as the pad would send it; sensor_ms: None leaves a line's clock out."""
+    """Return pressure (8, 8) as the pad would send it; sensor_ms: None leaves the clock at 0."""
     return encode_values(described, layout_of(described).values(counts), sensor_ms)
 
 
-def encode_values(described: PadFormat, values: NDArray[np.uint16], sensor_ms: int | None) -> bytes:
-    """Return values (rows, columns) as the pad would send them."""
-    if described.framing == "line":
-        numbers = [*([] if sensor_ms is None else [sensor_ms % 2**32]), *values.ravel().tolist()]
-        return ",".join(map(str, numbers)).encode() + b"\n"
-    if described.framing == "rows":
-        lines = [",".join(map(str, row)) for row in values.tolist()]
-        return "\n".join([*lines, described.end, ""]).encode()
-    time = (sensor_ms or 0) % 2**32 if described.clock else 0
+def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -> bytes:
+    """Return values (rows, columns) as the pad would send them.
+
+    Text has a row in each line where `end` follows the frame, with the row's number as what is skipped; else
+    all cells in one line, after the clock where something is skipped.
+    """
+    time = (sensor_ms or 0) % 2**32
+    if described.framing == "text":
+        lines = values.reshape(-1, described.columns if described.end else described.cells).tolist()
+        firsts = range(len(lines)) if described.end else [time]
+        rest = [0] * (described.skip - 1)
+        after = [0] * described.tail
+        text = [
+            ",".join(f"{number:.10g}" for number in (*[first, *rest][: described.skip], *line, *after))
+            for first, line in zip(firsts, lines, strict=True)
+        ]
+        return "\n".join([*text, *([described.end] if described.end else []), ""]).encode()
     body = time.to_bytes(4, described.order) if described.clock else b""
-    body += encode_cells(described, values.ravel())
+    body += bytes(described.skip) + encode_cells(described, values.ravel()) + bytes(described.tail)
     if described.checksum != "none":
-        body += bytes([checksum(described, body, int(values.sum()) + time)])
+        body += bytes([checksum(described, body, int(values.sum()) + time * described.clock)])
     return bytes.fromhex(described.header) + body + bytes.fromhex(described.footer)
 
 
@@ -224,12 +278,11 @@ def checksum(described: PadFormat, body: bytes, total: int) -> int:
     return sum(body) & 0xFF
 
 
-def decode_cells(described: PadFormat, data: bytes) -> NDArray[np.uint16]:
+def decode_cells(described: PadFormat, data: bytes) -> Values:
     """Return the values (cells,) of a binary frame's cells."""
     if described.cell != "u12":
-        kind = PLAIN_CELLS[described.cell, described.order]
-        plain: NDArray[np.uint16] = np.frombuffer(data, kind).astype(np.uint16, copy=False)
-        return plain
+        sent = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
+        return sent.astype(sent.dtype.newbyteorder("="), copy=False)
     bits = np.unpackbits(np.frombuffer(data, np.uint8), count=12 * described.cells, bitorder=described.order)
     values: NDArray[np.uint16] = (bits.reshape(-1, 12) << U12_BITS[described.order]).sum(
         axis=1, dtype=np.uint16
@@ -237,9 +290,9 @@ def decode_cells(described: PadFormat, data: bytes) -> NDArray[np.uint16]:
     return values
 
 
-def encode_cells(described: PadFormat, values: NDArray[np.uint16]) -> bytes:
+def encode_cells(described: PadFormat, values: Values) -> bytes:
     """Return values (cells,) as a binary frame holds them."""
     if described.cell != "u12":
         return values.astype(PLAIN_CELLS[described.cell, described.order]).tobytes()
-    bits = values[:, None] >> U12_BITS[described.order] & 1
+    bits = values.astype(np.uint16)[:, None] >> U12_BITS[described.order] & 1
     return np.packbits(bits.astype(np.uint8), bitorder=described.order).tobytes()

@@ -14,9 +14,10 @@ class ProtocolCounts:
 
     Damage between two intact frames is counted once or more, a lone damaged frame mostly once.
     frames: delivered. bad_framing: stretches of up to one frame's length in which no frame begins (a broken
-    header, garbage, a malformed line). bad_checksum, bad_value (above full scale), bad_time (disagrees with
-    the sensor's clock): frames refused for that. duplicates: frames that repeat a clock already taken.
-    bytes_dropped: bytes that belong to no well-formed frame.
+    header, garbage, a malformed line). bad_checksum, bad_value (a float that is not a number), bad_time
+    (disagrees with the sensor's clock): frames refused for that. duplicates: frames that repeat a clock
+    already taken. clipped: frames delivered whose values above full scale were cut to it. bytes_dropped:
+    bytes that belong to no well-formed frame.
     """
 
     frames: int = 0
@@ -25,6 +26,7 @@ class ProtocolCounts:
     bad_value: int = 0
     bad_time: int = 0
     duplicates: int = 0
+    clipped: int = 0
     bytes_dropped: int = 0
 
     @property

@@ -13,8 +13,6 @@ log = logging.getLogger(__name__)
 LOOK_S = 10.0
 # One lost frame in fifty is a fault that will grow.
 MANY_SHARE = 0.02
-# A damaged line often breaks the value first looked at, so nearly all must be above the full scale.
-MOSTLY = 0.9
 # A line that is held up moves the clock by less, over LOOK_S.
 CLOCK_OFF = 0.2
 # After as long without a byte the clock may have gone on, or its bytes may be lost.
@@ -30,6 +28,7 @@ class LineWatch:
         self._parser = parser
         self._where = where
         self._before = replace(parser.counts)
+        self._has_told_clipped = False
         self._clock_ms: int | None = None
         self._looked_s = self._heard_s = -math.inf
         self._warned_s = self._clock_warned_s = -math.inf
@@ -49,22 +48,28 @@ class LineWatch:
             return
         if sensor_ms is not None and clock_ms is not None:
             self._check_clock((sensor_ms - clock_ms) % CLOCK_MODULUS / passed_s, now_s)
+        if counts.clipped and not self._has_told_clipped:
+            self._has_told_clipped = True
+            log.warning(
+                "%s: values above full_scale %g are cut to it; set the most that a cell can send in sensor.format",
+                self._where,
+                self._parser.format.full_scale,
+            )
         intact, refused = counts.frames - before.frames, counts.bad - before.bad
         # Where no frame at all is intact, the sensor is down and says why.
         share = refused / (intact + refused) if intact else 0.0
         if share <= MANY_SHARE or now_s - self._warned_s < SAME_TROUBLE_S:
             return
         self._warned_s = now_s
-        if counts.bad_value - before.bad_value >= MOSTLY * refused:
-            why = (
-                f"with values above full_scale {self._parser.format.full_scale}; "
-                "if firm presses do that, set a larger one in sensor.format"
-            )
-        else:
-            why = "damaged on the way; try a shorter cable and another USB port, no hub"
-            if "://" in self._where:
-                why = "damaged on the way; does another board send there too?"
-        log.warning("%s: %.0f %% of the last frames were refused, %s", self._where, 100 * share, why)
+        why = "try a shorter cable and another USB port, no hub"
+        if "://" in self._where:
+            why = "does another board send there too?"
+        log.warning(
+            "%s: %.0f %% of the last frames were refused, damaged on the way; %s",
+            self._where,
+            100 * share,
+            why,
+        )
 
     def forget_clock(self) -> None:
         """Compare no clock with one before: of another pad perhaps, or before a pause."""

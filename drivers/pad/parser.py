@@ -4,11 +4,10 @@ import math
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.clock import ArrivalClock, ClockCheck
-from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.format import PadFormat, Values, layout_of
 from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
 # A pad that has not answered by then is polled again.
@@ -65,10 +64,17 @@ class FrameParser(ABC):
         self._clock.reset()
         self._arrivals.reset()
 
-    def _judge(self, sensor_ms: int | None, host_s: float, values: NDArray[np.uint16]) -> list[Reading]:
-        """Return the readings that a well-formed frame confirms; sensor_ms: None for a pad without a
-        clock."""
+    def _judge(self, sensor_ms: int | None, host_s: float, values: Values) -> list[Reading]:
+        """Return the readings that a well-formed frame confirms.
+
+        sensor_ms: None for a pad without a clock. values: (cells,) as sent; those out of range are cut.
+        """
         self._asked = False
+        if np.maximum.reduce(values) > self.format.full_scale:
+            self.counts.clipped += 1
+            values = np.minimum(values, self.format.full_scale)
+        if values.dtype.kind != "u":
+            values = np.maximum(values, 0)
         pressure = self._layout.pressure(values)
         if sensor_ms is None:
             return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]

@@ -1,12 +1,15 @@
-"""Pads that print: lines of whole numbers, bytes in, frames out, no I/O.
+"""Pads that print: lines with numbers in them, bytes in, frames out, no I/O.
 
-Numbers are separated by commas, semicolons, spaces or tabs; lines end in LF or CR LF. A line has no checksum:
-a digit damaged into another digit goes unnoticed. The first line, or the first frame of rows, after a
-(re)connect may be the second half of one, so it is never used. Whether a line with all cells carries a clock
-is seen from the first whole one; three lines running that say otherwise change it.
+Numbers are numbers: words, labels (`R0:`, `A7`, `Row 4:`), brackets, other punctuation and terminal escapes are
+skipped. Lines end in LF, CR LF or CR. A frame is one line with all cells, or several lines of as many numbers
+each. What parts frames of several lines: a line with another count of numbers (a word, a blank line), a
+row's number that falls, or the text `end`. A frame is delivered only if exactly its lines lie between two
+such places, so a damaged line spoils its own frame alone. A line has no checksum: a digit damaged into another
+digit goes unnoticed. The first line after a (re)connect may be half a line, so it is never used.
 """
 
 import re
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -15,83 +18,172 @@ from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.framing import Reading
 from touchd.drivers.pad.parser import FrameParser
 
-# A number has at most ten digits (the clock); the rest is room for separators and alignment.
-MAX_CHARACTERS_A_NUMBER = 12
-# Python refuses to read a longer number.
-MOST_DIGITS = 4300
-LINES_TO_CHANGE_LAYOUT = 3
-MOST_BLANKS = 8
-BLANK = b"[ \\t\\r]{0,%d}" % MOST_BLANKS
-SEPARATORS_TO_SPACES = bytes.maketrans(b",;", b"  ")
+# Room for a number with its label, separators and alignment, and for words beside the numbers of a line.
+CHARACTERS_A_NUMBER = 24
+CHARACTERS_A_LINE = 256
+# What may stand between plain numbers; a line with anything else is read by TOKEN.
+SEPARATORS = b",;|\t\"'[](){}<>$#!&@/\\~^`?"
+PLAIN = bytes.maketrans(SEPARATORS + b"_nNiI", b" " * len(SEPARATORS) + b"\0" * 5)
+TOKEN = re.compile(
+    rb"""
+      \x1b \[ [0-?]* [ -/]* [@-~] | \x1b .      # what clears the screen or sets a colour
+    | \* [0-9A-Fa-f]{2} \s* $                   # a checksum after an asterisk, as NMEA has it
+    | 0 [xX] (?P<hex> [0-9A-Fa-f]{1,8} ) \b
+    | [A-Za-z_]+ (?P<of_word> \d* ) [A-Za-z_]*  # a word, perhaps with a number: R0, A7
+    | (?P<number> (?: (?<![\d.]) [-+] )? (?: \d+ \.? \d* | \. \d+ ) (?: [eE] [-+]? \d+ )? )
+      [A-Za-z_]* (?P<is_label> ["')\]]? \s* [:=] )?
+    """,
+    re.VERBOSE,
+)
+
+
+def lines_in(text: bytes) -> Iterator[bytes]:
+    """Yield the lines of a text that ends where a line ends; LF CR ends a line as CR LF does."""
+    for piece in (text[:-1] if text.endswith(b"\n") else text).split(b"\n"):
+        inner = piece.strip(b"\r")
+        if b"\r" in inner:
+            yield from filter(None, inner.split(b"\r"))
+        else:
+            yield inner
+
+
+def ended_at(text: bytes) -> int:
+    """Return where the last line that has ended ends; a CR ends a line once something else follows."""
+    return max(text.rfind(b"\n"), text.rstrip(b"\r").rfind(b"\r")) + 1
+
+
+def numbers_in(line: bytes) -> tuple[list[float], int | None]:
+    """Return a line's numbers, and the number in the label that it begins with, if any."""
+    try:
+        return list(map(float, line.translate(PLAIN).split())), None
+    except ValueError:
+        return _numbers_among_words(line)
+
+
+def _numbers_among_words(line: bytes) -> tuple[list[float], int | None]:
+    numbers: list[float] = []
+    label = None
+    for token in TOKEN.finditer(line):
+        if token["number"]:
+            if not token["is_label"]:
+                numbers.append(float(token["number"]))
+            elif not numbers and label is None and token["number"].isdigit():
+                label = int(token["number"][:9])
+        elif token["hex"]:
+            numbers.append(float(int(token["hex"], 16)))
+        elif token["of_word"] and not numbers and label is None:
+            label = int(token["of_word"][:9])
+    return numbers, label
 
 
 class TextFrames(FrameParser):
-    """Parser for lines of numbers; keeps at most 12 characters a number between calls whatever comes in."""
+    """Parser for lines of numbers; keeps a bounded number of bytes a number whatever comes in."""
 
     def __init__(self, described: PadFormat) -> None:
         super().__init__(described)
-        self._is_line = described.framing == "line"
-        end = BLANK + re.escape(described.end.encode()) + BLANK
-        self._end = re.compile(b"\n" if self._is_line else b"\n" + end + b"\n")
-        self._longest = (described.cells + 1) * MAX_CHARACTERS_A_NUMBER
+        self._around = described.skip + described.tail
+        self._longest = CHARACTERS_A_NUMBER * (described.cells + self._around) + CHARACTERS_A_LINE
+        self._end = described.end.encode()
         self._skipping = True
-        self._has_clock: bool | None = None
-        self._lines_of_other_layout = 0
+        # The lines since the last place that parts frames: how many numbers each has, the cells, what led the
+        # last one, and when it came. The first such run may have begun earlier.
+        self._run: list[float] = []
+        self._run_width = 0
+        self._run_leads: Sequence[float] = ()
+        self._run_s = 0.0
+        self._is_first_run = True
 
     def _parse(self, data: bytes, host_s: float) -> list[Reading]:
-        *blocks, self._buffer = self._end.split(self._buffer + data)
+        text = self._buffer + data
+        ended = ended_at(text)
+        self._buffer = text[ended:]
         readings: list[Reading] = []
-        for block in blocks:
+        for line in lines_in(text[:ended]) if ended else ():
             if self._skipping:
                 self._skipping = False
-                self.counts.bytes_dropped += len(block) + 1
+                self.counts.bytes_dropped += len(line) + 1
+            elif len(line) > self._longest:
+                readings += self._give_up(len(line) + 1)
             else:
-                readings += self._block(block, host_s)
-        if len(self._buffer) > self._longest or self._skipping:
-            # The end of a frame of rows may have begun in what is given up.
-            kept = 0 if self._is_line else min(len(self._buffer), len(self.format.end) + 2 * MOST_BLANKS + 1)
-            given_up = len(self._buffer) - kept
-            self._buffer = self._buffer[given_up:]
-            self.counts.bytes_dropped += given_up
-            self.counts.bad_framing += not self._skipping
+                readings += self._line(line, host_s)
+        if self._skipping:
+            self.counts.bytes_dropped += len(self._buffer)
+            self._buffer = b""
+        elif len(self._buffer) > self._longest:
+            readings += self._give_up(len(self._buffer))
+            self._buffer = b""
             self._skipping = True
         return readings
 
     def reset(self) -> None:
         super().reset()
         self._skipping = True
-        self._has_clock = None
-        self._lines_of_other_layout = 0
+        self._begin_run()
+        self._is_first_run = True
 
-    def _block(self, block: bytes, host_s: float) -> list[Reading]:
-        lines = [line.split() for line in block.translate(SEPARATORS_TO_SPACES).split(b"\n")]
-        words = [word for line in lines for word in line]
-        if not words:
-            return []
+    def _give_up(self, length: int) -> list[Reading]:
+        """Refuse a line that is too long to be one of the pad's."""
+        self.counts.refuse("bad_framing", length)
+        return self._end_run()
+
+    def _line(self, line: bytes, host_s: float) -> list[Reading]:
+        numbers, label = numbers_in(line)
         described = self.format
-        if self._is_line:
-            has_clock = len(words) == described.cells + 1
-            right_length = has_clock or len(words) == described.cells
+        count = len(numbers)
+        if count == described.cells + self._around:
+            ended = self._end_run()
+            stop = count - described.tail
+            return ended + self._frame(numbers[described.skip : stop], numbers[: described.skip], host_s)
+        if self._end:
+            return self._line_before_end(line, numbers, host_s)
+        if 2 * count > described.cells + self._around:
+            self.counts.refuse("bad_framing", len(line) + 1)
+            return self._end_run()
+        leads = numbers[: described.skip] if label is None else [label, *numbers[: described.skip]]
+        falls = any(now < before for now, before in zip(leads, self._run_leads, strict=False))
+        ended = self._end_run() if count != self._run_width or falls else []
+        if count > self._around:
+            self._add(numbers, leads, host_s)
         else:
-            has_clock = False
-            right_length = [len(line) for line in lines if line] == [described.columns] * described.rows
-        numeric = all(map(bytes.isdigit, words)) and len(max(words, key=len)) <= MOST_DIGITS
-        if not (right_length and numeric and len(block) <= self._longest and self._follow_layout(has_clock)):
-            self.counts.refuse("bad_framing", len(block) + 1)
-            return []
-        numbers = [int(word) for word in words]
-        values = numbers[1:] if has_clock else numbers
-        if max(values) > described.full_scale or numbers[0] >= CLOCK_MODULUS:
-            self.counts.refuse("bad_value", len(block) + 1)
-            return []
-        return self._judge(numbers[0] if has_clock else None, host_s, np.array(values, dtype=np.uint16))
+            self.counts.bytes_dropped += len(line) + 1 if line else 0
+        return ended
 
-    def _follow_layout(self, has_clock: bool) -> bool:
-        """Whether a line is of the layout followed; after three running that are not, theirs is followed."""
-        if has_clock != self._has_clock and self._has_clock is not None:
-            self._lines_of_other_layout += 1
-            if self._lines_of_other_layout < LINES_TO_CHANGE_LAYOUT:
-                return False
-        self._has_clock = has_clock
-        self._lines_of_other_layout = 0
-        return True
+    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Reading]:
+        """Take a line of a frame that ends with a text; lines without numbers may stand inside it."""
+        if numbers:
+            self._run_width = self._run_width or len(numbers)
+            if len(numbers) == self._run_width:
+                self._add(numbers, [], host_s)
+            else:
+                self._run = [0.0] * (self.format.cells + 1)
+        return self._end_run() if line.rstrip().endswith(self._end) else []
+
+    def _add(self, numbers: list[float], leads: Sequence[float], host_s: float) -> None:
+        self._run_width, self._run_s, self._run_leads = len(numbers), host_s, leads
+        # One line too many is enough to know.
+        if len(self._run) <= self.format.cells:
+            self._run += numbers[self.format.skip : len(numbers) - self.format.tail]
+
+    def _end_run(self) -> list[Reading]:
+        """Close the run of lines before this place; return the frame in it, if it is exactly one."""
+        cells, host_s = self._run, self._run_s
+        if not cells:
+            return []
+        is_broken = not self._is_first_run and self._run_width == self.format.columns + self._around
+        self._begin_run()
+        self._is_first_run = False
+        if len(cells) == self.format.cells:
+            return self._frame(cells, [], host_s)
+        if is_broken:
+            self.counts.refuse("bad_framing")
+        return []
+
+    def _begin_run(self) -> None:
+        self._run = []
+        self._run_width = 0
+        self._run_leads = ()
+
+    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Reading]:
+        clock = skipped[0] if skipped else -1.0
+        is_clock = 0 <= clock < CLOCK_MODULUS and clock == int(clock)
+        return self._judge(int(clock) if is_clock else None, host_s, np.array(cells))

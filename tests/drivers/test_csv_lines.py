@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 import pytest
 from rigs.formats import CsvLines, encode_csv_line
 from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
-from touchd.drivers.pad.diagnosis import diagnose
-from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
 
 
@@ -21,8 +21,8 @@ def lines(numbers: Sequence[int]) -> bytes:
 
 
 def test_lines_without_a_clock_carry_their_arrival_time() -> None:
-    parser = CsvLines()
-    printed = encode_csv_line(counts_of(3), None)
+    parser = parser_of(msgspec.structs.replace(PRESETS["csv"], skip=0))
+    printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]
     parser.feed(printed, 1.0)
     (frame,) = parser.feed(printed, 2.5)
     assert (frame.sensor_ms, frame.host_s) == (2500, 2.5)
@@ -38,17 +38,13 @@ def test_lines_may_use_any_usual_separator_and_line_end(separator: bytes) -> Non
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (b"hello\n", "bad_framing"),
-        (line(2)[:100] + b"\n", "bad_framing"),
+        (line(2)[:300] + b"\n", "bad_framing"),
         (line(2).replace(b",", b",,x", 1), "bad_framing"),
-        (line(2).replace(b",", b",-", 1), "bad_framing"),
         (b"1" + line(2)[:-1] + b"7,9\n", "bad_framing"),
-        (line(2)[:-1] + b"00000\n", "bad_value"),
-        (b"99999999999" + line(2)[4:], "bad_value"),
         (b"9" + line(2), "bad_time"),
-        (b"\xff\xfe\x00\n", "bad_framing"),
         (b"1," * 100_000 + b"1\n", "bad_framing"),
         (line(2).split(b",", 1)[1], "bad_framing"),
+        (line(2)[:-1] + b"1,1\n", "bad_framing"),
     ],
 )
 def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> None:
@@ -58,17 +54,92 @@ def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> N
     assert getattr(parser.counts, reason) == parser.counts.bad == 1
 
 
-def test_a_number_of_thousands_of_digits_is_refused_and_diagnosed() -> None:
-    large = PadFormat(framing="line", rows=32, columns=32)
-    data = (b"0," * 1023 + b"1" * 5000 + b"\n") * 5
-    parser = parser_of(large)
-    assert parser.feed(data, 0.0) == []
-    assert parser.counts.bad_framing == 4
-    assert diagnose(data, large)[0] == "format"
-
-
-def test_a_pad_may_change_its_layout() -> None:
+@pytest.mark.parametrize(
+    "words", [b"hello\n", b"I (123) wifi: rssi=-61\n", b"\xff\xfe\x00\n", line(2)[:100] + b"\n"]
+)
+def test_what_else_the_pad_prints_is_not_damage(words: bytes) -> None:
     parser = CsvLines()
-    parser.feed(lines([0, 1]), 0.0)
-    frames = parser.feed(encode_csv_line(counts_of(5), None) * 5, 9.0)
-    assert [frame.number for frame in frames] == [2, 3, 4]
+    assert_are(parser.feed(lines([0, 1]) + words + line(3), 0.0), [0, 1, 3])
+    assert parser.counts.bad == 0
+
+
+def test_a_number_of_thousands_of_digits_is_cut_like_any_large_one() -> None:
+    parser = parser_of(PadFormat(framing="text", rows=32, columns=32))
+    (frame,) = parser.feed(b"\n" + b"0," * 1023 + b"1" * 5000 + b"\n", 0.0)
+    assert frame.pressure[-1, -1] == 64
+    assert parser.counts.clipped == 1
+
+
+ROWS = [[10 * row + column for column in range(6)] for row in range(5)]
+NUMBERED = [f"{row},{','.join(map(str, cells))}" for row, cells in enumerate(ROWS)]
+
+
+@pytest.mark.parametrize(
+    ("printed", "skip"),
+    [
+        ("\n".join(",".join(map(str, cells)) for cells in ROWS) + "\n\n", 0),
+        ("START\r\n" + "\r\n".join("\t".join(map(str, cells)) for cells in ROWS) + "\r\n", 0),
+        ("FRAME,12\n" + "".join(" ".join(map(str, cells)) + " \n" for cells in ROWS), 0),
+        ("".join(f"Row {row}: {cells}\n" for row, cells in enumerate(ROWS)), 0),
+        ("".join(f"R{row} {cells}\n" for row, cells in enumerate(ROWS)), 0),
+        ("\n".join(NUMBERED) + "\n", 1),
+        ("\r".join(NUMBERED) + "\r", 1),
+        ("".join(f"A{number}: {cell}\r\n" for number, cell in enumerate(sum(ROWS, []))), 0),
+        (f"\x1b[2J\x1b[H{ROWS}\n", 0),
+        ("12:34:05.125 -> " + str(ROWS) + "\r\n", 1),
+        ("".join("x".join(map(str, [f"z{row}", *cells])) + "\r\n" for row, cells in enumerate(ROWS)), 0),
+        ("$" + ",".join(map(str, sum(ROWS, []))) + "*5A\r\n", 0),
+        ("mV " + " ".join(f"{cell}mV" for cell in sum(ROWS, [])) + "\n", 0),
+        (" ".join(f"0x{cell:02X}" for cell in sum(ROWS, [])) + "\n", 0),
+    ],
+    ids=[
+        "blank",
+        "word",
+        "number",
+        "label",
+        "word label",
+        "index",
+        "CR",
+        "a cell a line",
+        "escapes",
+        "time",
+        "letters between",
+        "NMEA",
+        "units",
+        "hex",
+    ],
+)
+def test_numbers_are_numbers_whatever_stands_around_them(printed: str, skip: int) -> None:
+    described = PadFormat(framing="text", rows=5, columns=6, skip=skip)
+    parser = parser_of(described)
+    frames = parser.feed(printed.encode() * 4, 0.0)
+    # The first may have begun earlier; the last of several lines ends where the next begins.
+    assert 2 <= len(frames) <= 4
+    expected = layout_of(described).pressure(np.array(sum(ROWS, []), np.uint16))
+    for frame in frames:
+        np.testing.assert_array_equal(frame.pressure, expected)
+    assert parser.counts.bad == 0
+
+
+def test_a_damaged_line_spoils_its_own_frame_only() -> None:
+    described = PadFormat(framing="text", rows=5, columns=6)
+    frame = "\n".join(",".join(map(str, cells)) for cells in ROWS) + "\n\n"
+    for damaged in (
+        frame.replace("10,11", "1011"),
+        frame.replace("\n", "", 1),
+        frame[:40] + "\n",
+        "x" + frame[20:],
+    ):
+        parser = parser_of(described)
+        assert len(parser.feed((frame * 2 + damaged + frame * 2).encode(), 0.0)) == 3, damaged
+        assert parser.counts.bad >= 1
+    # What is lost across the place that parts two frames spoils both, and makes none of two halves.
+    parser = parser_of(described)
+    assert len(parser.feed((frame * 2 + frame[:40] + frame[20:] + frame * 2).encode(), 0.0)) <= 3
+
+
+def test_blank_lines_may_stand_inside_a_frame_that_has_an_end() -> None:
+    parser = parser_of(PadFormat(framing="text", rows=5, columns=6, end="]]"))
+    frame = str(np.array(ROWS)).replace("\n", "\n\n") + "\n"
+    assert len(parser.feed(frame.encode() * 4, 0.0)) == 3
+    assert parser.counts.bad == 0

@@ -67,14 +67,13 @@ def test_a_stream_joined_midway_begins_with_the_next_frame(cut: int) -> None:
         (flip(packet(2), 0), {"bad_framing": 1}),
         (flip(packet(2), 40), {"bad_time": 1}),
         (flip(packet(2), 64), {"bad_checksum": 1}),
-        (flip(packet(2), 64 + 12), {"bad_value": 1}),
         (flip(packet(2), 64) + flip(packet(3), 0), {"bad_checksum": 1, "bad_framing": 1}),
-        (b"\xff" * 100, {"bad_value": 1}),
+        (b"\xff" * 100, {"bad_framing": 1}),
         (b"\x55" * (3 * SIZE), {"bad_framing": 3}),
-        (packet(2)[:6], {"bad_value": 1}),
+        (packet(2)[:6], {"bad_checksum": 1}),
         (packet(2)[:-1], {"bad_checksum": 1}),
     ],
-    ids=["header", "clock", "checksum", "value", "two", "ff", "garbage", "cut in clock", "cut in checksum"],
+    ids=["header", "clock", "checksum", "two", "ff", "garbage", "cut in clock", "cut in checksum"],
 )
 def test_damage_is_counted_by_kind_and_costs_itself_alone(damaged: bytes, counts: dict[str, int]) -> None:
     parser = FabricGrid()
@@ -99,7 +98,7 @@ def test_a_false_frame_does_not_hide_a_true_one() -> None:
 
 def test_only_an_undetectable_flip_passes() -> None:
     bits = set(range(64, SIZE * 8 - 8)) - set(VISIBLE_VALUE_BITS)
-    assert {(bit - 64) % 16 for bit in bits} == {8, 9}
+    assert {(bit - 64) % 16 // 8 for bit in bits} == {1}
     for bit in sorted(bits)[::20]:
         parser = FabricGrid()
-        assert len(parser.feed(packets([0, 1]) + flip(packet(2), bit), 0.0)) == 3
+        assert len(parser.feed(packets([0, 1]) + flip(packet(2), bit) + packet(3), 0.0)) == 4

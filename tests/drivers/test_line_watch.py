@@ -17,10 +17,9 @@ from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.watch import SAME_TROUBLE_S
 
-SENT = PadFormat(framing="line", rows=8, columns=8, full_scale=4095)
-CONFIGURED = PadFormat(framing="line", rows=8, columns=8, full_scale=1023)
-SET = "with values above full_scale 1023; if firm presses do that, set a larger one in sensor.format"
-FIRM = f"COM3: 22 % of the last frames were refused, {SET}"
+SENT = PadFormat(framing="text", skip=1, rows=8, columns=8, full_scale=4095)
+CONFIGURED = PadFormat(framing="text", skip=1, rows=8, columns=8, full_scale=1023)
+FIRM = "COM3: values above full_scale 1023 are cut to it; set the most that a cell can send in sensor.format"
 MANY = "5 % of the last frames were refused, damaged on the way"
 TRY = "and another USB port, no hub"
 UDP = "udp://0.0.0.0:4000"
@@ -104,25 +103,31 @@ def test_what_a_line_loses_is_told_with_what_to_do(
 
 
 def test_the_same_trouble_is_told_once_in_ten_minutes(caplog: pytest.LogCaptureFixture) -> None:
+    damaged = faulty(flip_bit_every=20)
+    watch(FabricGrid(), damaged, turns=round(SAME_TROUBLE_S / LOOK_S) + 1)
+    assert len(caplog.messages) == 2
+
+
+def test_values_that_are_cut_are_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     watch(parser_of(CONFIGURED), FIRM_PRESSES, turns=round(SAME_TROUBLE_S / LOOK_S) + 1)
-    assert caplog.messages == [FIRM, FIRM]
+    assert caplog.messages == [FIRM]
 
 
 def test_a_line_that_was_mended_is_told_of_no_more(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(line_watch, "SAME_TROUBLE_S", 2 * LOOK_S)
-    watch(parser_of(CONFIGURED), pressed(900, range(120)) + pressed(100, range(120, 2700)), looks=5)
+    watch(FabricGrid(), faulty(flip_bit_every=20)[:120] + faulty()[120:540], looks=5)
     assert len(caplog.messages) == 1
 
 
 def test_frames_that_were_refused_while_the_pad_was_away_are_not_told(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    parser = parser_of(CONFIGURED)
+    parser = FabricGrid()
     watched = LineWatch(parser, "COM3")
     watched.update(0.0)
-    for packet in pressed(900, range(540)):
+    for packet in faulty(flip_bit_every=5):
         parser.feed(packet, 10.0)
     watched.update(3 * LOOK_S)
     assert caplog.messages == []

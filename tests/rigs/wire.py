@@ -12,8 +12,8 @@ from touchd.drivers.pad.parser import FrameParser
 PERIOD_MS = 19
 SIZE = 4 + 4 + 2 * 100 + 1
 TIME_BITS = range(32, 64)
-# Bits 8 and 9 of a value do not enter the checksum and leave it below 1024: no reader can see them flip.
-VISIBLE_VALUE_BITS = [64 + 16 * value + bit for value in range(100) for bit in range(16) if bit not in (8, 9)]
+# The upper byte of a value does not enter the checksum: no reader can see it flip.
+VISIBLE_VALUE_BITS = [64 + 16 * value + bit for value in range(100) for bit in range(8)]
 VISIBLE_BITS = [*range(64), *VISIBLE_VALUE_BITS, *range(SIZE * 8 - 8, SIZE * 8)]
 
 
