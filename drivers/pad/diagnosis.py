@@ -215,7 +215,7 @@ def _binaries(data: bytes) -> Iterator[PadFormat]:
         is_all = times * size >= COMMONLY * (len(data) - 2 * size)
         if times < LEAST_FRAMES - 1 or not is_all or not LEAST_CELLS < size <= LONGEST_FRAME:
             continue
-        for clock, checksum, cell in product((True, False), CHECKSUMS, CELL_BITS):
+        for clock, checksum, cell in product((True, False), CHECKSUMS, ("u8", "u12", "u16")):
             bits = 8 * (size - len(header) - 4 * clock - (checksum != "none"))
             sides = _sides(bits // CELL_BITS[cell]) if bits > 0 and bits % CELL_BITS[cell] == 0 else None
             for order in ORDERS if cell != "u8" or clock else ORDERS[1:]:

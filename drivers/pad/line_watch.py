@@ -51,7 +51,8 @@ class LineWatch:
         if counts.clipped and not self._has_told_clipped:
             self._has_told_clipped = True
             log.warning(
-                "%s: values above full_scale %g are cut to it; set the most that a cell can send in sensor.format",
+                "%s: values above full_scale %g are cut to it; set the most that a cell can send in "
+                "sensor.format",
                 self._where,
                 self._parser.format.full_scale,
             )

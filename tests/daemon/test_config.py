@@ -111,7 +111,7 @@ def test_a_file_in_another_encoding_is_told_with_its_line(tmp_path: Path) -> Non
         ("sensor: {baud: 3}", "sensor.baud must be a whole number >= 1200, not 3"),
         ("sensor: {invert: maybe}", "sensor.invert must be true or false or null, not 'maybe'"),
         ("sensor: {protocol: cvs}", "sensor.protocol must be fabric-grid or csv, not 'cvs'"),
-        ("sensor: {crop: 4}", "10x10 with crop 4 leaves 2x2; a side of 4 to 32 must be left"),
+        ("sensor: {crop: 4}", "10x10 with crop 4 leaves 2x2; a side of 4 to 64 must be left"),
         ("sensor: {format: mucha}", "format 'mucha' is none of fabric-grid, csv,"),
         ("sensor: {format: {framing: binary}}", "needs a header, a footer or a poll"),
         ("sensor: {format: {headr: aa}}", "sensor.format.headr is not a setting; did you mean header?"),

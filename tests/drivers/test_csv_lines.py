@@ -71,6 +71,7 @@ def test_a_number_of_thousands_of_digits_is_cut_like_any_large_one() -> None:
 
 
 ROWS = [[10 * row + column for column in range(6)] for row in range(5)]
+CELLS = [cell for cells in ROWS for cell in cells]
 NUMBERED = [f"{row},{','.join(map(str, cells))}" for row, cells in enumerate(ROWS)]
 
 
@@ -84,13 +85,13 @@ NUMBERED = [f"{row},{','.join(map(str, cells))}" for row, cells in enumerate(ROW
         ("".join(f"R{row} {cells}\n" for row, cells in enumerate(ROWS)), 0),
         ("\n".join(NUMBERED) + "\n", 1),
         ("\r".join(NUMBERED) + "\r", 1),
-        ("".join(f"A{number}: {cell}\r\n" for number, cell in enumerate(sum(ROWS, []))), 0),
+        ("".join(f"A{number}: {cell}\r\n" for number, cell in enumerate(CELLS)), 0),
         (f"\x1b[2J\x1b[H{ROWS}\n", 0),
         ("12:34:05.125 -> " + str(ROWS) + "\r\n", 1),
         ("".join("x".join(map(str, [f"z{row}", *cells])) + "\r\n" for row, cells in enumerate(ROWS)), 0),
-        ("$" + ",".join(map(str, sum(ROWS, []))) + "*5A\r\n", 0),
-        ("mV " + " ".join(f"{cell}mV" for cell in sum(ROWS, [])) + "\n", 0),
-        (" ".join(f"0x{cell:02X}" for cell in sum(ROWS, [])) + "\n", 0),
+        ("$" + ",".join(map(str, CELLS)) + "*5A\r\n", 0),
+        ("mV " + " ".join(f"{cell}mV" for cell in CELLS) + "\n", 0),
+        (" ".join(f"0x{cell:02X}" for cell in CELLS) + "\n", 0),
     ],
     ids=[
         "blank",
@@ -115,7 +116,7 @@ def test_numbers_are_numbers_whatever_stands_around_them(printed: str, skip: int
     frames = parser.feed(printed.encode() * 4, 0.0)
     # The first may have begun earlier; the last of several lines ends where the next begins.
     assert 2 <= len(frames) <= 4
-    expected = layout_of(described).pressure(np.array(sum(ROWS, []), np.uint16))
+    expected = layout_of(described).pressure(np.array(CELLS, np.uint16))
     for frame in frames:
         np.testing.assert_array_equal(frame.pressure, expected)
     assert parser.counts.bad == 0

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from rigs.wire import counts_of
 
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.diagnosis import as_yaml, propose
 from touchd.drivers.pad.format import (
     PRESETS,
     FormatError,
@@ -283,38 +282,3 @@ def test_a_pad_is_turned_then_mirrored() -> None:
 def test_a_description_that_contradicts_itself_is_refused(fields: dict[str, object], message: str) -> None:
     with pytest.raises(FormatError, match=message):
         PadFormat(**fields)  # type: ignore[arg-type]
-
-
-def moving(described: PadFormat, count: int = 40) -> bytes:
-    """Return frames of a pad with a little noise, pressed in every fourth."""
-    rng = np.random.default_rng(3)
-    frames = []
-    for number in range(count):
-        values = rng.integers(0, max(2, described.full_scale // 80), (described.rows, described.columns))
-        if number % 4 == 0:
-            values[1:3, 1:3] += rng.integers(
-                described.full_scale // 3, described.full_scale * 9 // 10, (2, 2)
-            )
-        if described.invert:
-            values = described.full_scale - values
-        frames.append(encode_values(described, values.astype(np.uint16), 7000 + 18 * number))
-    return b"".join(frames)[len(frames[0]) // 3 :]
-
-
-@every_stream
-def test_an_unknown_pad_is_described_from_its_bytes(described: PadFormat) -> None:
-    proposed = propose(moving(described))
-    assert proposed is not None
-    data = moving(described)
-    wanted, got = parser_of(described), parser_of(proposed)
-    theirs, ours = wanted.feed(data, 0.0), got.feed(data, 0.0)
-    assert len(ours) >= len(theirs) - 1
-    assert (proposed.rows, proposed.columns) == (described.rows, described.columns)
-    assert "\n" not in as_yaml(proposed)
-
-
-@pytest.mark.parametrize(
-    "data", [np.random.default_rng(0).bytes(6000), b"\xff" * 4000, b"\x00" * 4000, b"hello\n" * 99, b""]
-)
-def test_noise_is_no_pad(data: bytes) -> None:
-    assert propose(data) is None
