@@ -1,1 +1,1 @@
-"""The studies behind the pages in docs/: `python -m touchd.model.studies`, from the repository."""
+"""The studies behind the tables in docs/: `python -m touchd.model.studies` lists them."""

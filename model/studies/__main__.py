@@ -1,4 +1,7 @@
-"""Entry point of every study: `python -m touchd.model.studies NAME`, from the repository's root."""
+"""Entry point of every study: `python -m touchd.model.studies NAME`, from the repository's root.
+
+A study that measures a page's table fills it in and keeps the figures in `stored`.
+"""
 
 import importlib
 import sys
@@ -13,15 +16,15 @@ STUDIES = {
     "evaluate": ("training.commands:evaluate", "scores the shipped model beside the paper's figures"),
     "stability": ("training.commands:stability", "checks a model's arithmetic on hard cases"),
     "seeds": ("studies.seeds", "scores the recipe with three seeds"),
-    "accuracy": ("studies.accuracy", "fills docs/accuracy.md from the stored scores"),
-    "challenge": ("studies.challenge.table", "reimplements the challenge's systems: the paper's table 1"),
-    "paper": ("studies.paper", "trains the paper's network: its tables 2 and 3"),
-    "speed": ("studies.speed", "times one answer, ours and others', against its error"),
-    "decision": ("studies.decision", "how early and how often the robot is told the right answer"),
-    "adapting": ("studies.adapting", "what adapting to a person gains and costs"),
-    "tracker": ("studies.tracker.report", "how well touches are detected"),
-    "sessions": ("studies.sessions.report", "what the robot is told of a pad in use, touch after touch"),
-    "joined": ("studies.sessions.joined", "what the robot is told of two gestures without a pause"),
+    "accuracy": ("studies.accuracy", "accuracy.md: the stored scores as tables and figures"),
+    "challenge": ("studies.challenge.table", "report.md: the challenge's systems, the paper's table 1"),
+    "paper": ("studies.paper", "report.md: the paper's network, its tables 2 and 3"),
+    "speed": ("studies.speed", "speed.md: the time of one answer, ours and others'"),
+    "decision": ("studies.decision", "decision.md: how early the robot is told, and how often rightly"),
+    "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
+    "tracker": ("studies.tracker.report", "touch.md: how well touches are detected"),
+    "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
+    "joined": ("studies.sessions.joined", "sessions.md: two gestures without a pause"),
 }
 
 

@@ -9,8 +9,7 @@ these answers.
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from itertools import pairwise, product, takewhile
+from itertools import pairwise, product
 from pathlib import Path
 
 import msgspec
@@ -24,7 +23,6 @@ from touchd.daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettin
 from touchd.daemon.events import Stage
 from touchd.daemon.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
-from touchd.drivers.recording import NO_TOUCH
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, State
 from touchd.model.studies.checks.evaluate import Split
 from touchd.model.studies.folders import study_parser
@@ -73,13 +71,6 @@ class Streams:
     participants: NDArray[np.str_]
     labels: tuple[str, ...]
 
-    @cached_property
-    def named(self) -> NDArray[np.float32]:
-        """The probabilities with "notouch", which is never told, set to zero."""
-        named: NDArray[np.float32] = self.probabilities.copy()
-        named[:, :, self.labels.index(NO_TOUCH)] = 0.0
-        return named
-
 
 @dataclass(frozen=True)
 class Told:
@@ -98,10 +89,9 @@ class Told:
         return any(before and not after for before, after in pairwise(self.right))
 
     @property
-    def settled_s(self) -> float | None:
-        """When the first right answer that stayed was told; None if the last was wrong."""
-        stayed = [at_s for _, at_s, _ in takewhile(lambda answer: answer[2], reversed(self.answers))]
-        return stayed[-1] if stayed else None
+    def settled(self) -> bool:
+        """Whether the last answer was right."""
+        return self.right[-1:] == [True]
 
 
 class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -136,15 +126,13 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
-    """What `scene.early` and `scene.sure` cost. first: the first answer told; settled: the last, if right."""
+    """What `scene.early` and `scene.sure` cost. first: of the first answer told; right: of the last."""
 
     early: str
     sure: str
     first_mean_s: float
-    first_median_s: float
     first_right: float
     right: float
-    settled_mean_s: float
     harmed: float
 
 
@@ -234,12 +222,12 @@ def figures_of(streams: Streams) -> StudyFigures:
 
 
 def stage_figures(streams: Streams, stage: Stage, frames: int) -> StageFigures:
-    """Return accuracy and calibration error of the network's answers after so many frames."""
-    said = streams.probabilities[:, frames - 1].astype(np.float64)
+    """Return accuracy and calibration error of the network's answers after this number of frames."""
+    outputs = streams.probabilities[:, frames - 1].astype(np.float64)
     return StageFigures(
         stage=stage,
-        accuracy=float((said.argmax(axis=1) == streams.truth).mean()),
-        calibration_error=metrics.expected_calibration_error(said, streams.truth),
+        accuracy=float((outputs.argmax(axis=1) == streams.truth).mean()),
+        calibration_error=metrics.expected_calibration_error(outputs, streams.truth),
     )
 
 
@@ -252,7 +240,7 @@ def point(streams: Streams, speak_above: float, revise_margin: float) -> Point:
         revise_margin=revise_margin,
         told_early=len(early) / len(told),
         right_when_told_early=float(np.mean(early)) if early else 1.0,
-        right_at_end=float(np.mean([t.settled_s is not None for t in told])),
+        right_at_end=float(np.mean([t.settled for t in told])),
         changed=float(np.mean([len(t.right) > 1 for t in told])),
         harmed=float(np.mean([t.harmed for t in told])),
     )
@@ -262,15 +250,12 @@ def choice(streams: Streams, settings: DecisionSettings) -> Choice:
     """Return what one choice of `scene.early` and `scene.sure` costs."""
     told = tell(streams, settings)
     first_s = [t.answers[0][1] for t in told if t.answers]
-    settled_s = [t.settled_s for t in told if t.settled_s is not None]
     return Choice(
         early=settings.early,
         sure=settings.sure if settings.early == "when_sure" else "",
         first_mean_s=float(np.mean(first_s)),
-        first_median_s=float(np.median(first_s)),
         first_right=float(np.mean([t.right[0] for t in told if t.answers])),
-        right=len(settled_s) / len(told),
-        settled_mean_s=float(np.mean(settled_s)),
+        right=float(np.mean([t.settled for t in told])),
         harmed=float(np.mean([t.harmed for t in told])),
     )
 
@@ -278,13 +263,13 @@ def choice(streams: Streams, settings: DecisionSettings) -> Choice:
 def tell(streams: Streams, settings: DecisionSettings) -> list[Told]:
     """Return what the daemon's decision would tell the robot of each touch."""
     told = []
-    for said, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
+    for outputs, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
         decision = Decision(settings, streams.labels)
         due = dict(zip(settings.answer_at_frames, STAGES, strict=True))
         answers = []
-        frames_to_ask = range(int(noticed) + 1, FRAMES + 1) if decision.may_be_early else MARKS
-        for frames in frames_to_ask:
-            probabilities = said[frames - 1].astype(np.float64)
+        asked = range(1, FRAMES + 1) if decision.may_be_early else settings.answer_at_frames
+        for frames in (n for n in asked if n > noticed):
+            probabilities = outputs[frames - 1].astype(np.float64)
             stage = due.get(frames)
             may = decision.may_be_early and "early" in due.values()
             if may and decision.is_sure(probabilities, frames):
@@ -345,9 +330,9 @@ def at_limit(windows: Streams, limit: float) -> AtLimit:
 
 
 def _accuracy(windows: Streams, frames: NDArray[np.int64]) -> float:
-    """Return the macro accuracy of windows answered after so many frames each, (N,)."""
-    said = windows.probabilities[np.arange(len(frames)), frames - 1]
-    return metrics.macro_accuracy(said.argmax(axis=1), windows.truth, len(windows.labels))
+    """Return the macro accuracy of windows answered after these numbers of frames (N,)."""
+    outputs = windows.probabilities[np.arange(len(frames)), frames - 1]
+    return metrics.macro_accuracy(outputs.argmax(axis=1), windows.truth, len(windows.labels))
 
 
 def collect(split: Split, title: str) -> Streams:
@@ -360,11 +345,11 @@ def collect(split: Split, title: str) -> Streams:
     labels = split[0][0].labels
     console = Console(stderr=True)
     rows = [
-        (said, labels.index(case.gesture), noticed, case.participant)
+        (outputs, labels.index(case.gesture), noticed, case.participant)
         for model, case in track(
             cases, title, console=console, transient=True, disable=not console.is_terminal
         )
-        for noticed, said in _follow(case, model)
+        for noticed, outputs in _follow(case, model)
     ]
     answers, truth, noticed_at, people = zip(*rows, strict=True)
     return Streams(np.stack(answers), np.array(truth), np.array(noticed_at), np.array(people), labels)
@@ -373,13 +358,13 @@ def collect(split: Split, title: str) -> Streams:
 def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
     """Ask a network about windows of FRAMES frames, "notouch" among them, frame by frame."""
     states: list[State | None] = [None] * len(windows.labels)
-    said = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
+    outputs = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
     for frame in range(FRAMES):
         answered = model.steps(list(windows.counts[:, frame : frame + 1]), states)
-        said[:, frame] = [answer for answer, _ in answered]
+        outputs[:, frame] = [answer for answer, _ in answered]
         states = [state for _, state in answered]
     noticed = np.zeros(len(windows.labels), np.int64)
-    return Streams(said, windows.labels, noticed, windows.participants, model.labels)
+    return Streams(outputs, windows.labels, noticed, windows.participants, model.labels)
 
 
 def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
@@ -388,11 +373,11 @@ def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.flo
     touch = next(feel(scans, PipelineSettings().touch), None)
     if touch is None or touch.noticed < REST_FRAMES or touch.first + FRAMES > len(scans):
         return
-    state, said = None, []
+    state, outputs = None, []
     for scan in scans[touch.first : touch.first + FRAMES]:
         answer, state = model.step(np.clip(np.rint(scan), 0, MAX_COUNT)[None], state)
-        said.append(answer)
-    yield touch.noticed - touch.first, np.array(said, np.float32)
+        outputs.append(answer)
+    yield touch.noticed - touch.first, np.array(outputs, np.float32)
 
 
 def tables(measured: Measured) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""The command line of a study, with the folders that several studies take."""
+"""The command line of a study, with the options for folders."""
 
 import argparse
 import os
@@ -6,19 +6,20 @@ from pathlib import Path
 
 RECORDINGS = {
     "haart": ("TOUCHD_HAART", "the HAART recordings; `data` fetches them"),
-    "second-study": ("TOUCHD_SECOND_STUDY", "the second study's robot-pad.csv"),
+    "second-study": ("TOUCHD_SECOND_STUDY", "the second study's recordings"),
+    "third-study": ("TOUCHD_THIRD_STUDY", "the third study's recordings"),
 }
 
 
 def study_parser(name: str, description: str | None = None, *takes: str) -> argparse.ArgumentParser:
-    """Return the parser of a study that takes some of these folders: "haart", "second-study", "docs".
+    """Return a study's parser with options for folders: "docs", and those of RECORDINGS.
 
-    Recordings are by default where the environment's variable says, else in ./haart and ./second-study.
+    A folder of recordings defaults to the environment variable, else to its name in the current folder.
     """
     parser = argparse.ArgumentParser(prog=f"python -m touchd.model.studies {name}", description=description)
     for folder in takes:
         if folder == "docs":
-            default, what = Path("docs"), "of the page (docs)"
+            default, what = Path("docs"), "folder of the pages (docs)"
         else:
             variable, recordings = RECORDINGS[folder]
             default = Path(os.environ.get(variable, folder))

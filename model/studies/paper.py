@@ -147,11 +147,13 @@ class PaperTraining:
 
 def main(arguments: Sequence[str]) -> int:
     """Train the networks asked for, then fill the tables from all stored results; returns 0."""
-    what = "Trains the paper's network where --train is given; fills the tables from the stored results."
+    what = "Trains the paper's network with --train; fills its tables in report.md from the stored results."
     parser = study_parser("paper", what, "haart", "docs")
     parser.add_argument("--train", choices=("public", "printed"), help="the variant to train")
-    for name, default in (("blocks", 6), ("frames", 144), ("seed", 0)):
-        parser.add_argument(f"--{name}", type=int, nargs="+", default=[default], help="(%(default)s)")
+    several: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "N"}
+    parser.add_argument("--blocks", **several, default=[6], help="encoder blocks, one training each (6)")
+    parser.add_argument("--frames", **several, default=[144], help="window lengths, one training each (144)")
+    parser.add_argument("--seed", **several, default=[0], help="seeds, one training each (0)")
     parser.add_argument("--epochs", type=int, default=PAPER_EPOCHS, help="(%(default)s)")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
     parser.add_argument("--threads", type=int, default=2, help="processor threads without a GPU (2)")

@@ -1,4 +1,4 @@
-"""Plays frames through the daemon's own pipeline, as fast as it can."""
+"""Plays frames through the daemon's pipeline, as fast as possible."""
 
 from collections.abc import Iterable, Iterator
 
@@ -10,15 +10,15 @@ from touchd.model.classifier import Classifier
 
 
 def frames_of(counts: Counts) -> Iterator[Frame]:
-    """Yield counts (T, 8, 8) as the frames of a pad with an ideal clock."""
+    """Yield counts (T, 8, 8) as frames of a pad with an ideal clock."""
     for number, ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
         yield Frame(number, ms, ms / 1000.0, counts[number])
 
 
 def play(frames: Iterable[Frame], model: Classifier, flush: bool = False) -> list[Event]:
-    """Return what the pipeline says to the frames, by a clock that shows when each arrived.
+    """Return the pipeline's events; its clock shows each frame's arrival time.
 
-    flush: whether a touch that still goes on is ended with the last frame.
+    flush: whether to end a touch that still goes on at the last frame.
     """
     events: list[Event] = []
     now_s = 0.0

@@ -77,13 +77,18 @@ def test_a_sure_answer_is_told_before_its_mark(late: Streams) -> None:
 
 def test_a_right_answer_that_a_mark_undoes_is_harmful() -> None:
     undone = other_gesture(streams_sure_from([9] * 8, 0.9), slice(80, None))
-    assert all(t.harmed and t.settled_s is None for t in tell(undone, DecisionSettings()))
+    assert all(t.harmed and not t.settled for t in tell(undone, DecisionSettings()))
 
 
-def test_a_touch_is_settled_once_the_right_answer_stays() -> None:
-    told = Told((("early", 1.0, False), ("revised", 1.5, True), ("final", 2.67, True)))
-    assert told.settled_s == 1.5
+def test_a_corrected_answer_is_right_at_the_end_and_harmless() -> None:
+    told = Told((("early", 1.0, False), ("final", 2.67, True)))
+    assert told.settled
     assert not told.harmed
+
+
+def test_a_touch_detected_after_a_mark_is_answered_at_the_next(late: Streams) -> None:
+    gentle = replace(late, noticed=np.full(len(late.truth), 60))
+    assert {t.answers[0][:2] for t in tell(gentle, DecisionSettings())} == {("revised", 1.5)}
 
 
 def test_windows_are_answered_at_the_first_sure_frame(late: Streams) -> None:

@@ -1,1 +1,1 @@
-"""Measures a model file: scores, arithmetic on hard cases, timing."""
+"""Checks of a model file: its scores, its arithmetic on hard cases, its time."""

@@ -1,4 +1,4 @@
-"""Disturbances of a window of counts by a pad, a lab or a hand, to measure how robust accuracy is."""
+"""Disturbances of windows of counts, as by another pad, lab or hand, to measure how robust accuracy is."""
 
 from collections.abc import Callable, Mapping
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
 Counts32 = NDArray[np.float32]
-Places = NDArray[np.float64]
+Times = NDArray[np.float64]
 Disturb = Callable[[Counts32], Counts32]
 """Maps windows of counts (B, T, 8, 8) float32 to disturbed ones of the same shape."""
 
 FULL = np.float32(MAX_COUNT)
 SHIFT = ((0, 0), (0, 0), (1, 0), (1, 0))
-"""By one taxel along both axes; the edge that comes in repeats the old one."""
+"""By one taxel along both axes; the new edge repeats the old one."""
 LOST_SHARE = 0.05
 REST_COUNTS = 2.0
 RISE_FRAMES = 4
@@ -23,24 +23,24 @@ BREATHS_HZ = 0.5
 BREATH_COUNTS = 4.0
 LEFT_COUNTS = 5.0
 BEND = 0.9
-"""Half the angle, in radians, over which a curved pad is bent."""
+"""Half the angle of a curved pad, in radians."""
 
 
 def half_pressure(counts: Counts32) -> Counts32:
-    """Halve the pressure that a hand adds, not the rest level of a few counts."""
+    """Halve the pressure of the hand, but not the pad's rest level."""
     rest = np.minimum(counts, np.float32(REST_COUNTS))
     return np.asarray(rest + (counts - rest) / 2)
 
 
 def rest_shifted(counts: Counts32) -> Counts32:
-    """Leave 5 counts where the touch before, here the window before, pressed more than on half of the pad."""
+    """Add 5 counts where the previous window pressed most, as fabric that does not spring back."""
     before = np.roll(counts, 1, axis=0).mean(axis=1, keepdims=True)  # (B, 1, 8, 8)
     pressed = before > np.median(before, axis=(2, 3), keepdims=True)
     return np.asarray(np.minimum(counts + np.float32(LEFT_COUNTS) * pressed, FULL))
 
 
 def breathing(counts: Counts32) -> Counts32:
-    """Flex the pad at 0.5 Hz: one end rises by up to 4 counts as the other falls."""
+    """Flex the pad at 0.5 Hz: one end rises by up to 4 counts while the other falls."""
     seconds = np.arange(counts.shape[1], dtype=np.float32)[:, None, None] / np.float32(FRAME_RATE_HZ)
     slope = np.linspace(-1.0, 1.0, counts.shape[2], dtype=np.float32)[:, None]
     breath = np.float32(BREATH_COUNTS) * np.sin(2 * np.pi * BREATHS_HZ * seconds) * slope
@@ -48,7 +48,7 @@ def breathing(counts: Counts32) -> Counts32:
 
 
 def curved(counts: Counts32) -> Counts32:
-    """Bend the pad around a cylinder: a touch near its edges is foreshortened and presses less."""
+    """Bend the pad around a cylinder: touches near its edges are foreshortened and press less."""
     columns = counts.shape[3]
     angles = BEND * np.linspace(-1.0, 1.0, columns)
     places = (np.sin(angles) / np.sin(BEND) + 1) / 2 * (columns - 1)
@@ -59,20 +59,20 @@ def curved(counts: Counts32) -> Counts32:
 
 
 def dead_row(counts: Counts32) -> Counts32:
-    """One row of taxels reads zero."""
+    """Let one row of taxels read zero."""
     broken: Counts32 = counts.copy()
     broken[:, :, DEAD_ROW] = 0
     return broken
 
 
 def from_rest(counts: Counts32) -> Counts32:
-    """Let the touch begin from rest and rise over 75 ms, as a live one does; HAART's are cut mid-gesture."""
+    """Begin from rest and rise over 75 ms, as live touches do; HAART's recordings are cut mid-gesture."""
     contact = np.minimum(np.arange(counts.shape[1], dtype=np.float32) / RISE_FRAMES, 1.0)[:, None, None]
     return np.asarray(counts * contact + np.float32(REST_COUNTS) * (1.0 - contact))
 
 
 def lossy(counts: Counts32) -> Counts32:
-    """Lose 5 % of the frames (never the first or last) and bridge them as the ring does, linearly."""
+    """Lose 5 % of the frames, but not the first and last, and interpolate linearly, as the ring does."""
     rng = np.random.default_rng(0)
     grid = np.arange(counts.shape[1], dtype=np.float64)
     bridged = []
@@ -84,7 +84,7 @@ def lossy(counts: Counts32) -> Counts32:
 
 
 def pad_rate(rate_hz: float) -> Disturb:
-    """A pad that scans at another rate, resampled to 54 Hz by linear interpolation."""
+    """Return the disturbance of a pad that scans at another rate, interpolated linearly to 54 Hz."""
 
     def disturb(counts: Counts32) -> Counts32:
         grid = np.arange(counts.shape[1], dtype=np.float64)
@@ -94,11 +94,11 @@ def pad_rate(rate_hz: float) -> Disturb:
     return disturb
 
 
-def _resample(frames: Counts32, places: Places, wanted: Places) -> Counts32:
-    """Interpolate frames (N, 8, 8) from their places (N,) linearly to the wanted places."""
-    right = np.clip(np.searchsorted(places, wanted), 1, len(places) - 1)
+def _resample(frames: Counts32, times: Times, at: Times) -> Counts32:
+    """Interpolate frames (N, 8, 8) linearly from their times (N,) to other times."""
+    right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
     left = right - 1
-    part = np.clip((wanted - places[left]) / (places[right] - places[left]), 0.0, 1.0)
+    part = np.clip((at - times[left]) / (times[right] - times[left]), 0.0, 1.0)
     weight = part.astype(np.float32)[:, None, None]
     return np.asarray(frames[left] * (1 - weight) + frames[right] * weight)
 

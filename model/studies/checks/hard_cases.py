@@ -16,14 +16,14 @@ DRIFT_STEPS = 7
 
 @dataclass(frozen=True, eq=False)
 class HardCase:
-    """Windows (T, 8, 8) float32 that strain the classifier in one way."""
+    """Windows (T, 8, 8) float32 of one kind."""
 
     name: str
     windows: tuple[Window, ...]
 
 
 def hard_cases(longest: int) -> list[HardCase]:
-    """Return every case; `longest` is the longest window, in frames, that the classifier takes."""
+    """Return all cases. longest: the longest window that the classifier accepts, in frames."""
     one_taxel = flat(0.0)
     one_taxel[:, 3, 4] = MAX_COUNT
     still = np.repeat(hand(1), FRAMES, axis=0)
@@ -42,18 +42,18 @@ def hard_cases(longest: int) -> list[HardCase]:
 
 
 def flat(count: float, frames: int = FRAMES) -> Window:
-    """Every taxel reads the same in every frame."""
+    """Return a window in which every taxel of every frame has the same count."""
     return np.full((frames, ROWS, COLUMNS), count, dtype=np.float32)
 
 
 def checkerboard(frames: int) -> Window:
-    """Neighbours in space and time are 0 and 1023: the largest change that a pad can send."""
+    """Return a window whose neighbours in space and time are 0 and 1023, the largest possible change."""
     t, row, column = np.indices((frames, ROWS, COLUMNS))
     return np.asarray((t + row + column) % 2 * MAX_COUNT, dtype=np.float32)
 
 
 def hand(frames: int) -> Window:
-    """A fingertip that circles and presses three times a second, over a few counts of noise."""
+    """Return a fingertip that circles and presses three times a second, with a few counts of noise."""
     t, row, column = np.indices((frames, ROWS, COLUMNS))
     angle = 2 * np.pi * t / FRAME_RATE_HZ
     distance = (row - 3.5 - 2 * np.sin(angle)) ** 2 + (column - 3.5 - 2 * np.cos(angle)) ** 2
@@ -63,7 +63,7 @@ def hand(frames: int) -> Window:
 
 
 def drift() -> list[Window]:
-    """A usual touch, repeated over an hour in which the pad's offset rises."""
+    """Return the same touch at seven times of an hour in which the pad's offset rises."""
     starts = np.linspace(0, DRIFT_FRAMES - FRAMES, DRIFT_STEPS)
     frames = starts[:, None] + np.arange(FRAMES)  # (DRIFT_STEPS, FRAMES)
     offsets = np.rint(DRIFT_COUNTS * frames / DRIFT_FRAMES)[:, :, None, None]
@@ -71,7 +71,7 @@ def drift() -> list[Window]:
 
 
 def tiny() -> Window:
-    """Every denormal order of magnitude, from the smallest float to the smallest normal one."""
-    # Made from bits: where denormals are flushed to zero, arithmetic could not make them.
+    """Return values of all denormal magnitudes, up to the smallest normal float."""
+    # Made from bits, because arithmetic may flush denormals to zero.
     bits = np.logspace(0, 23, num=FRAMES * ROWS * COLUMNS, base=2).astype(np.uint32)
     return bits.view(np.float32).reshape(FRAMES, ROWS, COLUMNS)

@@ -1,4 +1,4 @@
-"""What a model file is checked against: its network in PyTorch and float64, and a copy with larger logits."""
+"""References for a model file: its network in PyTorch and float64, and a copy with larger logits."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +17,13 @@ from touchd.model.training.stepwise import TGCState, initial_state
 
 @dataclass(frozen=True)
 class Reference:
-    """A trained network in PyTorch and float64, which answers counts (T, 8, 8)."""
+    """A trained network in PyTorch and float64; takes counts (T, 8, 8)."""
 
     calibrated: CalibratedTGC
 
     @classmethod
     def load(cls, path: Path, metadata: ModelMetadata) -> "Reference":
-        """Read the network from a checkpoint, its temperatures from the exported file's metadata.
+        """Load the network from a checkpoint, and its temperatures from the exported file's metadata.
 
         Raises CheckpointError.
         """
@@ -37,12 +37,12 @@ class Reference:
 
     @torch.no_grad()
     def logits(self, counts: NDArray[np.generic]) -> NDArray[np.float64]:
-        """Return logits (7,) over the whole window."""
+        """Return the logits (7,) of the whole window."""
         return _array(self.calibrated.network(batch(counts))[0])
 
     @torch.no_grad()
     def logits_at(self, counts: NDArray[np.generic], length: int) -> NDArray[np.float64]:
-        """Return logits (7,) over the first `length` frames, from one pass over all of them."""
+        """Return the logits (7,) of the first `length` frames, from one pass over all frames."""
         return _array(self.calibrated.network.at_lengths(batch(counts), (length,))[0, 0])
 
     def initial_state(self) -> TGCState:
@@ -51,13 +51,13 @@ class Reference:
 
     @torch.no_grad()
     def step(self, counts: NDArray[np.generic], state: TGCState) -> tuple[NDArray[np.float64], TGCState]:
-        """Return calibrated probabilities (7,) over all frames up to now, and the state after these."""
+        """Return calibrated probabilities (7,) over all frames so far, and the next state."""
         answer, after = self.calibrated.step(batch(counts), state)
         return _array(answer[0]), after
 
 
 def batch(counts: NDArray[np.generic]) -> torch.Tensor:
-    """Return counts (T, 8, 8) as a batch of one, in float64."""
+    """Return counts (T, 8, 8) as a float64 batch of one."""
     return torch.from_numpy(counts[np.newaxis].astype(np.float64))
 
 
@@ -67,12 +67,12 @@ def _array(tensor: torch.Tensor) -> NDArray[np.float64]:
 
 
 def scale_logits(path: Path, factor: float, copy: Path) -> None:
-    """Write a copy of the model file at `path` whose logits are multiplied before the softmax.
+    """Write a copy of the model file whose logits are multiplied by `factor` before the softmax.
 
-    They are far larger then than any that a network was trained to give.
+    This makes them far larger than those of any trained network.
     """
     proto = onnx.load(path)
-    output = proto.graph.output[0]  # the probabilities; what is left is the state
+    output = proto.graph.output[0]  # the probabilities; the other outputs are the state
     place, softmax = next((i, node) for i, node in enumerate(proto.graph.node) if output.name in node.output)
     names = [f"{output.name}_{part}_{place}" for part in ("factor", "scaled_logits")]
     proto.graph.initializer.append(numpy_helper.from_array(np.float32(factor), names[0]))
