@@ -87,8 +87,8 @@ def tables(scores: Scores) -> dict[str, str]:
             [(title, _listed(each.per_participant)) for title, each in final.items()],
         ),
         "conditions": table(
-            ("people", "percent right by condition"),
-            [(title, _listed(each.per_condition)) for title, each in final.items()],
+            ("people", "conditions", "worst", "best"),
+            [(title, *_extremes(each.per_condition)) for title, each in final.items()],
         ),
         "disturbed": table(
             ("disturbance", *sets),
@@ -162,6 +162,12 @@ def _listed(shares: Mapping[str, float]) -> str:
     """Return names with their percents, the lowest first."""
     ordered = sorted(shares.items(), key=lambda item: item[1])
     return "; ".join(f"{name} {100 * share:.0f}" for name, share in ordered)
+
+
+def _extremes(shares: Mapping[str, float]) -> tuple[str, ...]:
+    """Return the number of conditions, the worst and the best."""
+    ordered = sorted(shares.items(), key=lambda item: item[1])
+    return str(len(ordered)), *(f"{name}: {100 * share:.0f}" for name, share in (ordered[0], ordered[-1]))
 
 
 def _share(shares: Mapping[str, float], label: str) -> str:

@@ -18,8 +18,8 @@ class PageError(TouchdError):
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """Return a Markdown table."""
-    lines = [headings, ["---"] * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
+    first, *others = [f"| {' | '.join(map(str, row))} |" for row in (headings, *rows)]
+    return "\n".join((first, "|" + "---|" * len(headings), *others))
 
 
 def fill(page: Path, tables: Mapping[str, str]) -> None:

@@ -262,10 +262,12 @@ def tables(results: Results) -> dict[str, str]:
         )
         for blocks, printed in TABLE2.items()
     ]
-    ours = ("touchd-1", "touchd-1, as a pad sends")
+    ours = ("touchd-1", "touchd-1, realigned")
     return {
-        "table3": table(("frames", "printed", "trained here", "last epoch", "best epoch", *ours), by_length),
-        "table2": table(("blocks", "printed", "trained here", "last epoch", "best epoch"), by_blocks),
+        "table3": table(
+            ("frames", "printed", "blocks / epochs", "last epoch", "best epoch", *ours), by_length
+        ),
+        "table2": table(("blocks", "printed", "blocks / epochs", "last epoch", "best epoch"), by_blocks),
     }
 
 
@@ -278,8 +280,11 @@ def _row(results: Results, cells: Sequence[PaperCell]) -> tuple[str, ...]:
     own = [cell for cell in public if cell.blocks == blocks]
     epochs = max(cell.epochs for cell in own)
     curves = [results.get(cell.key)["accuracies"] for cell in own if cell.epochs == epochs]
-    shape = f"{blocks} block{'s' if blocks > 1 else ''}, {epochs} epochs"
-    return shape, percent([curve[-1] for curve in curves]), percent([max(curve) for curve in curves])
+    return (
+        f"{blocks} / {epochs}",
+        percent([curve[-1] for curve in curves]),
+        percent([max(curve) for curve in curves]),
+    )
 
 
 def _load(path: Path) -> Mapping[str, Any]:

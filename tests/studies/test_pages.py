@@ -136,7 +136,7 @@ def test_tables_replace_the_old_ones_in_their_places(tmp_path: Path) -> None:
     page.write_text(PAGE)
     fill(page, {"speed": table(("network", "ms"), [("ours", 2), ("theirs", 9)])})
     filled = page.read_text()
-    assert "Ours.\n\n<!-- table: speed -->\n\n| network | ms |\n| --- | --- |\n| ours | 2 |\n" in filled
+    assert "Ours.\n\n<!-- table: speed -->\n\n| network | ms |\n|---|---|\n| ours | 2 |\n" in filled
     assert "<!-- table: size -->\n<!-- end -->\nEnd." in filled
     assert "old" not in filled
 
