@@ -20,7 +20,7 @@ from touchd.model.studies.checks.scores import Scores, read_scores
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.published import TABLE3
-from touchd.model.training.ship import SCORES_NAME
+from touchd.model.training.weights import SCORES_NAME
 
 TITLES: Mapping[str, str] = MappingProxyType(
     {

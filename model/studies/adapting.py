@@ -21,9 +21,10 @@ from touchd.model.studies.marked import fill, table
 from touchd.model.studies.results import STORED
 from touchd.model.training import checkpoint, haart, metrics
 from touchd.model.training.recipe import fold_jobs, read_recipe
-from touchd.model.training.ship import fold_path, remember
+from touchd.model.training.ship import remember
 from touchd.model.training.studies import Folders
 from touchd.model.training.train import CHECKPOINT_NAME
+from touchd.model.training.weights import fold_path
 
 SHOTS = (1, 2, 4)
 """Recordings a gesture to adapt to. Those in no draw's first four are evaluated."""

@@ -31,8 +31,8 @@ from touchd.model.studies.published import TABLE3
 from touchd.model.studies.results import STORED
 from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
 from touchd.model.training import haart, metrics
-from touchd.model.training.ship import left_out_split
 from touchd.model.training.studies import Folders
+from touchd.model.training.weights import left_out_split
 
 FILE = STORED / "decision.json"
 FRAMES = 144

@@ -23,7 +23,6 @@ from tqdm import tqdm
 from touchd.drivers.recording import Recording
 from touchd.drivers.whole_file import whole_file
 from touchd.model.classifier import Classifier
-from touchd.model.studies.challenge.table import touchd_1_files
 from touchd.model.studies.checks import evaluate
 from touchd.model.studies.checks.evaluate import REPORTED_LENGTHS
 from touchd.model.studies.folders import study_parser
@@ -35,6 +34,7 @@ from touchd.model.training import haart, metrics
 from touchd.model.training.checkpoint import CheckpointError
 from touchd.model.training.haart import GESTURES, Windows
 from touchd.model.training.train import computes_bfloat16, fastest_device
+from touchd.model.training.weights import touchd_1_files
 
 FILE = STORED / "paper.json"
 CHECKPOINT_NAME = "checkpoint.pt"

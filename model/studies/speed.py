@@ -43,7 +43,7 @@ from touchd.model.studies.published import TABLE3
 from touchd.model.studies.results import STORED, Results, machine
 from touchd.model.training.export import OPSET
 from touchd.model.training.haart import GESTURES
-from touchd.model.training.ship import HAART_MODEL, SCORES_NAME
+from touchd.model.training.weights import HAART_MODEL, SCORES_NAME
 
 FILE = STORED / "speed.json"
 ANSWERS = 200

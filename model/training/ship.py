@@ -12,9 +12,8 @@ from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import crops, split
 from touchd.model.adapt.remembered import Remembered
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelMetadata
+from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata
 from touchd.model.settings import LENGTHS, MAX_LENGTH
-from touchd.model.studies.checks.evaluate import Split
 from touchd.model.training import calibrate, checkpoint, haart
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.export import export
@@ -24,14 +23,8 @@ from touchd.model.training.remember import statistics
 from touchd.model.training.settings import Study
 from touchd.model.training.studies import Folders
 from touchd.model.training.train import CHECKPOINT_NAME, train_studies
+from touchd.model.training.weights import SEEDS_FOLDER, fold_path
 
-HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
-"""The network that learnt from HAART's training participants alone, which the paper is compared with."""
-WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
-"""It too, but varied as another lab's pad may be: for the figure from one study to the other."""
-LEFT_OUT_FOLDER = "left_out"
-SEEDS_FOLDER = "seeds"
-SCORES_NAME = "scores.json"
 REMEMBERED_CROPS = 3
 """Of each recording."""
 
@@ -94,19 +87,6 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
     return statistics(
         [crops(backbone, own, settings.augmentation, REMEMBERED_CROPS, seed=0) for own in learnt]
     )
-
-
-def left_out_split(weights: Path, recordings: Sequence[Recording]) -> Split:
-    """Return each fold's classifier with the recordings of the participants that it never saw."""
-    return [
-        (Classifier.load(path), haart.only(recordings, path.stem.split("-")))
-        for path in sorted((weights / LEFT_OUT_FOLDER).glob("*.onnx"))
-    ]
-
-
-def fold_path(weights: Path, participants: Sequence[str]) -> Path:
-    """Return the path of the network that never saw these participants."""
-    return weights / LEFT_OUT_FOLDER / f"{'-'.join(participants)}.onnx"
 
 
 def _temperatures(answers: Sequence[Sequence[calibrate.Answers]]) -> dict[int, float]:

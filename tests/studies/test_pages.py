@@ -25,7 +25,7 @@ from touchd.model.studies.results import Results, ResultsError
 from touchd.model.studies.tracker import report as touch_page
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.training.recipe import read_recipe
-from touchd.model.training.ship import SCORES_NAME
+from touchd.model.training.weights import SCORES_NAME
 
 
 def stored(path: Path, kind: Any) -> Any:

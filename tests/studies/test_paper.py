@@ -14,7 +14,6 @@ from torch import nn
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.classifier import Classifier
 from touchd.model.studies import paper
-from touchd.model.studies.challenge.table import touchd_1_files
 from touchd.model.studies.checks import evaluate
 from touchd.model.studies.paper import CHECKPOINT_NAME, PaperCell, PaperTraining, train
 from touchd.model.studies.paper_network import Attention, FeedForward, PaperSettings, PaperTGC, Variant
@@ -22,6 +21,7 @@ from touchd.model.studies.results import Results
 from touchd.model.training import haart
 from touchd.model.training.checkpoint import CheckpointError
 from touchd.model.training.haart import GESTURES, Windows
+from touchd.model.training.weights import touchd_1_files
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 RESULTS = Results(paper.FILE)

@@ -1,6 +1,8 @@
 """The scores beside the shipped model belong to that file, are of the right windows, and hold again."""
 
 import hashlib
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +29,7 @@ pytest.importorskip("torch", reason="needs the extra train")
 from touchd.model.studies.__main__ import main
 from touchd.model.studies.checks.scores import Scores, read_scores
 from touchd.model.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
-from touchd.model.training.ship import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
+from touchd.model.training.weights import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]
 SECOND_STUDY_PEOPLE = ["R02", "R04", "R06", "R08", "R10", "R12", "R14", "R16"]
@@ -111,7 +113,7 @@ def test_the_test_participants_score_as_published(scores: Scores, person: str | 
 @on("P4")
 def test_the_left_out_participants_score_as_published(scores: Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), TRAINING_FILE), person))
-    again = evaluate.score(left_out_of(recordings), 144)
+    again = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
     published = stored(scores.left_out.realigned, 144)
     assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))
 
@@ -121,7 +123,7 @@ def test_the_left_out_participants_score_as_published(scores: Scores, person: st
 @on("R14")
 def test_the_second_study_scores_as_published(scores: Scores, person: str | None) -> None:
     recordings = second_study.scored(recordings_in(find(Path(str(SECOND_STUDY)), second_study.FILE), person))
-    left_out = evaluate.score(left_out_of(recordings), 144)
+    left_out = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
     unseen = evaluate.score([(Classifier.load(WIDE_MODEL), recordings)], 144)
     for again, evaluated in ((left_out, scores.second_study), (unseen, scores.cross_study)):
         published = stored(evaluated.realigned, 144)
@@ -129,11 +131,6 @@ def test_the_second_study_scores_as_published(scores: Scores, person: str | None
         if person is None:
             assert again.windows == published.windows
             assert again.per_condition == pytest.approx(published.per_condition, abs=5 * TOLERANCE)
-
-
-def left_out_of(recordings: list[Recording]) -> evaluate.Split:
-    """Return the networks that never saw these participants, with the recordings for each."""
-    return [(model, asked) for model, asked in left_out_split(SHIPPED_MODEL.parent, recordings) if asked]
 
 
 def tolerance(person: str | None) -> float:
@@ -161,6 +158,17 @@ def test_evaluating_shows_the_paper_and_leaves_the_clone_clean(
     assert any("second study" in line and "not scored" in line for line in lines)
     assert max(map(len, lines[:4])) <= 80
     assert SHIPPED_MODEL.with_name(SCORES_NAME).read_bytes() == before
+
+
+def test_evaluating_needs_no_extra() -> None:
+    code = """
+import sys
+for name in ("torch", "onnx", "scipy", "sklearn", "matplotlib", "tqdm"):
+    sys.modules[name] = None
+import touchd.model.training.commands
+import touchd.model.studies.checks.scores
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
 def test_writing_scores_needs_every_study(small_haart: Path, capsys: pytest.CaptureFixture[str]) -> None:

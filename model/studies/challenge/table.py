@@ -35,7 +35,7 @@ from touchd.model.studies.results import STORED, Results, percent
 from touchd.model.training import haart, metrics
 from touchd.model.training.haart import GESTURES, PUBLISHED_FRAMES, Windows
 from touchd.model.training.metrics import Floats, Labels
-from touchd.model.training.ship import HAART_MODEL, SEEDS_FOLDER
+from touchd.model.training.weights import touchd_1_files
 
 FILE = STORED / "challenge.json"
 LENGTHS = (432, 144, 81, 54)
@@ -287,11 +287,6 @@ def chosen_key(system: System) -> str:
 def scores_of(results: Results, key: str, frames: int, score: str = "accuracy") -> list[float]:
     """Return a score of each training of the system with that key."""
     return [results.get(cell)[score] for cell in results.find(f"{key}/frames{frames}/seed")]
-
-
-def touchd_1_files() -> list[Path]:
-    """Return the files of touchd-1 and of its recipe's further seeds."""
-    return [HAART_MODEL, *sorted((HAART_MODEL.parent / SEEDS_FOLDER).glob("*.onnx"))]
 
 
 def tables(results: Results) -> dict[str, str]:

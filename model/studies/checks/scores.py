@@ -8,7 +8,7 @@ import hashlib
 import json
 import platform
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
 
@@ -24,8 +24,8 @@ from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.evaluate import Evaluation, Split, evaluate, score
 from touchd.model.studies.published import TABLE3
 from touchd.model.training import haart
-from touchd.model.training.ship import SCORES_NAME, WIDE_MODEL, left_out_split
 from touchd.model.training.studies import Folders
+from touchd.model.training.weights import SCORES_NAME, WIDE_MODEL, left_out_split
 
 TITLES: Mapping[str, str] = MappingProxyType(
     {
@@ -118,16 +118,11 @@ def _splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split]]:
     """Yield the sets of people that can be scored, with the networks that classify them."""
     shipped = Classifier.load(weights / SHIPPED_MODEL.name)
     yield "test", [(shipped, haart.read_test(folders.haart))]
-    yield "left_out", _held_out(weights, haart.read_training(folders.haart))
+    yield "left_out", left_out_split(weights, haart.read_training(folders.haart))
     if folders.second_study.is_dir():
         second: list[Recording] = folders.to_score_on(("second",))["second"]
-        yield "second_study", _held_out(weights, second)
+        yield "second_study", left_out_split(weights, second)
         yield "cross_study", [(Classifier.load(WIDE_MODEL), second)]
-
-
-def _held_out(weights: Path, recordings: Sequence[Recording]) -> Split:
-    """Return the networks that never saw some of these people, with those people's recordings."""
-    return [(classifier, own) for classifier, own in left_out_split(weights, recordings) if own]
 
 
 def _progress(title: str) -> Iterator[int]:
