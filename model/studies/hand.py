@@ -1,9 +1,9 @@
-"""A hand on the pad, simulated: the seven gestures of the demo's recording, and for tests and studies.
+"""A simulated hand on the pad: the seven gestures, for the demo's recording, tests and studies.
 
-A hand is a few round patches of pressure, each with a path and a force over time; the pad adds what HAART's
-recordings show of theirs: a rest level for each row and taxel, noise, taxels that feel unequally, and a leak
-along the rows. Forces, sizes and paces are set so that load, peak, area, pace and speed of each gesture are
-those of HAART's training recordings on the bare pad, not so that any one network likes them.
+A hand is a few round patches of pressure, each with a path and a force over time. The pad adds what HAART's
+recordings show: a rest level for each row and taxel, noise, taxels of unequal sensitivity, and a leak along
+the rows. Forces, sizes and paces are set to match load, peak, area, pace and speed of each gesture in HAART's
+training recordings on the bare pad; no network's answers were used.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,12 +19,12 @@ from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
 
 Series = NDArray[np.float64]
 
-# Measured on HAART at rest and under load: noise per taxel and frame, spread of the taxels' sensitivity
-# (as a logarithm), share of a row's pressure that all of the row feels.
+# Measured on HAART at rest and under load: noise per taxel and frame, standard deviation of the log of the
+# taxels' sensitivity, share of a row's pressure that leaks to the whole row.
 NOISE_COUNTS = 0.75
 UNEVENNESS = 0.35
 ROW_LEAK = 0.02
-# How long a hand takes to come down with its force, and to lift off.
+# Duration of touching down and of lifting off.
 EDGE_S = 0.08
 FINGER_WIDTH = 0.9
 
@@ -63,7 +63,7 @@ def wander(rng: RandomState, time_s: Series, fastest_hz: float) -> Series:
 
 
 def cycles(rng: RandomState, time_s: Series, pace_hz: float) -> Series:
-    """Return how many movements are done at each time (T,): a pace that is a person's, and not quite even."""
+    """Return the number of movements up to each time (T,), at a person's own and slightly uneven pace."""
     pace = pace_hz * rng.lognormal(0.0, 0.1) * (1.0 + 0.06 * wander(rng, time_s, 0.8))
     return np.cumsum(pace) / FRAME_RATE_HZ
 
@@ -76,7 +76,7 @@ def fingers(count: int) -> list[float]:
 def flat_hand(
     rng: RandomState, time_s: Series, along: Series, across: Series, force: Series, friction: float
 ) -> list[Patch]:
-    """Return palm and four fingers with `force` shared among them; each grips and slips by itself."""
+    """Return palm and four fingers that share `force`; each grips and slips on its own."""
     parts = [Patch(along - 1.2, across, 2.2, 0.7 * force)]
     parts += [Patch(along + 1.2, across + place, 1.1, 0.6 * force) for place in fingers(4)]
     return [
@@ -112,7 +112,7 @@ def stroke(rng: RandomState, time_s: Series) -> list[Patch]:
 
 
 def rub(rng: RandomState, time_s: Series) -> list[Patch]:
-    """A flat hand that goes to and fro without leaving the pad, pressing more one way than the other."""
+    """A flat hand that moves to and fro on the pad and presses more one way than the other."""
     swing = 2.0 * np.pi * cycles(rng, time_s, 1.4)
     force = 12.0 * (0.8 + 0.2 * np.sin(swing)) * (1.0 + 0.15 * wander(rng, time_s, 6.0))
     across = 0.4 * wander(rng, time_s, 1.0)
@@ -120,7 +120,7 @@ def rub(rng: RandomState, time_s: Series) -> list[Patch]:
 
 
 def scratch(rng: RandomState, time_s: Series) -> list[Patch]:
-    """Fingertips side by side that dig in and pull, all together, at about 3 Hz."""
+    """Fingertips side by side that dig in and pull together, at about 3 Hz."""
     pull = 2.0 * np.pi * cycles(rng, time_s, 3.1)
     along = 0.6 * np.cos(pull) + 0.5 * wander(rng, time_s, 0.7)
     force = (0.3 + 0.7 * np.maximum(0.0, np.sin(pull))) * (1.0 + 0.25 * wander(rng, time_s, 6.0))
@@ -132,7 +132,7 @@ def scratch(rng: RandomState, time_s: Series) -> list[Patch]:
 
 
 def tickle(rng: RandomState, time_s: Series) -> list[Patch]:
-    """Fingertips that flutter lightly, each at its own time and wandering over the pad."""
+    """Fingertips that flutter lightly, out of step, and wander over the pad."""
     along, across = (0.5 * wander(rng, time_s, 1.0) for _ in range(2))
     tips: list[Patch] = []
     for place in fingers(4):
@@ -160,7 +160,7 @@ def pressure(gesture: str, frames: int, rng: RandomState, cells: tuple[int, int]
     cells: rows and columns of a pad as large as the usual one, whose taxels all places and sizes are in.
     """
     time_s = np.arange(frames) / FRAME_RATE_HZ
-    # Soft hand on soft pad: force grows as the square of how deep it is.
+    # Soft hand on soft pad: force grows with the square of the depth.
     edge = (np.minimum(time_s, time_s[::-1]) / EDGE_S).clip(max=1.0) ** 2
     strength = edge * rng.lognormal(0.0, 0.25)
     heading = rng.uniform(0.0, 2.0 * np.pi)
@@ -182,21 +182,21 @@ def read_pad(pressed: Series, rng: RandomState, full_scale: int = MAX_COUNT) -> 
     """Return what one pad sends under a pressure (T, rows, columns), uint16, up to `full_scale`."""
     _, rows, columns = pressed.shape
     rest = rng.gamma(2.0, 1.0, (rows, 1)) + rng.uniform(-0.5, 0.5, (rows, columns))
-    felt = pressed * rng.lognormal(0.0, UNEVENNESS, (rows, columns))
-    leak = ROW_LEAK * felt.sum(axis=2, keepdims=True) * (COLUMNS / columns)
+    loaded = pressed * rng.lognormal(0.0, UNEVENNESS, (rows, columns))
+    leak = ROW_LEAK * loaded.sum(axis=2, keepdims=True) * (COLUMNS / columns)
     noise = NOISE_COUNTS * rng.normal(size=pressed.shape)
-    sent = (rest + felt + leak + noise) * (full_scale / MAX_COUNT)
+    sent = (rest + loaded + leak + noise) * (full_scale / MAX_COUNT)
     counts: Counts = np.rint(sent).clip(0, full_scale).astype(np.uint16)
     return counts
 
 
 def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
-    """Return what one pad sends while each (gesture, seconds) of `script` is done on it in turn, at 54 Hz.
+    """Return what a pad sends at 54 Hz during a script of (gesture, seconds), a recording each.
 
-    Every touch is another hand: strength, place, direction and pace vary as people's do. The clock runs on
-    from one recording to the next. The same script and seed give the same counts everywhere.
+    Each touch has its own strength, place, direction and pace, as people's have. The clock continues from one
+    recording to the next. The same script and seed give the same counts on every machine.
     """
-    # RandomState's numbers are promised to stay the same in every numpy, those of a Generator are not.
+    # numpy guarantees RandomState's numbers across versions, but not a Generator's.
     rng = RandomState(seed)
     pressed = [pressure(gesture, round(seconds * FRAME_RATE_HZ), rng) for gesture, seconds in script]
     counts = read_pad(np.concatenate(pressed), rng)
@@ -211,7 +211,7 @@ def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
 
 
 def write_simulated(path: Path, script: Sequence[tuple[str, float]], seed: int) -> None:
-    """Write what `simulate` returns to a new .csv or .csv.gz file that says of itself what it is.
+    """Write what `simulate` returns to a new .csv or .csv.gz file, with its provenance.
 
     Raises RecordingError when the file is there already or cannot be written.
     """
