@@ -9,6 +9,7 @@ import json
 import platform
 import sys
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,12 +19,12 @@ from rich.progress import track
 
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.evaluate import Evaluation, Split, evaluate, score
 from touchd.model.studies.published import TABLE3
 from touchd.model.training import haart
+from touchd.model.training.settings import Study
 from touchd.model.training.studies import Folders
 from touchd.model.training.weights import SCORES_NAME, WIDE_MODEL, left_out_split
 
@@ -40,13 +41,36 @@ COMMAND = "python -m touchd.model.studies evaluate --write"
 PAPER = "  the paper's (1.50 s: after 1.33 s)"
 NEAR = {81: 72}
 """Where the paper has no row for a length of ours, the length that it has instead."""
-SECOND_STUDY_ADDS = """\
-It adds people who touch the pad around a robot that stands still or breathes.
-Its authors have the recordings; name their folder with --second-study."""
+
+
+@dataclass(frozen=True)
+class Further:
+    """A study besides HAART, whose recordings not everybody has.
+
+    folder: its field in `Folders`, and its option. missing: gestures that it does not contain.
+    """
+
+    study: Study
+    folder: str
+    adds: str
+    missing: tuple[str, ...] = ()
+
+    def path(self, folders: Folders) -> Path:
+        """Return the folder of its recordings."""
+        path: Path = getattr(folders, self.folder)
+        return path
+
+    @property
+    def option(self) -> str:
+        """The option that names the folder."""
+        return f"--{self.folder.replace('_', '-')}"
+
+
+FURTHER = (Further("second", "second_study", "people who touch the pad around a robot, still or breathing"),)
 
 
 class MissingStudyError(TouchdError):
-    """The scores of all studies are asked for, and the recordings of one are not there."""
+    """The scores of all studies are requested, and the recordings of one do not exist."""
 
 
 class Scores(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,29 +91,29 @@ def show(folders: Folders, weights: Path) -> None:
     """Print accuracies at the answered lengths, the paper's too, for the studies whose recordings exist."""
     columns = "".join(f"{length / FRAME_RATE_HZ:8.2f} s" for length in LENGTHS)
     _print(f"Macro accuracy in percent, after{'':6}{columns}")
-    for key, split in _splits(folders, weights):
+    for key, split, missing in _splits(folders, weights):
         live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
-        rows = [score(live, length) for length in _progress(TITLES[key])]
+        rows = [score(live, length, missing=missing) for length in _progress(TITLES[key])]
         _print(_row(TITLES[key], [100 * row.accuracy for row in rows]))
         if key == "test":
             _print(_row(PAPER, [TABLE3[NEAR.get(length, length)] for length in LENGTHS]))
-    if not folders.second_study.is_dir():
-        _print(f"{TITLES['second_study']:38}not scored: there is no folder {folders.second_study}")
-        _print(SECOND_STUDY_ADDS)
+    for further in _not_there(folders):
+        _print(f"{further.study} study: not scored; name its folder with {further.option}.")
+        _print(f"  It adds {further.adds}.")
 
 
 def write(folders: Folders, weights: Path) -> Path:
     """Score everything and write scores.json; raises MissingStudyError unless all recordings exist."""
-    if not folders.second_study.is_dir():
+    for further in _not_there(folders):
         raise MissingStudyError(
-            f"{folders.second_study}: no such folder; {SCORES_NAME} needs all studies: --second-study FOLDER"
+            f"{further.path(folders)}: no such folder; {SCORES_NAME} needs all studies: {further.option}"
         )
     model = weights / SHIPPED_MODEL.name
     classifier = Classifier.load(model)
     evaluations = {}
-    for key, split in _splits(folders, weights):
+    for key, split, missing in _splits(folders, weights):
         with Console(stderr=True).status(f"scoring {TITLES[key]}, some minutes"):
-            evaluations[key] = evaluate(split)
+            evaluations[key] = evaluate(split, missing)
     scores = Scores(
         model=classifier.name,
         model_sha256=hashlib.sha256(model.read_bytes()).hexdigest(),
@@ -114,15 +138,22 @@ def write_scores(scores: Scores, path: Path) -> None:
     path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")
 
 
-def _splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split]]:
-    """Yield the sets of people that can be scored, with the networks that classify them."""
+def _splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split, tuple[str, ...]]]:
+    """Yield the sets of people that can be scored: key, networks with recordings, gestures they lack."""
     shipped = Classifier.load(weights / SHIPPED_MODEL.name)
-    yield "test", [(shipped, haart.read_test(folders.haart))]
-    yield "left_out", left_out_split(weights, haart.read_training(folders.haart))
-    if folders.second_study.is_dir():
-        second: list[Recording] = folders.to_score_on(("second",))["second"]
-        yield "second_study", left_out_split(weights, second)
-        yield "cross_study", [(Classifier.load(WIDE_MODEL), second)]
+    yield "test", [(shipped, haart.read_test(folders.haart))], ()
+    yield "left_out", left_out_split(weights, haart.read_training(folders.haart)), ()
+    for further in FURTHER:
+        if further.path(folders).is_dir():
+            recordings = folders.to_score_on((further.study,))[further.study]
+            yield further.folder, left_out_split(weights, recordings), further.missing
+            if further.study == "second":
+                yield "cross_study", [(Classifier.load(WIDE_MODEL), recordings)], further.missing
+
+
+def _not_there(folders: Folders) -> list[Further]:
+    """Return the studies whose recordings do not exist."""
+    return [further for further in FURTHER if not further.path(folders).is_dir()]
 
 
 def _progress(title: str) -> Iterator[int]:
