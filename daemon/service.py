@@ -210,8 +210,7 @@ class Service:
         if parts.live is not None:
             parts.live.put_frame(frame, sum(self._dropped().values()), pad.name)
         for bridge in parts.bridges.values():
-            if bridge.pad == pad.name:
-                bridge.put_frame(frame)
+            bridge.put_frame(frame, pad.name)
 
 
 def _stop(sinks: Sequence[Sink], within_s: float) -> None:

@@ -4,18 +4,23 @@ import logging
 import threading
 import time
 from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TypeAlias
 
 from touchd.daemon.events import Event, kind_of
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.faults import Backoff
+from touchd.drivers.faults import STEADY_S, Backoff, FaultLog
 from touchd.drivers.frame import Frame
 
-# One second of frames; more would only delay events.
+# An event, or a frame and its pad.
+Item: TypeAlias = Event | tuple[Frame, str]
+
+# One second of frames of a pad; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
-# A connection that ends sooner is one more failed attempt: a broker may let touchd in, and then refuse it.
-LASTING_S = 5.0
+# Two faults: nothing answers, or what answers ends the connection.
+OUT_OF_REACH, AWAY = "out of reach", "away"
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
 # Connections that may end while one event is sent, before the event is taken for the cause.
 TRIES = 3
@@ -28,46 +33,48 @@ class BridgeError(TouchdError):
     """A bridge cannot be used as configured; the message is one line that says what to do."""
 
 
-class Bridge(QueuedSink[Event | Frame]):
-    """Passes one pad's events on to another system, and its frames if wanted.
+class Bridge(QueuedSink[Item]):
+    """Passes the events of a pad, or of several, on to another system, and their frames if wanted.
 
     `open`, `write` and `close` run in the sink's own thread. Events wait while the peer is away; when the
     queue is full, the oldest are dropped. Frames do not wait. Other pads' events are ignored.
-    frames_hz: frames a second at most, math.inf for all, None for none.
-    refused: what the peer would not take.
+    frames_hz: frames a second and pad at most, math.inf for all, None for none.
+    refused: what the peer would not take. opened: set once `open` has returned.
     """
 
-    def __init__(self, name: str, pad: str, frames_hz: float | None) -> None:
-        self.pad = pad
+    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None) -> None:
+        self.pads = frozenset(pads)
         self.frames_hz = frames_hz
         self.refused = 0
-        self._next_frame_s = 0.0
+        self.opened = threading.Event()
+        self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there = threading.Event()
         self._log = logging.getLogger(f"touchd.daemon.bridges.{name}")
-        self._was_away = False
-        self._is_unsteady = False
+        self._faults = FaultLog(self._log, f"{name}: ")
+        self._was_reported = False
         self._there_since_s = 0.0
-        self._saying = threading.Timer(0.0, lambda: None)
         self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
         self._refused_unsaid = 0
         self._say_refused_s = 0.0
         super().__init__(name)
 
-    def put(self, item: Event | Frame) -> None:
-        """Queue an event of this pad or of the robot; never blocks."""
-        if getattr(item, "pad", self.pad) == self.pad:
+    def put(self, item: Item) -> None:
+        """Queue an event of these pads or of the robot; never blocks."""
+        if isinstance(item, tuple) or getattr(item, "pad", None) in {None, *self.pads}:
             super().put(item)
 
-    def put_frame(self, frame: Frame) -> None:
+    def put_frame(self, frame: Frame, pad: str) -> None:
         """Queue a frame if one is due and there is somebody to send it to; never blocks."""
-        if self.frames_hz is None or not self._peer_is_there.is_set() or frame.host_s < self._next_frame_s:
+        if self.frames_hz is None or pad not in self.pads or not self._peer_is_there.is_set():
             return
-        period_s = 1.0 / self.frames_hz
+        due_s, period_s = self._next_frame_s[pad], 1.0 / self.frames_hz
+        if frame.host_s < due_s:
+            return
         # A late frame does not delay those after it, unless there was a pause.
-        is_late = frame.host_s - self._next_frame_s < period_s
-        self._next_frame_s = (self._next_frame_s if is_late else frame.host_s) + period_s
-        if len(self._items) < MOST_FRAMES:
-            self.put(frame)
+        is_late = frame.host_s - due_s < period_s
+        self._next_frame_s[pad] = (due_s if is_late else frame.host_s) + period_s
+        if len(self._items) < MOST_FRAMES * len(self.pads):
+            self.put((frame, pad))
         else:
             self._items.dropped += 1
 
@@ -82,6 +89,7 @@ class Bridge(QueuedSink[Event | Frame]):
     def _run(self) -> None:
         try:
             self.open()
+            self.opened.set()
             super()._run()
             self.close()
         except Exception:
@@ -89,38 +97,26 @@ class Bridge(QueuedSink[Event | Frame]):
         if self._refused_unsaid:
             self._log.warning("%s: %d more were refused until the end", self.name, self._refused_unsaid)
 
-    def _tell_there(self, where: str) -> None:
-        """Note that the peer is there; log it, once it lasts where the last connection did not."""
+    def _note_there(self, where: str) -> None:
+        """Note that the peer is there."""
         self._there_since_s = time.monotonic()
         self._peer_is_there.set()
-        if self._is_unsteady:
-            self._saying = threading.Timer(LASTING_S, self._say_there, [where])
-            self._saying.daemon = True
-            self._saying.start()
-        else:
-            self._say_there(where)
+        if not self._was_reported:
+            self._log.info("%s: connected to %s", self.name, where)
+        self._was_reported = True
+        for kind in (OUT_OF_REACH, AWAY):
+            self._faults.end(kind, f"connected to {where}")
 
-    def _say_there(self, where: str) -> None:
-        self._log.info("%s: connected to %s", self.name, where)
-        self._was_away = self._is_unsteady = False
-
-    def _tell_away(self, where: str, reason: str, *, is_news: bool = False) -> bool:
-        """Log once that the peer is away, however many attempts fail; returns whether it was logged.
-
-        is_news: log it again, since the reason is another one.
-        """
-        self._saying.cancel()
-        if self._peer_is_there.is_set():
-            was_unsteady = self._is_unsteady
-            self._is_unsteady = time.monotonic() - self._there_since_s < LASTING_S
-            if not (was_unsteady and self._is_unsteady):
-                self._backoff.reset()
+    def _note_away(self, where: str, reason: str, kind: str = AWAY) -> None:
+        """Note why the peer is away, after each attempt."""
+        if self._peer_is_there.is_set() and time.monotonic() - self._there_since_s >= STEADY_S:
+            self._backoff.reset()
         self._peer_is_there.clear()
-        is_logged = (is_news or not self._was_away) and not self._draining
-        if is_logged:
-            self._log.warning("%s: %s is away (%s); trying until it is there", self.name, where, reason)
-        self._was_away = True
-        return is_logged
+        self._was_reported = True
+        if kind == AWAY:
+            self._faults.end(OUT_OF_REACH, f"{where} answers")
+        if not self._draining:
+            self._faults.begin(kind, f"{where} is away ({reason}); trying until it is there")
 
     def _note_refused(self, why: str) -> None:
         """Count something that the peer would not take; log the first at once, then one line a minute."""
@@ -139,12 +135,12 @@ class ConnectedBridge(Bridge):
     where: the peer's address, for the log.
     """
 
-    def __init__(self, name: str, pad: str, frames_hz: float | None, where: str) -> None:
+    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
         self._where = where
         self._connection_number = 0
         self._ending = threading.Event()
         self._keeper = threading.Thread(target=self._keep_connected, name=f"touchd-{name}-link", daemon=True)
-        super().__init__(name, pad, frames_hz)
+        super().__init__(name, pads, frames_hz)
 
     @abstractmethod
     def hold(self) -> str:
@@ -158,7 +154,7 @@ class ConnectedBridge(Bridge):
         """Send an event over the present connection; False if that ended before the peer had the event."""
 
     @abstractmethod
-    def send_frame(self, frame: Frame) -> None:
+    def send_frame(self, frame: Frame, pad: str) -> None:
         """Send a frame, or drop it."""
 
     @abstractmethod
@@ -168,10 +164,10 @@ class ConnectedBridge(Bridge):
     def open(self) -> None:
         self._keeper.start()
 
-    def write(self, item: Event | Frame) -> None:
+    def write(self, item: Item) -> None:
         """Send one item. An event is sent again over the next connection if this one is lost."""
-        if isinstance(item, Frame):
-            self.send_frame(item)
+        if isinstance(item, tuple):
+            self.send_frame(*item)
             return
         tried = 0
         for _ in range(TRIES):
@@ -188,7 +184,7 @@ class ConnectedBridge(Bridge):
     def connected(self) -> None:
         """Note that events can be sent."""
         self._connection_number += 1
-        self._tell_there(self._where)
+        self._note_there(self._where)
 
     def _await_connection(self, after: int) -> int:
         """Wait for a connection other than number `after`; returns its number, 0 when the sink is to end."""
@@ -200,21 +196,16 @@ class ConnectedBridge(Bridge):
         return 0
 
     def _keep_connected(self) -> None:
-        was_out_of_reach = False
         while not self._ending.is_set():
-            is_out_of_reach = False
+            kind = AWAY
             try:
                 reason = self.hold()
             except OSError as error:
-                is_out_of_reach = True
-                reason = f"cannot be reached: {error.strerror or error}"
+                kind, reason = OUT_OF_REACH, f"cannot be reached: {error.strerror or error}"
             # What a peer sends makes libraries raise what they do not document.
             except Exception as error:
                 reason = f"{type(error).__name__}: {error}"
-            # Why a peer that was reached at last does not let touchd in is news.
-            is_news = was_out_of_reach and not is_out_of_reach
-            if self._tell_away(self._where, reason, is_news=is_news):
-                was_out_of_reach = is_out_of_reach
+            self._note_away(self._where, reason, kind)
             self._ending.wait(self._backoff.pause_s())
 
 

@@ -1,17 +1,18 @@
-"""From the settings to the bridges: one for each pad and each section that is set."""
+"""From the settings to the bridges: for each section that is set one a pad, or one process for all pads."""
 
 import importlib
+import importlib.util
 from collections.abc import Mapping
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
-from touchd.daemon.bridges.settings import MqttSettings, Section
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, Section
 from touchd.daemon.config import Settings
 from touchd.daemon.decide import NO_TOUCH
-from touchd.drivers.extras import how_to_install
+from touchd.drivers.extras import EXTRAS, how_to_install
 from touchd.model.classifier import Classifier
 
-# A bridge's section name and content, its pad, and the gestures that it announces.
-Key = tuple[str, Section, str, tuple[str, ...]]
+# A bridge's section name and content, its pads, and the gestures that it announces.
+Key = tuple[str, Section, tuple[str, ...], tuple[str, ...]]
 
 
 def make_bridges(
@@ -21,24 +22,28 @@ def make_bridges(
 
     models: for each pad. Raises BridgeError when a bridge cannot be used as configured.
     """
-    wanted = [
-        (name, section, pad, _announced(section, own.scene.gestures or _touches(models[pad])))
-        for name, section in settings.bridges.items()
-        if section is not None
-        for pad, own in settings.pads.items()
-    ]
+    wanted: list[Key] = []
+    for name, section in settings.bridges.items():
+        if isinstance(section, LslSettings | Ros2Settings):
+            wanted.append((name, section, tuple(settings.pads), ()))
+        elif section is not None:
+            wanted += [
+                (name, section, (pad,), _announced(section, own.scene.gestures or _touches(models[pad])))
+                for pad, own in settings.pads.items()
+            ]
     return {key: before.get(key) or _make(*key) for key in wanted}
 
 
-def _make(name: str, section: Section, pad: str, gestures: tuple[str, ...]) -> Bridge:
-    try:
-        module = importlib.import_module(f"touchd.daemon.bridges.{name}")
-    except ImportError as error:
-        raise BridgeError(f"{name}: {error.name} is not installed: {how_to_install(name)}") from error
-    except RuntimeError as error:
-        # pylsl without its library, as on a processor that it is not built for.
-        raise BridgeError(f"{name}: cannot be used on this machine ({error})") from error
-    bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, pad, gestures)
+def _make(name: str, section: Section, pads: tuple[str, ...], gestures: tuple[str, ...]) -> Bridge:
+    for library in EXTRAS[name]:
+        if importlib.util.find_spec(library) is None:
+            raise BridgeError(f"{name}: {library} is not installed: {how_to_install(name)}")
+    if isinstance(section, LslSettings | Ros2Settings):
+        from touchd.daemon.bridges.apart import ApartBridge
+
+        return ApartBridge(name, section, pads)
+    module = importlib.import_module(f"touchd.daemon.bridges.{name}")
+    bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, *pads, gestures)
     return bridge
 
 

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import pylsl
 
-from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.bridge import Bridge, Item
 from touchd.daemon.bridges.settings import LslSettings
 from touchd.daemon.events import Event, Prediction, epoch_s, kind_of
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Frame
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 LOOKS = 10
 
@@ -19,7 +19,7 @@ class LslBridge(Bridge):
 
     def __init__(self, settings: LslSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._stream = f"{settings.name}-{pad}"
-        super().__init__("lsl", pad, math.inf)
+        super().__init__("lsl", [pad], math.inf)
 
     def open(self) -> None:
         # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
@@ -33,9 +33,10 @@ class LslBridge(Bridge):
         self._pressure = pylsl.StreamOutlet(pressure)
         self._peer_is_there.set()
 
-    def write(self, item: Event | Frame) -> None:
-        if isinstance(item, Frame):
-            self._pressure.push_sample(item.pressure.ravel().tolist(), item.host_s + self._ahead_s)
+    def write(self, item: Item) -> None:
+        if isinstance(item, tuple):
+            frame, _ = item
+            self._pressure.push_sample(frame.pressure.ravel().tolist(), frame.host_s + self._ahead_s)
         else:
             self._markers.push_sample([marker_of(item)], epoch_s(item.time) + _ahead_of(time.time))
 

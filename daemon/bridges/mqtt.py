@@ -56,7 +56,7 @@ class MqttBridge(ConnectedBridge):
         self._client: _Client | None = None
         self._tls = _tls(settings.ca_file) if settings.tls else None
         self._password()
-        super().__init__("mqtt", pad, settings.pressure_hz, f"{settings.host}:{settings.port}")
+        super().__init__("mqtt", [pad], settings.pressure_hz, f"{settings.host}:{settings.port}")
 
     def hold(self) -> str:
         client = _Client(self._client_id, self._version)
@@ -86,7 +86,7 @@ class MqttBridge(ConnectedBridge):
             self._publish_state(client)
         return self._await(client, client.publish(f"{self._topic}/event", encode(event), qos=1))
 
-    def send_frame(self, frame: Frame) -> None:
+    def send_frame(self, frame: Frame, pad: str) -> None:
         client = self._client
         if client is None:
             return

@@ -19,9 +19,9 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from touchd.daemon.bridges.bridge import Bridge, arrival_s
+from touchd.daemon.bridges.bridge import Bridge, Item, arrival_s
 from touchd.daemon.bridges.settings import Ros2Settings
-from touchd.daemon.events import Event, Prediction, encode
+from touchd.daemon.events import Prediction, encode
 from touchd.daemon.live.address import own_addresses
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
@@ -105,7 +105,8 @@ class Ros2Bridge(Bridge):
         self._addresses: set[str] = set()
         self._looked_s = 0.0
         self._writers: dict[str, DataWriter[Any]] = {}
-        super().__init__("ros2", pad, math.inf)
+        self._pad = pad
+        super().__init__("ros2", [pad], math.inf)
 
     def open(self) -> None:
         backoff = Backoff(FIRST_RETRY_S, LONGEST_RETRY_S)
@@ -114,7 +115,7 @@ class Ros2Bridge(Bridge):
                 self._join()
                 return
             except DDSException as error:
-                self._tell_away("a network for DDS", str(error).splitlines()[0])
+                self._note_away("a network for DDS", str(error).splitlines()[0])
                 self._abandoned.wait(backoff.pause_s())
 
     def _join(self) -> None:
@@ -123,7 +124,7 @@ class Ros2Bridge(Bridge):
         participant = DomainParticipant(self._settings.domain)
         publisher = Publisher(participant)
         # ROS 2 has its topics under rt.
-        prefix = f"rt{self._settings.namespace}/{self.pad}"
+        prefix = f"rt{self._settings.namespace}/{self._pad}"
 
         def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
             return DataWriter(publisher, Topic(participant, f"{prefix}/{name}", kind), QOS)
@@ -133,11 +134,9 @@ class Ros2Bridge(Bridge):
             "event": writer("event", String),
             "pressure": writer("pressure", Image),
         }
-        if self._was_away:
-            self._tell_there("DDS")
-        self._peer_is_there.set()
+        self._note_there("DDS")
 
-    def write(self, item: Event | Frame) -> None:
+    def write(self, item: Item) -> None:
         if time.monotonic() - self._looked_s > LOOK_S:
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
@@ -148,12 +147,16 @@ class Ros2Bridge(Bridge):
                 self.open()
         if not self._writers:
             return
-        if isinstance(item, Frame):
-            self._writers["pressure"].write(image(item, self.pad))
-            return
-        if isinstance(item, Prediction) and item.told:
-            self._writers["gesture"].write(String(item.gesture))
-        self._writers["event"].write(String(encode(item).decode()))
+        try:
+            if isinstance(item, tuple):
+                self._writers["pressure"].write(image(*item))
+                return
+            if isinstance(item, Prediction) and item.told:
+                self._writers["gesture"].write(String(item.gesture))
+            self._writers["event"].write(String(encode(item).decode()))
+        # A reader that takes nothing, for one.
+        except DDSException as error:
+            self._note_refused(str(error).splitlines()[0])
 
     def close(self) -> None:
         self._writers.clear()

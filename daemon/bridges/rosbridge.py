@@ -43,7 +43,7 @@ class RosbridgeBridge(ConnectedBridge):
         self._prefix = f"{settings.namespace}/{pad}"
         self._connection: ClientConnection | None = None
         self._allowance = Allowance(FIRST_BYTES, REFUSAL_BYTES)
-        super().__init__("rosbridge", pad, settings.pressure_hz, settings.shown_url)
+        super().__init__("rosbridge", [pad], settings.pressure_hz, settings.shown_url)
 
     def open(self) -> None:
         # Why a connection ends is logged here, once; the library's lines would also show the URL's token.
@@ -76,8 +76,8 @@ class RosbridgeBridge(ConnectedBridge):
             messages.insert(0, self._publish("gesture", {"data": event.gesture}))
         return self._send(messages)
 
-    def send_frame(self, frame: Frame) -> None:
-        self._send([self._publish("pressure", self._image(frame))])
+    def send_frame(self, frame: Frame, pad: str) -> None:
+        self._send([self._publish("pressure", _image(frame, pad))])
 
     def hang_up(self) -> None:
         if self._connection is not None:
@@ -109,17 +109,18 @@ class RosbridgeBridge(ConnectedBridge):
         operation = {"op": "publish", "topic": f"{self._prefix}/{name}", "msg": message}
         return msgspec.json.encode(operation).decode()
 
-    def _image(self, frame: Frame) -> dict[str, Any]:
-        # The server fills in the header's time.
-        return {
-            "header": {"frame_id": self.pad},
-            "height": ROWS,
-            "width": COLUMNS,
-            "encoding": "mono16",
-            "is_bigendian": 0,
-            "step": 2 * COLUMNS,
-            "data": base64.b64encode(frame.pressure.astype("<u2").tobytes()).decode(),
-        }
+
+def _image(frame: Frame, pad: str) -> dict[str, Any]:
+    # The server fills in the header's time.
+    return {
+        "header": {"frame_id": pad},
+        "height": ROWS,
+        "width": COLUMNS,
+        "encoding": "mono16",
+        "is_bigendian": 0,
+        "step": 2 * COLUMNS,
+        "data": base64.b64encode(frame.pressure.astype("<u2").tobytes()).decode(),
+    }
 
 
 class _Status(msgspec.Struct, tag_field="op", tag="status"):

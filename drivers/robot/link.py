@@ -473,6 +473,8 @@ def load_qi() -> Any:
     """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
     # Read once, when libqi is loaded: a network that drops everything is noticed after 10 s, not 30.
     os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
+    # libqi allocates what a message's header claims. The longest answers here list a service's methods.
+    os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
     try:
         qi = importlib.import_module("qi")
     except ImportError as error:

@@ -1,11 +1,11 @@
 """LSL, ROS 2 and rosbridge: the times, bytes and names that subscribers receive."""
 
 import base64
-import sys
 import threading
 import time
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, r
 from rigs.scripted_model import Scripted
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
@@ -29,25 +30,41 @@ from touchd.daemon.events import (
 )
 
 
-def test_a_library_that_cannot_be_loaded_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Broken:
-        def find_spec(self, name: str, *_: object) -> None:
-            if name == "pylsl":
-                raise RuntimeError("LSL binary library file was not found.\nSee the manual.")
+def test_a_library_that_cannot_be_loaded_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "pylsl.py").write_text('raise RuntimeError("LSL binary not found.\\nSee the manual.")')
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    bridge = ApartBridge("lsl", LslSettings(), [PAD])
+    bridge.start()
+    wait_for(lambda: "is away" in caplog.text)
+    bridge.stop(2.0)
+    assert (
+        "lsl: its own process is away (cannot be used on this machine (LSL binary not found. See"
+        in caplog.text
+    )
 
-    for name in ("pylsl", "touchd.daemon.bridges.lsl"):
-        monkeypatch.delitem(sys.modules, name, raising=False)
-    monkeypatch.setattr(sys, "meta_path", [Broken(), *sys.meta_path])
-    with pytest.raises(
-        BridgeError, match=r"lsl: cannot be used on this machine \(LSL .* found\.\\nSee .*\)$"
-    ):
+
+def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
+    with pytest.raises(BridgeError, match=r"lsl: pylsl is not installed: .*pip install .*pylsl"):
         make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()}, {})
+
+
+def lsl_bridge(peer: LslPeer) -> Any:
+    """Return a started bridge in this process."""
+    from touchd.daemon.bridges.lsl import LslBridge
+
+    bridge = LslBridge(LslSettings(name=peer.name), PAD)
+    bridge.start()
+    bridge.opened.wait()
+    return bridge
 
 
 def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
-    bridge = peer.bridge()
+    bridge = lsl_bridge(peer)
     inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
     wait_for(lambda: bridge._pressure.have_consumers())
     # The true arrival on LSL's clock lies between the first and the last of these.
@@ -57,7 +74,7 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
         # Send frames up to a quarter of a second after they arrived.
         late_s = 0.01 * number
         arrived.append((before_s - late_s, after_s - late_s))
-        bridge.put_frame(frame(number, now_s - late_s))
+        bridge.put_frame(frame(number, now_s - late_s), PAD)
         time.sleep(1 / 54)
     pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(27)]
     info = inlet.info()
@@ -71,7 +88,7 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
 def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
-    bridge = peer.bridge()
+    bridge = lsl_bridge(peer)
     inlet = inlet_of(f"{peer.name}-{PAD}-markers", threading.Event())
     wait_for(lambda: bridge._markers.have_consumers())
     ago = timestamp(time.time() - 1.0)
@@ -117,7 +134,7 @@ def test_ros2_nodes_find_the_topics_and_hear_them(tmp_path: Path) -> None:
 
     def all_heard() -> bool:
         bridge.put(PREDICTION)
-        bridge.put_frame(frame(1))
+        bridge.put_frame(frame(1), PAD)
         time.sleep(0.05)
         for name, reader in readers.items():
             heard[name] += reader.take(10)
@@ -220,7 +237,7 @@ def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     bridge = peer.bridge()
     bridge.put(PREDICTION)
     peer.await_heard(1)
-    bridge.put_frame(frame(2))
+    bridge.put_frame(frame(2), PAD)
     wait_for(lambda: len(peer.operations) == 6)
     bridge.stop(2.0)
     peer.stop()

@@ -2,9 +2,10 @@
 
 import json
 import resource
+import threading
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,19 +15,22 @@ from rigs.expectations import DEMO, stream_of
 from rigs.made_events import touch
 from rigs.peers import broker, needs_mosquitto, subscribed
 from rigs.running_daemon import Daemon
-from rigs.sockets import free_port
-from rigs.wait import WITHIN_S, wait_for
+from rigs.sockets import LISTENS, free_port, sockets
+from rigs.wait import AT_ONCE_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.bridges.settings import MqttSettings, RosbridgeSettings
-from touchd.daemon.config import SensorSettings
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
+from touchd.daemon.config import LiveSettings, SensorSettings
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.setup.destinations import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.robot.settings import RobotSettings
 
 MOST_GROWTH_MB = 20.0
 MOST_LOG_LINES = 40
 SETTLING_S = 1.5
+# A domain of DDS of its own, unlike a lab's.
+DOMAIN = 77
 
 Configure = Callable[[int], dict[str, Any]]
 
@@ -40,6 +44,26 @@ def rosbridge(port: int) -> dict[str, Any]:
     return {"rosbridge": RosbridgeSettings(url=url, pressure_hz=500)}
 
 
+def robot(port: int) -> dict[str, Any]:
+    return {"robot": RobotSettings(url=f"tcp://127.0.0.1:{port}")}
+
+
+def lsl(_port: int) -> dict[str, Any]:
+    return {"lsl": LslSettings()}
+
+
+def ros2(_port: int) -> dict[str, Any]:
+    return {"ros2": Ros2Settings(domain=DOMAIN)}
+
+
+def live(port: int) -> dict[str, Any]:
+    return {"live": LiveSettings(port=port)}
+
+
+def pad_at(scheme: str) -> Configure:
+    return lambda port: {"sensor": SensorSettings(port=f"{scheme}://127.0.0.1:{port}")}
+
+
 SERVERS: dict[str, tuple[str, Configure, attackers.Attack]] = {
     "mqtt, QoS 2 without end": ("paho.mqtt", mqtt, attackers.unfinished_publishes),
     "mqtt, a message of 256 MiB": ("paho.mqtt", mqtt, attackers.huge_publish),
@@ -51,46 +75,91 @@ SERVERS: dict[str, tuple[str, Configure, attackers.Attack]] = {
     "rosbridge, an endless answer": ("websockets", rosbridge, attackers.endless_answer),
     "rosbridge, an endless header": ("websockets", rosbridge, attackers.endless_header),
     "rosbridge, zeros": ("websockets", rosbridge, attackers.zeros),
+    "robot, a message of 4 GB": ("qi", robot, attackers.claims_gigabytes),
+    "robot, zeros": ("qi", robot, attackers.zeros),
+    "pad, tcp": ("serial", pad_at("tcp"), attackers.zeros),
+    "pad, socket": ("serial", pad_at("socket"), attackers.zeros),
+    "pad, rfc2217": ("serial", pad_at("rfc2217"), attackers.rfc2217_flood),
 }
 
 
+def children(pid: int) -> list[int]:
+    """Return the processes that a process started, from whichever thread."""
+    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for each in lists for child in each.read_text().split()]
+
+
 def resident_mb(pid: int) -> float:
-    """Return the memory of a process and of those that it started."""
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 1e6 + sum(resident_mb(int(child)) for child in children)
+    """Return the memory of a process and of those that it started; one may end meanwhile."""
+    with suppress(FileNotFoundError, ProcessLookupError):
+        pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+        return pages * resource.getpagesize() / 1e6 + sum(map(resident_mb, children(pid)))
+    return 0.0
 
 
-def growth_mb(daemon: Daemon, seconds: float) -> float:
-    """Return by how much its memory grew at most, once it had settled."""
-    wait_for(lambda: daemon.events)
-    time.sleep(SETTLING_S)
-    first_mb = most_mb = resident_mb(daemon.process.pid)
-    until_s = time.monotonic() + seconds
-    while time.monotonic() < until_s:
-        time.sleep(0.05)
-        most_mb = max(most_mb, resident_mb(daemon.process.pid))
-    return most_mb - first_mb
-
-
-def endured(folder: Path, attack: AbstractContextManager[Any], seconds: float, **settings: Any) -> str:
-    """Run a daemon under an attack, check memory and log, and return the log."""
+def endured(
+    folder: Path, attack: Callable[[int], AbstractContextManager[Any]], seconds: float, **settings: Any
+) -> None:
+    """Attack a running daemon, and check its memory, its log and how it ends. attack: is given its pid."""
     encode = encoder_for(SensorSettings())
     with (
-        attack,
         FakePort(stream_of(DEMO), encode, speed=4.0, loop=True) as pad,
         Daemon(folder, pad, **settings) as daemon,
     ):
-        grew_mb = growth_mb(daemon, seconds)
-        asked_s = time.monotonic()
-        assert daemon.stop() == 0
-        assert time.monotonic() - asked_s < WITHIN_S / 20
-    assert grew_mb < MOST_GROWTH_MB
+        wait_for(lambda: daemon.events)
+        if settings.keys() & {"lsl", "ros2"}:
+            wait_for(lambda: "connected to its own process" in daemon.log)
+        time.sleep(SETTLING_S)
+        first_mb = most_mb = resident_mb(daemon.process.pid)
+        until_s = time.monotonic() + seconds
+        with attack(daemon.process.pid):
+            while time.monotonic() < until_s:
+                time.sleep(0.05)
+                most_mb = max(most_mb, resident_mb(daemon.process.pid))
+            assert daemon.process.poll() is None
+            asked_s = time.monotonic()
+            assert daemon.stop() == 0
+            assert time.monotonic() - asked_s < AT_ONCE_S
+    assert most_mb - first_mb < MOST_GROWTH_MB
     assert daemon.log.count("\n") < MOST_LOG_LINES
     assert "Traceback" not in daemon.log
     assert "s3cret" not in daemon.log
     assert daemon.log.replace("\n", "").isprintable()
-    return daemon.log
+
+
+Stranger = Callable[[attackers.Find, Callable[[], bool]], None]
+# What is attacked, its settings, the protocol that it listens with, and the attack.
+STRANGERS: dict[str, tuple[str, Configure, str, Stranger]] = {
+    "lsl, an endless request": ("pylsl", lsl, "tcp", attackers.endless_lsl_request),
+    "lsl, many listeners": ("pylsl", lsl, "tcp", attackers.many_lsl_listeners),
+    "lsl, datagrams": ("pylsl", lsl, "udp", attackers.datagrams),
+    "ros2, datagrams": ("cyclonedds", ros2, "udp", attackers.datagrams),
+    "ros2, participants": ("cyclonedds", ros2, "udp", attackers.dds_participants(DOMAIN)),
+    "live page, viewers": ("websockets", live, "tcp", attackers.noisy_viewers),
+    "pad, udp": ("serial", pad_at("udp"), "udp", attackers.datagrams),
+}
+
+
+@contextmanager
+def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
+    """Attack, in a thread, the ports at which a daemon and what it started listen."""
+
+    def find() -> list[int]:
+        ports = set()
+        with suppress(FileNotFoundError, ProcessLookupError):
+            for kind, address, state in [one for each in (pid, *children(pid)) for one in sockets(each)]:
+                if kind == protocol and (protocol == "udp" or state == LISTENS):
+                    ports.add(int(address.split(":")[1], 16))
+        return sorted(ports)
+
+    ended = threading.Event()
+    thread = threading.Thread(target=attack, args=(find, lambda: not ended.is_set()))
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
 
 
 @pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
@@ -99,7 +168,15 @@ def test_no_server_decides_how_much_memory_is_used(tmp_path: Path, name: str, se
     library, configure, attack = SERVERS[name]
     pytest.importorskip(library)
     port = free_port()
-    endured(tmp_path, attackers.server(port, attack), seconds, **configure(port))
+    endured(tmp_path, lambda _: attackers.server(port, attack), seconds, **configure(port))
+
+
+@pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", STRANGERS)
+def test_no_stranger_decides_how_much_memory_is_used(tmp_path: Path, name: str, seconds: float) -> None:
+    library, configure, protocol, attack = STRANGERS[name]
+    pytest.importorskip(library)
+    endured(tmp_path, lambda pid: stranger(pid, protocol, attack), seconds, **configure(free_port()))
 
 
 @pytest.fixture

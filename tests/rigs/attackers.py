@@ -1,14 +1,18 @@
 """Hostile peers on loopback: each sends without end what a library may buffer."""
 
 import itertools
+import random
 import re
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 
+from rigs.live_rig import HANDSHAKE
 from websockets.utils import accept_key
 
 CONNACK = b"\x20\x02\x00\x00"
@@ -159,3 +163,132 @@ def endless_header(client: socket.socket, goes_on: Callable[[], bool]) -> None:
 
 def zeros(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     send_on(client, goes_on, (bytes(CHUNK) for _ in itertools.count()))
+
+
+# Robot
+
+
+def claims_gigabytes(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    """Send the header of a message of 4 GB, as libqi frames it, and what follows."""
+    header = struct.pack("<IIIHBBIII", 0x42ADDE42, 1, 0xFFFFFF00, 0, 2, 0, 0, 0, 8)
+    send_on(client, goes_on, itertools.chain([header], (bytes(CHUNK) for _ in itertools.count())))
+
+
+# Pads
+
+
+def rfc2217_flood(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    """Agree to everything as a server of RFC 2217, then send zeros."""
+    import serial
+    from serial.rfc2217 import PortManager
+
+    line = type("Line", (), {"write": lambda _, data: client.sendall(data)})()
+    manager = PortManager(serial.serial_for_url("loop://"), line)
+    client.settimeout(0.05)
+    until_s = time.monotonic() + 2.0
+    while time.monotonic() < until_s:
+        with suppress(TimeoutError):
+            list(manager.filter(client.recv(CHUNK)))
+    client.settimeout(1.0)
+    zeros(client, goes_on)
+
+
+# Those that connect to a daemon, or send it datagrams
+
+Find = Callable[[], list[int]]
+"""Returns the ports at which the daemon and the processes that it started listen."""
+
+
+def one_connection(port: Find, goes_on: Callable[[], bool], pieces: Iterator[bytes]) -> None:
+    """Send over one connection, made again as often as it is closed."""
+    while goes_on():
+        with (
+            suppress(OSError, IndexError),
+            socket.create_connection(("127.0.0.1", port()[0]), 1.0) as client,
+        ):
+            send_on(client, goes_on, pieces)
+        time.sleep(0.01)
+
+
+def endless_lsl_request(find: Find, goes_on: Callable[[], bool]) -> None:
+    one_connection(find, goes_on, (b"x" * CHUNK for _ in itertools.count()))
+
+
+def many_lsl_listeners(find: Find, goes_on: Callable[[], bool]) -> None:
+    """Listen a few hundred times, and read nothing."""
+    request = b"LSL:streamfeed/110 \r\nMax-Buffer-Length: 100000\r\nProtocol-Version: 110\r\n\r\n"
+    with ExitStack() as closing:
+        for port in find() * 150:
+            with suppress(OSError):
+                listener = closing.enter_context(socket.create_connection(("127.0.0.1", port), 1.0))
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+                listener.sendall(request)
+        while goes_on():
+            time.sleep(0.1)
+
+
+def datagrams(find: Find, goes_on: Callable[[], bool]) -> None:
+    """Send noise, empty datagrams, and noise that begins like DDS."""
+    noise = random.Random(1)
+    dds = b"RTPS\x02\x01\x01\x10"
+    sent = [begin + noise.randbytes(size) for begin in (b"", dds) for size in (0, 20, 200, 1400)] * 10
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        while goes_on():
+            for port, datagram in itertools.product(find(), sent):
+                with suppress(OSError):
+                    stranger.sendto(datagram, ("127.0.0.1", port))
+
+
+def dds_participants(domain: int) -> Callable[[Find, Callable[[], bool]], None]:
+    """Announce ever more participants, with copies of a real one's announcement."""
+
+    def announce(find: Find, goes_on: Callable[[], bool]) -> None:
+        original = _announcement(domain)
+        prefix = original[8:20]
+        numbers = itertools.count()
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            while goes_on():
+                for port in find()[:1]:
+                    for number in itertools.islice(numbers, 20):
+                        copy = original.replace(prefix, struct.pack("!IQ", 0x01100000, number))
+                        with suppress(OSError):
+                            stranger.sendto(copy, ("127.0.0.1", port))
+                time.sleep(0.002)
+
+    return announce
+
+
+def _announcement(domain: int) -> bytes:
+    """Return what a participant of a domain sends to find others."""
+    participant = (
+        f"from cyclonedds.domain import DomainParticipant as P; p = P({domain}); import time; time.sleep(20)"
+    )
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+        # Where the sixth participant of the domain would listen on this computer.
+        listener.bind(("127.0.0.1", 7400 + 250 * domain + 20))
+        listener.settimeout(15.0)
+        with subprocess.Popen([sys.executable, "-c", participant]) as process:
+            try:
+                return listener.recv(CHUNK)
+            finally:
+                process.kill()
+
+
+def noisy_viewers(find: Find, goes_on: Callable[[], bool]) -> None:
+    """Watch the live page, read nothing and send pings and empty fragments; more join than may."""
+    piece = (b"\x89\xbc" + bytes(64)) * 100 + (b"\x01\x80" + bytes(4)) + (b"\x00\x80" + bytes(4)) * 1000
+    watchers = [
+        threading.Thread(
+            target=one_connection,
+            args=(
+                find,
+                goes_on,
+                itertools.chain([HANDSHAKE.format(port=find()[0]).encode()], itertools.repeat(piece)),
+            ),
+        )
+        for _ in range(30)
+    ]
+    for watcher in watchers:
+        watcher.start()
+    for watcher in watchers:
+        watcher.join()

@@ -19,6 +19,7 @@ import pytest
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.drivers.frame import Frame
@@ -227,9 +228,7 @@ class LslPeer(Peer):
         self.name = f"test{free_port()}"
 
     def make(self) -> Bridge:
-        from touchd.daemon.bridges.lsl import LslBridge
-
-        return LslBridge(LslSettings(name=self.name), PAD)
+        return ApartBridge("lsl", LslSettings(name=self.name), [PAD])
 
     def listening(self) -> AbstractContextManager[None]:
         return in_thread(self._listen)
@@ -263,9 +262,7 @@ class Ros2Peer(Peer):
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:
-        from touchd.daemon.bridges.ros2 import Ros2Bridge
-
-        return Ros2Bridge(Ros2Settings(domain=self.domain), PAD)
+        return ApartBridge("ros2", Ros2Settings(domain=self.domain), [PAD])
 
     @contextmanager
     def listening(self) -> Iterator[None]:

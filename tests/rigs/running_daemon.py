@@ -33,9 +33,8 @@ class Daemon:
     ) -> None:
         self.port = pad or playing(LENGTHS, SPEED)
         self._own_port = None if pad else self.port
-        self.settings = Settings(
-            sensor=SensorSettings(port=self.port.path), **({"scene": PATIENT} | settings)
-        )
+        defaults = {"sensor": SensorSettings(port=self.port.path), "scene": PATIENT}
+        self.settings = Settings(**(defaults | settings))
         self._folder = folder
         self._log = log or (folder / "log").open("wb")
         self._daemon = SpawnedDaemon(self.settings, folder, self._log)

@@ -1,0 +1,194 @@
+"""Bridges in a process of their own, for libraries that anybody on the network makes keep what he sends.
+
+liblsl keeps a request of any length, DDS whatever participants announce themselves; neither has a limit. In a
+process of its own the library can take MOST_MB more than it began with. Then that process ends, and a new one
+begins; the daemon is not disturbed. `python -m touchd.daemon.bridges.apart` is that process.
+"""
+
+import importlib
+import logging
+import math
+import os
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge
+from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.events import Event, encode
+from touchd.drivers.frame import COLUMNS, ROWS, Frame
+
+MOST_MB = 16
+# liblsl starts a thread for each listener. Of the usual 8 MB of stack a few would take all that is allowed.
+SMALL_STACKS = ("/bin/sh", "-c", 'ulimit -s 512; exec "$@"', "sh")
+PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
+# Fewer pieces of memory that are only reserved; no module is taken from the working folder.
+ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
+READY = "ready"
+OUT_OF_MEMORY = 3
+OPEN_S = 2.0
+# What the libraries log themselves; DDS complains of each packet that it cannot read.
+MOST_LINES, LINES_AGAIN_S = 20, 60.0
+LEVELS = {"INFO": logging.INFO, "WARNING": logging.WARNING, "ERROR": logging.ERROR}
+SECTIONS = {"lsl": LslSettings, "ros2": Ros2Settings}
+
+
+class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
+    """A frame of a pad on its way to the process."""
+
+    pad: str
+    number: int
+    sensor_ms: int
+    host_s: float
+    pressure: list[int]
+
+
+class ApartBridge(ConnectedBridge):
+    """Hands the events and frames of all pads to a process, which it starts again when that ends."""
+
+    def __init__(self, name: str, section: LslSettings | Ros2Settings, pads: Sequence[str]) -> None:
+        self._arguments = (name, msgspec.json.encode(section).decode(), *pads)
+        self._process: subprocess.Popen[bytes] | None = None
+        super().__init__(name, pads, math.inf, "its own process")
+
+    def hold(self) -> str:
+        with subprocess.Popen(
+            [*SMALL_STACKS, *PROGRAM, *self._arguments],
+            bufsize=0,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env=os.environ | ENVIRONMENT,
+        ) as process:
+            assert process.stdin is not None
+            os.set_blocking(process.stdin.fileno(), False)
+            self._process = process
+            try:
+                last = self._listen(process)
+                process.wait(GOODBYE_S)
+            finally:
+                process.kill()
+        if process.returncode < 0 or process.returncode == OUT_OF_MEMORY:
+            return f"it ended: others on the network may have sent more than {MOST_MB} MB"
+        return last or f"it ended with code {process.returncode}"
+
+    def close(self) -> None:
+        super().close()
+        if self._process is not None:
+            self._process.kill()
+
+    def send_event(self, event: Event) -> bool:
+        return self._write(encode(event))
+
+    def send_frame(self, frame: Frame, pad: str) -> None:
+        numbers = frame.pressure.ravel().tolist()
+        self._write(msgspec.json.encode(FrameLine(pad, frame.number, frame.sensor_ms, frame.host_s, numbers)))
+
+    def hang_up(self) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with suppress(OSError):
+                self._process.stdin.close()
+
+    def _write(self, line: bytes) -> bool:
+        """Write a line; False when the process has ended, or the daemon is to end."""
+        process, data = self._process, line + b"\n"
+        if process is None or process.stdin is None:
+            return False
+        try:
+            while data and not self._abandoned.is_set():
+                if select.select([], [process.stdin], [], POLL_S)[1]:
+                    data = data[os.write(process.stdin.fileno(), data) :]
+        # ValueError: closed.
+        except (OSError, ValueError):
+            return False
+        return not data
+
+    def _listen(self, process: subprocess.Popen[bytes]) -> str:
+        """Log what the process logs, until it ends; returns the last line."""
+        assert process.stderr is not None
+        rest, last, left, again_s = b"", "", 0, 0.0
+        # In large pieces: a library may log faster than lines can be looked at, and must not wait for that.
+        while data := os.read(process.stderr.fileno(), 65536):
+            *lines, rest = (rest + data).split(b"\n")[-2 * MOST_LINES :]
+            rest = rest[:1000]
+            for line in lines:
+                last = line.decode(errors="replace")
+                if last == READY:
+                    self.connected()
+                    continue
+                if time.monotonic() >= again_s:
+                    left, again_s = MOST_LINES, time.monotonic() + LINES_AGAIN_S
+                if left > 0:
+                    left -= 1
+                    level, _, text = last.partition(" ")
+                    if level in LEVELS:
+                        self._log.log(LEVELS[level], "%s", text)
+                    else:
+                        self._log.warning("%s: %s", self.name, last)
+        return last
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run the bridges of some pads on the lines that come at standard input."""
+    name, section, *pads = arguments
+    # The daemon closes standard input when it ends; until then signals to the whole group are not for us.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO)
+    logging.getLogger().handlers[0].addFilter(_end_without_memory)
+    try:
+        module = importlib.import_module(f"touchd.daemon.bridges.{name}")
+    # pylsl without its library, as on a processor that it is not built for.
+    except (ImportError, RuntimeError) as error:
+        sys.stderr.write(f"cannot be used on this machine ({' '.join(str(error).split())})\n")
+        return 1
+    make = getattr(module, f"{name.capitalize()}Bridge")
+    bridges: dict[str, Bridge] = {
+        pad: make(msgspec.json.decode(section, type=SECTIONS[name]), pad) for pad in pads
+    }
+    for bridge in bridges.values():
+        bridge.start()
+        # DDS waits for a network.
+        bridge.opened.wait(OPEN_S)
+    _limit_memory()
+    sys.stderr.write(f"{READY}\n")
+    sys.stderr.flush()
+    for line in sys.stdin.buffer:
+        item: Any = msgspec.json.decode(line, type=Event | FrameLine)
+        if isinstance(item, FrameLine):
+            pressure = np.array(item.pressure, np.uint16).reshape(ROWS, COLUMNS)
+            bridges[item.pad].put_frame(Frame(item.number, item.sensor_ms, item.host_s, pressure), item.pad)
+        else:
+            for bridge in bridges.values():
+                bridge.put(item)
+    for bridge in bridges.values():
+        bridge.stop(GOODBYE_S / 2)
+    return 0
+
+
+def _end_without_memory(record: logging.LogRecord) -> bool:
+    """End at once where Python finds no memory; a library's allocation then fails as well, in its own way."""
+    if record.exc_info and isinstance(record.exc_info[1], MemoryError):
+        os._exit(OUT_OF_MEMORY)
+    return True
+
+
+def _limit_memory() -> None:
+    """Let this process take MOST_MB more than it has."""
+    fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    limit = int(fields["VmData"].split()[0]) * 1024 + MOST_MB * 1_000_000
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
