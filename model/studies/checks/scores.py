@@ -90,8 +90,9 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
 def show(folders: Folders, weights: Path) -> None:
     """Print accuracies at the answered lengths, the paper's too, for the studies whose recordings exist."""
     columns = "".join(f"{length / FRAME_RATE_HZ:8.2f} s" for length in LENGTHS)
-    _print(f"Macro accuracy in percent, after{'':6}{columns}")
     for key, split, missing in _splits(folders, weights):
+        if key == "test":
+            _print(f"Macro accuracy in percent, after{'':6}{columns}")
         live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
         rows = [score(live, length, missing=missing) for length in _progress(TITLES[key])]
         _print(_row(TITLES[key], [100 * row.accuracy for row in rows]))
