@@ -97,11 +97,17 @@ def test_windows_are_answered_at_the_first_sure_frame(late: Streams) -> None:
     assert found.accuracy == 1.0
 
 
-def test_early_answers_become_the_default_only_where_right() -> None:
+def test_no_window_is_answered_before_the_ninth_frame() -> None:
+    assert at_limit(streams_sure_from([1] * 8, 0.95), 0.1).mean_s == pytest.approx(9 / 54)
+
+
+def test_early_answers_become_the_default_only_where_right_and_early() -> None:
     right = figures_of(streams_sure_from([10 + row % 5 for row in range(40)], 0.95))
     wrong = figures_of(other_gesture(streams_sure_from([9] * 8, 0.95), slice(50)))
     good = Measured(studies={HAART: right}, challenge=(), fixed={})
     assert best_choice(good) == "when_sure, eager"
+    slow = figures_of(streams_sure_from([60] * 8, 0.95))
+    assert best_choice(Measured(studies={HAART: right, "slow": slow}, challenge=(), fixed={})) == "at_mark"
     assert best_choice(Measured(studies={HAART: right, "other": wrong}, challenge=(), fixed={})) == "at_mark"
 
 
