@@ -332,8 +332,11 @@ def _accuracy(windows: Streams, frames: NDArray[np.int64]) -> float:
     return metrics.macro_accuracy(outputs.argmax(axis=1), windows.truth, len(windows.labels))
 
 
-def collect(split: Split, title: str) -> Streams:
-    """Ask each network about the touches of its recordings, frame by frame."""
+def collect(split: Split, title: str, missing: Sequence[str] = ()) -> Streams:
+    """Ask each network about the touches of its recordings, frame by frame.
+
+    missing: gestures that the study does not contain and that are not allowed as answers.
+    """
     cases = [
         (model, case)
         for model, recordings in split
@@ -349,7 +352,11 @@ def collect(split: Split, title: str) -> Streams:
         for noticed, outputs in _follow(case, model)
     ]
     answers, truth, noticed_at, people = zip(*rows, strict=True)
-    return Streams(np.stack(answers), np.array(truth), np.array(noticed_at), np.array(people), labels)
+    outputs = np.stack(answers)
+    if missing:
+        outputs[:, :, [labels.index(gesture) for gesture in missing]] = 0.0
+        outputs /= outputs.sum(axis=2, keepdims=True)
+    return Streams(outputs, np.array(truth), np.array(noticed_at), np.array(people), labels)
 
 
 def windows_of(windows: haart.Windows, model: Classifier) -> Streams:

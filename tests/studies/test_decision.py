@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from touchd.daemon.decide import DecisionSettings
+from touchd.model.classifier import Classifier
 from touchd.model.studies.decision import (
     FILE,
     FRAMES,
@@ -20,11 +21,13 @@ from touchd.model.studies.decision import (
     at_limit,
     best_choice,
     choose,
+    collect,
     draw,
     figures_of,
     measure,
     tell,
 )
+from touchd.model.studies.hand import simulate
 
 LABELS = ("notouch", "pat", "rub", "stroke")
 
@@ -109,6 +112,17 @@ def test_early_answers_become_the_default_only_where_right_and_early() -> None:
     slow = figures_of(streams_sure_from([60] * 8, 0.95))
     assert best_choice(Measured(studies={HAART: right, "slow": slow}, challenge=(), fixed={})) == "at_mark"
     assert best_choice(Measured(studies={HAART: right, "other": wrong}, challenge=(), fixed={})) == "at_mark"
+
+
+def test_a_real_network_follows_each_touch_frame_by_frame(classifier: Classifier) -> None:
+    made = simulate([("notouch", 9.0), ("pat", 8.0), ("constant", 8.0)], 2)
+    streams = collect([(classifier, made)], "made up")
+    assert [classifier.labels[place] for place in streams.truth] == ["pat", "constant"]
+    assert streams.probabilities.shape == (2, FRAMES, len(classifier.labels))
+    assert (streams.probabilities[:, -1].argmax(axis=1) == streams.truth).all()
+    without = collect([(classifier, made)], "made up", missing=("pat",)).probabilities
+    assert (without[:, :, classifier.labels.index("pat")] == 0).all()
+    assert without.sum(axis=2) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_the_rule_picks_the_point_that_tells_early_most_often() -> None:
