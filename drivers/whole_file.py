@@ -44,8 +44,10 @@ def _put_beside_none(path: Path, partial: Path) -> None:
     except OSError as error:
         if error.errno not in NO_LINKS:
             raise
-        # USB sticks (FAT) and some shares have no links: take the name, then put the file there.
-        path.open("x").close()
+        # USB sticks (FAT) and some shares have no links. Taking the name first would leave an empty file if
+        # the program is killed before the next line.
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from error
         os.replace(partial, path)
 
 

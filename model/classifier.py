@@ -1,5 +1,6 @@
 """The classifier as the daemon runs it: ONNX Runtime only, one thread, no state but what is handed in."""
 
+import hashlib
 import os
 import threading
 from collections.abc import Mapping, Sequence
@@ -192,6 +193,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
         content = path.read_bytes()
+        _check_digest(path, content)
     try:
         return onnxruntime.InferenceSession(
             content,
@@ -202,6 +204,20 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
         )
     except Exception as error:  # ONNX Runtime raises its own undocumented types
         raise ModelError(f"{path}: ONNX Runtime refuses the file ({str(error).splitlines()[0]})") from error
+
+
+def digest_file(path: Path) -> Path:
+    """Return the file beside a model that holds its SHA-256, as sha256sum writes it."""
+    return path.with_name(f"{path.name}.sha256")
+
+
+def _check_digest(path: Path, content: bytes) -> None:
+    """Raise ModelError if the file has a digest beside it which is not its own: a bit has flipped."""
+    beside = digest_file(path)
+    if not beside.exists():
+        return
+    if beside.read_text(errors="replace").partition(" ")[0] != hashlib.sha256(content).hexdigest():
+        raise ModelError(f"{path}: damaged, its SHA-256 is not that in {beside.name}; install touchd again")
 
 
 def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:

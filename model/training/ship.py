@@ -1,5 +1,6 @@
 """From a recipe to the shipped files: train what is missing, calibrate, export."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import crops, split
 from touchd.model.adapt.remembered import Remembered
-from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata
+from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata, digest_file
 from touchd.model.settings import LENGTHS, MAX_LENGTH
 from touchd.model.training import calibrate, checkpoint, haart
 from touchd.model.training.checkpoint import Checkpoint
@@ -75,7 +76,9 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
             checkpoint.save(replace(saved, training={}), beside)
             remembered = path.with_suffix(".npz")
             save_remembered(remember(saved, folders), remembered)
-            written += [beside, remembered]
+            digest = digest_file(path)
+            digest.write_text(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n")
+            written += [beside, remembered, digest]
     return written
 
 

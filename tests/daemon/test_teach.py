@@ -10,6 +10,7 @@ from rich.console import Console
 from rigs import terminal as terminal_rig
 from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
+from rigs.programs import ran
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
@@ -22,6 +23,8 @@ from touchd.drivers.frame import Counts
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.model.adapt.folder import ExtraError
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
+
+TESTS = Path(__file__).parents[1]
 
 
 @pytest.mark.parametrize(
@@ -181,3 +184,45 @@ def test_a_bad_name_is_refused_before_reading_the_pad(
         cli.main(["teach", str(tmp_path / "lab"), "--participant", "a b"])
     assert ended.value.code == 2
     assert "a name has letters" in capsys.readouterr().err
+
+
+KILL_WHILE_SETTING = """
+import io, sys
+from pathlib import Path
+from rich.console import Console
+from rigs.kills import killed_everywhere
+from touchd.daemon.commands import teach
+from touchd.daemon.config import load
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+
+folder = Path(sys.argv[1])
+config, model = folder / "touchd.yaml", folder / "home" / "lab.onnx"
+teach.SERVICE_FOLDER = folder if sys.argv[2] == "service" else Path("/etc/touchd")
+
+def set_model():
+    sys.stdin = io.StringIO("\\n")
+    teach.put_into_use(Console(file=io.StringIO()), config, model, is_worse=False)
+
+found = set()
+for place in killed_everywhere(folder, set_model):
+    used = load(config).model
+    if used is not None:
+        Classifier.load(Path(used))
+    for path in folder.glob("home*.onnx"):
+        Classifier.load(path)
+        path.unlink()
+    found.add(used is not None)
+    config.write_text("robot: null\\n")
+    print(place)
+assert found == {False, True}, found
+"""
+
+
+@pytest.mark.parametrize("whose", ["own", "service"])
+def test_a_kill_while_setting_the_model_leaves_whole_files(tmp_path: Path, config: Path, whose: str) -> None:
+    model = tmp_path / "home" / "lab.onnx"
+    model.parent.mkdir()
+    model.write_bytes(SHIPPED_MODEL.read_bytes())
+    done = ran([sys.executable, "-c", KILL_WHILE_SETTING, str(tmp_path), whose], cwd=TESTS)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) > 8

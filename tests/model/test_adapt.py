@@ -16,6 +16,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
+from rigs.programs import ran  # noqa: E402
 
 from touchd.daemon import cli  # noqa: E402
 from touchd.daemon.config import Settings  # noqa: E402
@@ -42,6 +43,7 @@ from touchd.model.training.remember import save, statistics  # noqa: E402
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
 SETTINGS = AdaptSettings(crops=2, steps=40)
 SECONDS = 3.0
+TESTS = Path(__file__).parents[1]
 
 
 def simulated(
@@ -127,6 +129,44 @@ def test_the_file_knows_the_labs_gestures_and_origin_but_no_person(adapted_file:
     content = adapted_file.read_bytes()
     assert b'"Ann"' not in content
     assert str(adapted_file.parent).encode() not in content
+
+
+KILL_WHILE_WRITING = """
+import errno, os, sys
+from pathlib import Path
+import torch
+from rigs.kills import killed_everywhere
+from touchd.model.adapt.adapt import Adapted, Pretrained
+from touchd.model.adapt.head import AdaptSettings
+from touchd.model.adapt.measure import Comparison
+from touchd.model.adapt.ship import write
+from touchd.model.classifier import Classifier
+
+output = Path(sys.argv[1], "lab.onnx")
+pretrained = Pretrained.shipped()
+comparison = Comparison(left_out="participants", participants=1, lengths=[])
+adapted = Adapted(
+    pretrained.labels, pretrained.labels, (), pretrained.head, pretrained.temperatures, comparison
+)
+if sys.argv[2] == "no links":
+    os.link = lambda *_: (_ for _ in ()).throw(OSError(errno.EPERM, "no links on this disk"))
+found = set()
+for place in killed_everywhere(output.parent, lambda: write(pretrained, adapted, output, AdaptSettings())):
+    found.add(output.exists())
+    if output.exists():
+        Classifier.load(output)
+        output.unlink()
+    print(place)
+assert found == {False, True}, found
+assert sorted(path.name for path in output.parent.iterdir()) == ["lab.onnx"]
+"""
+
+
+@pytest.mark.parametrize("disk", ["links", "no links"])
+def test_a_kill_while_writing_leaves_a_whole_model_or_none(tmp_path: Path, disk: str) -> None:
+    done = ran([sys.executable, "-c", KILL_WHILE_WRITING, str(tmp_path), disk], cwd=TESTS)
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) > 8
 
 
 @pytest.mark.parametrize("file", ["Labor Müller (2).onnx", "ö.onnx", f"{'long' * 40}.onnx"])

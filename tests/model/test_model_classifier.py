@@ -1,5 +1,6 @@
 """The classifier: answers at any length, and one clear line for unusable files and windows."""
 
+import random
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from touchd.model.classifier import (
     ModelError,
     ModelInputError,
     ModelMetadata,
+    digest_file,
 )
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand
@@ -130,6 +132,19 @@ def test_a_file_that_is_not_onnx_is_refused(tmp_path: Path, content: bytes) -> N
     path = tmp_path / "model.onnx"
     path.write_bytes(content)
     assert "ONNX Runtime refuses the file" in refusal(path)
+
+
+def test_the_shipped_file_with_flipped_bits_is_refused(tmp_path: Path) -> None:
+    whole, digest = SHIPPED_MODEL.read_bytes(), digest_file(SHIPPED_MODEL)
+    path = tmp_path / SHIPPED_MODEL.name
+    digest_file(path).write_text(digest.read_text())
+    for place in random.Random(1).sample(range(len(whole)), 20):
+        flipped = bytearray(whole)
+        flipped[place] ^= 1 << place % 8
+        path.write_bytes(flipped)
+        assert "damaged, its SHA-256 is not that in touchd.onnx.sha256" in refusal(path)
+    path.write_bytes(whole)
+    Classifier.load(path)
 
 
 def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
