@@ -10,9 +10,8 @@ from touchd.daemon.events import Event, TouchBegan, TouchEnded, encode
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
 from touchd.daemon.setup.parts import load_model
-from touchd.daemon.setup.words import Language, Vocabulary, name_of
+from touchd.daemon.setup.words import Vocabulary, name_of
 from touchd.daemon.terminal.describe import describe
-from touchd.daemon.terminal.terms import term
 from touchd.drivers.recording import NO_TOUCH, Stream
 
 
@@ -33,11 +32,11 @@ def main(arguments: Sequence[str]) -> int:
     settings = settings_of(options)
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
-    tally = Tally(stream, settings.vocabulary, settings.language)
+    tally = Tally(stream, settings.vocabulary)
 
     def emit(event: Event) -> None:
         tally.put(event)
-        line = describe(event, settings.vocabulary, settings.language) if in_words else encode(event).decode()
+        line = describe(event, settings.vocabulary) if in_words else encode(event).decode()
         sys.stdout.write(f"{line}\n")
 
     play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)
@@ -50,8 +49,7 @@ def main(arguments: Sequence[str]) -> int:
 class Tally:
     """Counts touches by recorded and by settled gesture."""
 
-    def __init__(self, stream: Stream, words: Vocabulary, language: Language) -> None:
-        self._language = language
+    def __init__(self, stream: Stream, words: Vocabulary) -> None:
         self._spans = stream.spans
         self._words = words
         self._frame = 0
@@ -75,9 +73,9 @@ class Tally:
     def summary(self) -> str:
         """Return a line for each recorded gesture, and how many touches were right."""
         name = {gesture: name_of(self._words, gesture) for pair in self._touches for gesture in pair}
-        head = term(self._language, "recorded")
+        head = "recorded"
         width = max([len(head), *map(len, name.values())])
-        lines = ["", f"{head:<{width}}  {term(self._language, 'answered')}"]
+        lines = ["", f"{head:<{width}}  answered"]
         for recorded in sorted({pair[0] for pair in self._touches}):
             answers = Counter({answer: n for (was, answer), n in self._touches.items() if was == recorded})
             told = ", ".join(f"{name[answer]} {n}" for answer, n in answers.most_common())
@@ -86,7 +84,7 @@ class Tally:
         right = sum(n for (recorded, answer), n in self._touches.items() if recorded == answer)
         touches = sum(self._touches.values())
         share = f" ({right / touches:.0%})" if touches else ""
-        lines.append(term(self._language, "right", right=right, all=touches) + share)
+        lines.append(f"{right} of {touches} touches right{share}")
         if missed := len(set(touched) - self._felt):
-            lines.append(term(self._language, "missed", missed=missed, all=len(touched)))
+            lines.append(f"no touch was detected in {missed} of {len(touched)} recordings of touches")
         return "\n".join([*lines, ""])

@@ -9,7 +9,7 @@ import threading
 import time
 import typing
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -23,11 +23,10 @@ from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.setup.destinations import encoder_for
-from touchd.daemon.setup.words import Language, name_of
+from touchd.daemon.setup.words import name_of
 from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.own_name import own_name
-from touchd.daemon.terminal.terms import term
 from touchd.daemon.terminal.view import View
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
@@ -46,40 +45,20 @@ PACE = 1.0
 # Answers that are counted at the end.
 KEPT = 1000
 
-SAYINGS: Mapping[Language, tuple[str, str, str]] = {
-    "en": ("That feels like {phrase}.", "Oh, it is {phrase}!", "What was that?"),
-    "de": ("Das fühlt sich an wie {phrase}.", "Ach, das ist {phrase}!", "Was war das?"),
-}
-
-
-def actions_in(language: Language) -> tuple[ActionRule, ...]:
-    """Return the robot's actions: it says what it feels, and corrects itself."""
-    feels, corrects, wonders = SAYINGS[language]
-    return (
-        ActionRule(do=(Action(leds=Leds(color="green")), Action(say=feels))),
-        ActionRule(do=(Action(animated_say=corrects),), changed=True),
-        ActionRule(do=(Action(say=wonders),), gestures=("uncertain",)),
-    )
-
-
-NEXT: Mapping[Language, str] = {
-    "en": """
+# The robot says what it detects, and corrects itself.
+ACTIONS = (
+    ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {phrase}."))),
+    ActionRule(do=(Action(animated_say="Oh, it is {phrase}!"),), changed=True),
+    ActionRule(do=(Action(say="What was that?"),), gestures=("uncertain",)),
+)
+NEXT = """
 What to try next:
   {touchd} demo --live    the same on a page for browsers, again and again
   {touchd} classify       all answers to the same recording at once
   {touchd} replay         the recording as a pad: prints the command that reads it
   {touchd} doctor         looks for a pad and a robot, and says what to do
 docs/install.md tells how to wire a real pad and a real Nao.
-""",
-    "de": """
-Was als Nächstes?
-  {touchd} demo --live    dasselbe auf einer Seite für Browser, immer wieder
-  {touchd} classify       alle Antworten auf dieselbe Aufnahme auf einmal
-  {touchd} replay         die Aufnahme als Kissen: nennt den Befehl, der es liest
-  {touchd} doctor         sucht Kissen und Roboter und sagt, was zu tun ist
-Wie man ein echtes Kissen und einen echten Nao anschließt, steht in docs/install.md.
-""",
-}
+"""
 
 
 class PlainLines:
@@ -101,7 +80,7 @@ class PlainLines:
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when nobody reads any more."""
-        self._write(describe(event, self._settings.vocabulary, self._settings.language))
+        self._write(describe(event, self._settings.vocabulary))
 
     def _write(self, text: str) -> None:
         sys.stdout.write(f"{text}\n")
@@ -116,12 +95,6 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--plain", action="store_true", help="write lines instead of a picture")
     parser.add_argument(
         "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve the live page, until Ctrl-C"
-    )
-    parser.add_argument(
-        "--language",
-        choices=typing.get_args(Language),
-        default="en",
-        help="language of names and of the robot's speech",
     )
     return parser
 
@@ -139,22 +112,20 @@ def main(arguments: Sequence[str]) -> int:
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
         settings = Settings(
-            scene=SceneSettings(actions=actions_in(options.language)),
+            scene=SceneSettings(actions=ACTIONS),
             live=live,
-            language=options.language,
             log_level="warning",
         )
         show = PlainLines(settings) if options.plain else _show(closing, settings)
         predictions, told = _play(stream, show, closing, settings)
     did = [span.gesture for span in stream.spans if span.gesture != "notouch"]
     latencies = [prediction.latency_ms for prediction in predictions]
-    language = settings.language
     lines = [
         "",
-        term(language, "did", names=_names(did, settings)),
-        term(language, "told in all", names=_names(told, settings)),
-        term(language, "answer times", count=len(latencies), ms=f"{statistics.median(latencies):.1f}"),
-        NEXT[language].format(touchd=own_name()),
+        f"The simulated hand did:  {_names(did, settings)}",
+        f"The robot was told:      {_names(told, settings)}",
+        f"{len(latencies)} answers, half of them within {statistics.median(latencies):.1f} ms of a frame.",
+        NEXT.format(touchd=own_name()),
     ]
     sys.stdout.write("\n".join(lines))
     return 0
@@ -171,12 +142,11 @@ def _show(closing: ExitStack, settings: Settings) -> Show:
         return PlainLines(settings)
     urls = urls_of(settings.live, settings.live.port) if settings.live else []
     view = View(
-        " ".join(urls) or term(settings.language, "at work"),
+        " ".join(urls) or "the daemon at work",
         settings.vocabulary,
         settings.scene.answer_at_frames,
         console,
         qr_code(urls[0]) if urls and settings.live and settings.live.host in EVERY_ADDRESS else "",
-        language=settings.language,
     )
     return closing.enter_context(view)
 
@@ -195,7 +165,7 @@ def _play(
     port = closing.enter_context(FakePort(stream, encode, speed=PACE, loop=live is not None))
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
     settings = msgspec.structs.replace(settings, sensor=sensor)
-    show_call = partial(_show_call, show, settings.language)
+    show_call = partial(_show_call, show)
     forward: Callable[[Event], None] | None = None
     if qi_installed():
         robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
@@ -220,7 +190,7 @@ def _play(
     if live is None:
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
     else:
-        show.note(term(settings.language, "live page", urls=" ".join(urls_of(live, live.port))))
+        show.note(f"live page: {' '.join(urls_of(live, live.port))}   Ctrl-C ends")
     predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
@@ -255,18 +225,17 @@ def _showing(
         show.show_frame(counts, sensor_ms)
         gesture = begins.get((sensor_ms - first_ms) % length_ms, "notouch")
         if gesture != "notouch":
-            name = name_of(settings.vocabulary, gesture)
-            show.doing(term(settings.language, "hand", name=name))
+            show.doing(f"the simulated hand: {name_of(settings.vocabulary, gesture)}")
         return encode(counts, sensor_ms)
 
     return shown
 
 
-def _show_call(show: Show, language: Language, call: Call) -> None:
+def _show_call(show: Show, call: Call) -> None:
     """Tell a call to the stand-in robot in a line, but for those that its link reports already."""
     if call.refused:
-        show.note(term(language, "refuses", what=call.method, why=call.refused))
+        show.note(f"robot refuses {call.method}: {call.refused}")
     elif call.method == "raiseEvent":
         event = str(call.arguments[0]).rpartition("/")[2]
         if event != "Detail":
-            show.note(term(language, "hears", event=event, value=call.arguments[1]))
+            show.note(f"robot receives {event}: {call.arguments[1]}")

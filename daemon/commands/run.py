@@ -80,8 +80,7 @@ def main(arguments: Sequence[str]) -> int:
 
             (name, first), *_ = settings.pads.items()
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
-            marks, language = first.scene.answer_at_frames, settings.language
-            view = View(title, settings.vocabulary, marks, pad=name, language=language)
+            view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
             closing.enter_context(view)
             handler = LogHandler(view.log)
             service.show_on(view)
@@ -123,7 +122,7 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
 
     def line(event: Event) -> bytes:
         pad = f"{event.pad}: " if len(settings.pads) > 1 and not isinstance(event, RobotEvent) else ""
-        return f"{pad}{describe(event, settings.vocabulary, settings.language)}".encode()
+        return f"{pad}{describe(event, settings.vocabulary)}".encode()
 
     return line
 

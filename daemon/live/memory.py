@@ -33,7 +33,7 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
 
     pad: of which of the pads. page: stamp of the page's files; a page with another reloads. labels: in the
     order of the probabilities. answer_at_frames, speak_above, revise_margin: of the scene. model: its name.
-    names: of the gestures, in the page's language. action: the robot's latest action on the last touch.
+    names: of the gestures. action: the robot's latest action on the last touch.
     touches: the last ones, oldest first; an ongoing touch comes last.
     """
 
@@ -46,7 +46,6 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     model: str
     speak_above: float
     revise_margin: float
-    language: str
     names: dict[str, str]
     robot_configured: bool
     action: RobotAction | None
@@ -99,7 +98,6 @@ class Memory:
             model=model.name,
             speak_above=scene.speak_above,
             revise_margin=scene.revise_margin,
-            language=settings.language,
             names={label: name_of(settings.vocabulary, label) for label in (*model.labels, UNCERTAIN)},
             robot_configured=settings.robot is not None,
             action=self._action,

@@ -1,4 +1,4 @@
-"""Names and phrases for gestures, in the languages that ship with touchd."""
+"""Names and phrases for gestures: English and German ship, a deployment may bring its own."""
 
 from collections.abc import Mapping
 from typing import Literal, TypeAlias

@@ -1,7 +1,10 @@
 """Events in words, for people at a terminal."""
 
+from collections.abc import Mapping
+
 from touchd.daemon.events import (
     UNCERTAIN,
+    EndReason,
     Event,
     Prediction,
     RobotAction,
@@ -10,34 +13,37 @@ from touchd.daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from touchd.daemon.setup.words import Language, Vocabulary, name_of
-from touchd.daemon.terminal.terms import term
+from touchd.daemon.setup.words import Vocabulary, name_of
 from touchd.drivers.frame import FRAME_RATE_HZ
 
+ENDINGS: Mapping[EndReason, str] = {
+    "gap": ", too many frames were lost",
+    "longest": ", longer than a touch may last",
+    "sensor": ", the pad went down",
+    "settled": ", taken for the pad's new rest",
+    "stopped": ", the stream ended",
+}
 
-def describe(event: Event, words: Vocabulary, language: Language = "en") -> str:
+
+def describe(event: Event, words: Vocabulary) -> str:
     match event:
         case TouchBegan():
-            return term(language, "begins", number=event.touch)
+            return f"touch {event.touch} begins"
         case Prediction():
-            after, told = term(language, "after"), term(language, "told")
             # The confidence is the likeliest gesture's, not that of being unsure.
             sure = "" if event.gesture == UNCERTAIN else f"{event.confidence:4.0%}"
             return (
-                f"  {term(language, event.stage):<9} {after} {event.elapsed_s:4.1f} s: "
+                f"  {event.stage:<9} after {event.elapsed_s:4.1f} s: "
                 f"{name_of(words, event.gesture):<10} {sure:4}  in {event.latency_ms:.1f} ms"
-                f"{f'  {told}' if event.told else ''}"
+                f"{'  told' if event.told else ''}"
             )
         case TouchEnded():
-            length = f"{event.frames / FRAME_RATE_HZ:.1f}"
-            ending = "" if event.reason == "released" else term(language, event.reason)
-            name = name_of(words, event.gesture)
-            return term(language, "ends", number=event.touch, name=name, length=length) + ending
+            name, length_s = name_of(words, event.gesture), event.frames / FRAME_RATE_HZ
+            return f"touch {event.touch} ends: {name}, {length_s:.1f} s{ENDINGS.get(event.reason, '')}"
         case SensorEvent() | RobotEvent():
             what = "pad" if isinstance(event, SensorEvent) else "robot"
-            reason = f" ({event.reason})" if event.reason else ""
-            return f"{term(language, what)} {term(language, event.state)}{reason}"
+            return f"{what} {event.state}{f' ({event.reason})' if event.reason else ''}"
         case RobotAction(action="say" | "animated_say"):
-            return term(language, "says", what=term(language, "quote", what=event.what))
+            return f"robot says “{event.what}”"
         case RobotAction():
-            return term(language, "does", what=event.what, action=event.action)
+            return f"robot does {event.what} ({event.action})"

@@ -25,13 +25,12 @@ from touchd.daemon.events import (
     TouchEnded,
 )
 from touchd.daemon.kept.touches import ReportedTouch
-from touchd.daemon.setup.words import Language, Vocabulary, name_of
+from touchd.daemon.setup.words import Vocabulary, name_of
 from touchd.daemon.terminal.bars import bars
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.pad_picture import Line, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
-from touchd.daemon.terminal.terms import term
 from touchd.daemon.terminal.time_line import Flag, time_line
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
 
@@ -69,8 +68,8 @@ class ShownTouch(ReportedTouch):
 class View:
     """A sink that draws events, frames and notes. Thread-safe.
 
-    words: display names of gestures. answer_at_frames: the scene's marks. language: of all but title and
-    notes. console: standard output by default. card: lines to show if there is room. pad: the pad shown.
+    words: display names of gestures. answer_at_frames: the scene's marks. console: standard output by
+    default. card: lines to show if there is room. pad: the pad shown.
     """
 
     name = "view"
@@ -83,10 +82,8 @@ class View:
         console: Console | None = None,
         card: str = "",
         pad: str = DEFAULT_PAD,
-        language: Language = "en",
     ) -> None:
         self._title = title
-        self._language = language
         self._words = words
         self._marks_s = [frames / FRAME_RATE_HZ for frames in answer_at_frames]
         self._card = card.splitlines()
@@ -171,11 +168,11 @@ class View:
                 case RobotEvent():
                     self._states["robot"] = event.state
                 case RobotAction(action="say" | "animated_say"):
-                    self._said_by_robot = self._term("quote", what=event.what)
+                    self._said_by_robot = f"“{event.what}”"
                 case RobotAction(action="behavior"):
                     self._said_by_robot = event.what
         if isinstance(event, SensorEvent | RobotEvent):
-            self.note(describe(event, self._words, self._language), event.state != "up")
+            self.note(describe(event, self._words), event.state != "up")
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Restore the terminal, if it is still there."""
@@ -232,7 +229,7 @@ class View:
             style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
             vitals += [
                 Segment(f"  {'●' if state == 'up' else '○'} ", style),
-                Segment(f"{self._term(name)} {self._term(state)}", palette.muted),
+                Segment(f"{name} {state}", palette.muted),
             ]
         taken = sum(segment.cell_length for segment in vitals) + 1
         title: Line = [
@@ -249,7 +246,7 @@ class View:
         if self._card and height - len(lines) > len(self._card):
             lines += [[], *([Segment(line, Style.parse("#ffffff on #000000"))] for line in self._card)]
         if height - len(lines) >= 2:
-            lines.append([Segment(self._term("last touches"), palette.muted)])
+            lines.append([Segment("Last touches", palette.muted)])
             ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
             for touch in ended[: height - len(lines)]:
                 lines.append(self._last_touch(touch))
@@ -257,7 +254,7 @@ class View:
 
     def _scale_line(self, width: int) -> Line:
         palette = self._palette
-        light, firm = self._term("light"), self._term("firm")
+        light, firm = "light", "firm"
         room = width - len(f"{light}  {firm}")
         if not palette.heat or room < len(palette.heat) // 8:
             return [Segment(light, palette.muted), Segment(" " * (room + 2)), Segment(firm, palette.muted)]
@@ -275,7 +272,7 @@ class View:
         ]
         if len(changes) > 1:
             names = ", ".join(self._name(gesture) for gesture in changes[:-1])
-            line.append(Segment(f" ↻ {self._term('before', names=names)}", palette.changed))
+            line.append(Segment(f" ↻ {names} before", palette.changed))
         return line
 
     def _right(self, width: int, height: int) -> list[Line]:
@@ -298,7 +295,7 @@ class View:
         if line_height >= 3:
             lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
         if is_high:
-            lines += [[], [Segment(self._term("probabilities"), palette.muted)]]
+            lines += [[], [Segment("Probabilities", palette.muted)]]
         answer = touch.predictions[-1] if touch and touch.predictions and is_touched else None
         shown = (self._now or answer) if is_touched else None
         for bar in bars(
@@ -313,14 +310,14 @@ class View:
 
     def _which(self, touch: ShownTouch | None) -> str:
         if touch is None:
-            return self._term("no touch")
-        key = "touch" if touch.ended is None else "last"
-        return self._term(key, number=touch.began.touch, length=f"{touch.length_s:.1f}")
+            return "No touch yet"
+        which = "Touch" if touch.ended is None else "Last touch:"
+        return f"{which} {touch.began.touch} · {touch.length_s:.1f} s"
 
     def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
         palette = self._palette
         if touch is None or (touch.ended is not None and not touch.predictions):
-            return self._term("no pad" if self._states["pad"] == "down" else "touch me"), palette.faint
+            return "no pad" if self._states["pad"] == "down" else "touch me", palette.faint
         if not touch.predictions:
             return "...", palette.faint
         word = self._name(touch.predictions[-1].gesture)
@@ -335,18 +332,17 @@ class View:
         answer = touch.predictions[-1]
         sure = [
             Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True)),
-            Segment(self._term("sure", at=f"{answer.elapsed_s:.3g}"), palette.ink),
+            Segment(f" sure, after {answer.elapsed_s:.3g} s", palette.ink),
         ]
         remark: Line = []
         if before := self._before(touch, len(touch.predictions) - 1):
-            remark.append(Segment(f"↻ {self._term('was', name=before)} · ", palette.changed))
+            remark.append(Segment(f"↻ was {before} · ", palette.changed))
         told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
-        heard = self._term("told after", at=f"{told[0].elapsed_s:.3g}") if told else self._term("unsure")
+        heard = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
         remark.append(Segment(heard, palette.muted))
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
         if likeliest != answer.gesture and answer.gesture in answer.probabilities:
-            likelier = self._term("likelier", name=self._name(likeliest))
-            remark.append(Segment(f" · {likelier}", palette.muted))
+            remark.append(Segment(f" · {self._name(likeliest)} is likelier now", palette.muted))
         return [sure, remark]
 
     def _flag(self, touch: ShownTouch, at: int) -> Flag:
@@ -367,7 +363,7 @@ class View:
         if not self._said_by_robot:
             return []
         return [
-            Segment(f" {self._term('robot').capitalize()} ", palette.muted),
+            Segment(" Robot ", palette.muted),
             Segment(self._said_by_robot, palette.robot + Style(bold=True)),
         ]
 
@@ -380,9 +376,6 @@ class View:
 
     def _name_labels(self, labels: Iterable[str]) -> None:
         self._labels = {label: name_of(self._words, label) for label in labels}
-
-    def _term(self, key: str, **values: object) -> str:
-        return term(self._language, key, **values)
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)

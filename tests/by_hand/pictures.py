@@ -17,7 +17,7 @@ from rich.console import Console
 from rigs.browser import browser, picture, prefer, show_in
 from rigs.live_rig import serving
 
-from touchd.daemon.commands.demo import actions_in
+from touchd.daemon.commands.demo import ACTIONS
 from touchd.daemon.config import Settings
 from touchd.daemon.events import (
     Event,
@@ -32,8 +32,6 @@ from touchd.daemon.events import (
 from touchd.daemon.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.setup.parts import load_model
-from touchd.daemon.setup.words import Language
-from touchd.daemon.terminal.terms import term
 from touchd.daemon.terminal.view import View
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import read_recordings, splice
@@ -62,7 +60,7 @@ def play(
 ) -> Frame:
     """Hand over all events and frames up to the moment, as fast as possible; returns its frame."""
     stream = splice(read_recordings(DEMO_RECORDING))
-    reactions = Reactions(actions_in(settings.language))
+    reactions = Reactions(ACTIONS)
     began_ms: list[int] = []
 
     def emit(event: Event) -> None:
@@ -93,11 +91,11 @@ def play(
     raise RuntimeError(f"{DEMO_RECORDING} has no touch {TOUCH} of {AFTER_S} s")
 
 
-def picture_page(path: Path, size: tuple[int, int], language: Language, scheme: str, anchor: str) -> None:
+def picture_page(path: Path, size: tuple[int, int], scheme: str, anchor: str) -> None:
     """Play the demo up to the moment on a live page in a browser, and save its picture."""
     robot = RobotSettings(url="tcp://127.0.0.1:9559")
     over = threading.Event()
-    with browser() as chrome, serving(language=language, robot=robot) as served:
+    with browser() as chrome, serving(robot=robot) as served:
         prefer(chrome, color_scheme=scheme)
         show_in(chrome, *size)
         chrome.get(f"http://127.0.0.1:{served.port}/{anchor}")
@@ -121,18 +119,18 @@ def picture_page(path: Path, size: tuple[int, int], language: Language, scheme: 
         over.set()
 
 
-def picture_terminal(path: Path, size: tuple[int, int], language: Language) -> None:
+def picture_terminal(path: Path, size: tuple[int, int]) -> None:
     """Play the demo up to the moment in a terminal view, and save its picture."""
-    settings, (width, height) = Settings(language=language), size
+    settings, (width, height) = Settings(), size
     console = Console(
         file=io.StringIO(), width=width, height=height, color_system="truecolor", force_terminal=True
     )
     marks = settings.scene.answer_at_frames
-    view = View("the daemon at work", settings.vocabulary, marks, console, language=language)
+    view = View("the daemon at work", settings.vocabulary, marks, console)
     view.put(SensorEvent(state="up", time=""))
     view.put(RobotEvent(state="up", time=""))
     play(settings, view.put, view.put_live, lambda frame: view.show_frame(frame.pressure, frame.sensor_ms))
-    view.doing(term(language, "hand", name=settings.vocabulary["rub"].name))
+    view.doing("the simulated hand: rub")
     draw(console, view, path)
 
 
@@ -170,16 +168,15 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--terminal", action="store_true", help="of the terminal view; else of the live page")
     parser.add_argument("--size", help="of the terminal in characters (100x30) or of the page (1366x768)")
-    parser.add_argument("--language", choices=("en", "de"), default="en")
     parser.add_argument("--scheme", choices=("dark", "light"), default="dark", help="of the page")
     parser.add_argument("--visitors", action="store_true", help="the page's view for visitors")
     options = parser.parse_args()
     width, height = map(int, (options.size or ("100x30" if options.terminal else "1366x768")).split("x"))
     if options.terminal:
-        picture_terminal(options.out, (width, height), options.language)
+        picture_terminal(options.out, (width, height))
     else:
         anchor = "#visitors" if options.visitors else ""
-        picture_page(options.out, (width, height), options.language, options.scheme, anchor)
+        picture_page(options.out, (width, height), options.scheme, anchor)
 
 
 if __name__ == "__main__":

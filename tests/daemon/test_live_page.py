@@ -211,8 +211,8 @@ def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:
     assert is_stale(played.chrome)
     assert re.fullmatch(r"\d+ s old|over a minute old", text_of(played.chrome, "#age"))
     assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
-    wait_for(lambda: text_of(played.chrome, "#banner").startswith("The pad is away"))
-    assert text_of(played.chrome, "#vital-pad dd") == "away"
+    wait_for(lambda: text_of(played.chrome, "#banner").startswith("The pad is down"))
+    assert text_of(played.chrome, "#vital-pad dd") == "down"
 
 
 def test_a_screen_reader_hears_each_answer_without_a_flood(played: WatchedPage) -> None:
@@ -220,7 +220,7 @@ def test_a_screen_reader_hears_each_answer_without_a_flood(played: WatchedPage) 
         return [text.replace("\u00a0", " ") for text, _ in played.run("return heard")]
 
     wait_for(lambda: any(re.fullmatch(r"Touch 3: rub, \d+ %", text) for text in heard()))
-    wait_for(lambda: any(text.startswith("The pad is away") for text in heard()))
+    wait_for(lambda: any(text.startswith("The pad is down") for text in heard()))
     times_ms = [at_ms for _, at_ms in played.run("return heard")]
     assert np.diff(times_ms).min() > 1900
     assert played.run("return document.getElementById('announcement').ariaLive") == "polite"
@@ -376,10 +376,10 @@ def test_the_visitors_view_hides_the_vitals(played: WatchedPage) -> None:
 def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> None:
     with serving(language="de") as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
-        wait_for(lambda: text_of(chrome, "#gesture") == "Berühre das Kissen")
+        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
         served.sink.put(SensorEvent(state="down", time=TIME))
         served.put_frame()
-        wait_for(lambda: text_of(chrome, "#gesture") == "Das Kissen ist nicht da")
+        wait_for(lambda: text_of(chrome, "#gesture") == "The pad is down")
         served.sink.put(SensorEvent(state="up", time=TIME))
         served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
         shares = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
@@ -388,9 +388,9 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         )
         served.sink.put(RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=TIME))
         served.put_frame()
-        wait_for(lambda: text_of(chrome, "#says") == "„Das war <b>Tätscheln</b>.“")
+        wait_for(lambda: text_of(chrome, "#says") == "“Das war <b>Tätscheln</b>.”")
         assert text_of(chrome, "#gesture") == "Tätscheln"
-        why = "Tätscheln bleibt: Reiben führt mit 5 Punkten, 10 sind nötig"
+        why = "Tätscheln stands: Reiben leads by 5 points, 10 are needed"
         assert text_of(chrome, "#chances-when") == why
         assert text_of(chrome, "#bars .best") == "Tätscheln"
 

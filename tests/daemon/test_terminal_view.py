@@ -57,7 +57,7 @@ def view_of(
 ) -> tuple[View, Console]:
     colour: dict[str, Any] = {"color_system": colours, "force_terminal": colours is not None}
     console = Console(file=io.StringIO(), width=width, height=height, **colour)
-    view = View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console, language=language)
+    view = View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console)
     return view, console
 
 
@@ -142,12 +142,13 @@ def test_the_view_has_room_for_any_gestures(gestures: list[str]) -> None:
     assert any(gestures[-1][:12] in line and "50%" in line for line in lines)
 
 
-def test_gestures_are_called_in_the_configured_language() -> None:
+def test_gestures_have_the_configured_names() -> None:
     view, console = view_of(120, 40, language="de")
     touch(view)
     shown = "\n".join(screen(view, console))
     assert "↻ Streicheln 81% ✓" in shown
     assert "Kitzeln" in shown
+    assert "Last touches" in shown
 
 
 def test_resizing_and_ending_leave_the_terminal_clean() -> None:

@@ -1,7 +1,5 @@
 // The pad as a heat map: pressure between the taxels is interpolated, then coloured.
 
-import { word } from "./words.js";
-
 const SIDE = 8;
 const PIXELS = 128;
 const SHADES = 256;
@@ -111,7 +109,7 @@ export class HeatMap {
 /** Say in words where the pad is pressed most. */
 export function describePressure(pressure) {
   const most = pressure.reduce((best, counts, taxel) => (counts > pressure[best] ? taxel : best), 0);
-  if (pressure[most] === 0) return word("nothing");
+  if (pressure[most] === 0) return "Nothing presses on the pad.";
   const [row, column] = [Math.floor(most / SIDE) + 1, (most % SIDE) + 1];
-  return word("firmest", { row, column, counts: Math.round(pressure[most]) });
+  return `Firmest in row ${row}, column ${column}: ${Math.round(pressure[most])} counts.`;
 }

@@ -1,6 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
 
-import { nameOf, percent, seconds, word } from "./words.js";
+import { nameOf, percent, seconds } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
@@ -58,8 +58,7 @@ export class TimeLine {
     this.#showMarks(store);
     const said = onLine(store);
     const { touch, pad, time } = store.touch?.began ?? {};
-    const { language } = store.scene;
-    const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), innerWidth, language].join();
+    const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), innerWidth].join();
     if (key === this.#drawnFlags) return;
     this.#drawnFlags = key;
     this.#flags.replaceChildren(...said.map((prediction, i) => flag(prediction, said[i - 1], store.scene)));
@@ -106,13 +105,13 @@ function flag(prediction, before, scene) {
   item.style.setProperty("--at", Math.min(at, 1));
   const what = `${nameOf(prediction.gesture)} ${percent(prediction.confidence)}`;
   // What was said after the line's end says when.
-  const told = (at > 1 ? ` ${word("at", { at: seconds(prediction.elapsed_s) })}` : "") + (prediction.told ? " ✓" : "");
+  const told = (at > 1 ? ` at ${seconds(prediction.elapsed_s)}` : "") + (prediction.told ? " ✓" : "");
   const small = Object.assign(document.createElement("small"), { textContent: told });
-  const words = isChanged ? `, ${word("changed", { name: nameOf(before.gesture) })}` : "";
-  const heard = prediction.told ? word("told") : "";
+  const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";
+  const heard = prediction.told ? ", told" : "";
   const unseen = Object.assign(document.createElement("span"), {
     className: "unseen",
-    textContent: ` ${word("after", { at: seconds(prediction.elapsed_s) })}${words}${heard}`,
+    textContent: ` after ${seconds(prediction.elapsed_s)}${words}${heard}`,
   });
   small.setAttribute("aria-hidden", "true");
   item.append(what, small, unseen);

@@ -8,7 +8,7 @@ import * as show from "./show.js";
 import { PadSwitch } from "./pads.js";
 import { padOf, Store } from "./store.js";
 import { Visitors } from "./visitors.js";
-import { nameOf, percent, useWords, word } from "./words.js";
+import { nameOf, percent, useNames } from "./words.js";
 
 // Frames come every 18 ms; without one for this long, what is seen is old.
 const STALE_AFTER_S = 0.5;
@@ -67,7 +67,7 @@ function watch() {
   if (now !== trouble) {
     trouble = now;
     show.showTrouble(trouble);
-    announcer.say("trouble", trouble || word("well"));
+    announcer.say("trouble", trouble || "All is well again.");
   }
 }
 
@@ -78,7 +78,7 @@ function announce(prediction) {
   announced = said;
   const answer = `${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`;
   const where = stores.size > 1 ? ` (${prediction.pad})` : "";
-  announcer.say("answer", `${word("touch", { number: prediction.touch })}${where}: ${answer}`);
+  announcer.say("answer", `Touch ${prediction.touch}${where}: ${answer}`);
 }
 
 /** Keep a store for each pad; the first is shown large until another is chosen. */
@@ -101,7 +101,7 @@ function onMessage(message) {
     stamp = message.page;
     link = "live";
     usePads(message.pads);
-    useWords(message);
+    useNames(message.names);
     visitors.use(message);
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);

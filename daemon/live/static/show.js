@@ -1,6 +1,14 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and how it goes.
 
-import { nameOf, percent, seconds, timeOfDay, word } from "./words.js";
+import { nameOf, percent, seconds, timeOfDay } from "./words.js";
+
+const ENDINGS = {
+  gap: "too many frames were lost",
+  longest: "longer than a touch may last",
+  sensor: "the pad went down",
+  settled: "taken for the pad's new rest",
+  stopped: "touchd ended",
+};
 
 const $ = (id) => document.getElementById(id);
 
@@ -24,17 +32,17 @@ export function showAnswer(store) {
   const { touch, isTouched } = store;
   const said = touch?.predictions ?? [];
   const answer = said.at(-1);
-  say($("which"), touch ? word(isTouched ? "touch" : "last", { number: touch.began.touch }) : word("noTouch"));
+  say($("which"), touch ? `${isTouched ? "Touch" : "Last touch:"} ${touch.began.touch}` : "No touch yet");
   const gesture = $("gesture");
-  const waiting = store.sensor?.state === "down" ? "padAway" : isTouched ? "feeling" : "touchMe";
-  say(gesture, answer ? nameOf(answer.gesture) : word(waiting));
+  const waiting = store.sensor?.state === "down" ? "The pad is down" : isTouched ? "…" : "Touch the pad";
+  say(gesture, answer ? nameOf(answer.gesture) : waiting);
   gesture.style.setProperty("--letters", gesture.textContent.length);
   const previous = said.slice(0, -1).reverse().find((one) => one.gesture !== answer?.gesture);
   gesture.classList.toggle("waiting", answer === undefined);
   gesture.classList.toggle("changed", Boolean(answer?.changed && previous && isTouched));
   gesture.classList.toggle("over", !isTouched);
   const certainty = answer
-    ? [make("b", "", percent(answer.confidence)), word("sure", { at: seconds(answer.elapsed_s) })]
+    ? [make("b", "", percent(answer.confidence)), ` sure, after ${seconds(answer.elapsed_s)}`]
     : [];
   $("certainty").replaceChildren(...certainty);
   $("remark").replaceChildren(...remarks(store, said, previous));
@@ -47,7 +55,7 @@ function showAction(action) {
   const isShown = isSaid || action?.action === "behavior";
   $("says").hidden = !isShown;
   $("says").classList.toggle("deed", isShown && !isSaid);
-  say($("says"), isSaid ? word("quote", { what: action.what }) : isShown ? word("does", { what: action.what.split("/").at(-1) }) : "");
+  say($("says"), isSaid ? `“${action.what}”` : isShown ? `does ${action.what.split("/").at(-1)}` : "");
 }
 
 /** Why the answer that stands is not the likeliest gesture; "" where it is. */
@@ -55,28 +63,28 @@ function whyItStands({ touch, isTouched, scene }, shown, best) {
   const answer = touch?.predictions.at(-1);
   if (!answer || !isTouched || best === answer.gesture || !(answer.gesture in shown.probabilities)) return "";
   const [name, other] = [nameOf(answer.gesture), nameOf(best)];
-  if (best === "notouch") return word("pause", { name });
+  if (best === "notouch") return `${name} stands: a pause replaces no answer`;
   const lead = shown.probabilities[best] - shown.probabilities[answer.gesture];
   const isHeard = touch.predictions.some((one) => one.told);
   if (isHeard && lead < scene.revise_margin) {
     const [points, needed] = [lead, scene.revise_margin].map((share) => Math.round(100 * share));
-    return word("margin", { name, other, lead: points, needed });
+    return `${name} stands: ${other} leads by ${points} points, ${needed} are needed`;
   }
   if (isHeard && shown.probabilities[best] < scene.speak_above) {
-    return word("likelier", { name, other, share: percent(scene.speak_above) });
+    return `${name} stands: ${other} is likelier, but not yet ${percent(scene.speak_above)} sure`;
   }
-  return word("standsUntil", { name });
+  return `${name} stands until the next answer`;
 }
 
 function remarks({ scene, robot }, said, previous) {
   const answer = said.at(-1);
   if (!answer) return [];
   const told = said.findLast((one) => one.told && one.gesture === answer.gesture);
-  const whom = word(scene.robot_configured ? "theRobot" : "aRobot");
-  const telling = robot?.state === "up" ? "toldRobot" : "sureEnough";
-  const heard = told ? word(telling, { whom, at: seconds(told.elapsed_s) }) : word("unsure", { whom });
-  const parts = previous ? [make("b", "", `↻ ${word("changed", { name: nameOf(previous.gesture) })}`), " · "] : [];
-  const degraded = answer.degraded ? ` · ${word("lost")}` : "";
+  const whom = scene.robot_configured ? "the robot" : "a robot";
+  const telling = robot?.state === "up" ? `told ${whom} after` : `sure enough to tell ${whom} after`;
+  const heard = told ? `${telling} ${seconds(told.elapsed_s)}` : `not sure enough to tell ${whom}`;
+  const parts = previous ? [make("b", "", `↻ changed from ${nameOf(previous.gesture)}`), " · "] : [];
+  const degraded = answer.degraded ? " · frames were lost" : "";
   return [...parts, heard, degraded];
 }
 
@@ -98,9 +106,9 @@ export function showChances(store) {
     say(number, shown ? percent(share) : "–");
   });
   const when = store.live
-    ? word("soFar", { at: seconds(Number((store.live.frames / rate).toFixed(1))) })
+    ? `so far, after ${seconds(Number((store.live.frames / rate).toFixed(1)))}`
     : answer
-      ? word("answered", { at: seconds(answer.elapsed_s) })
+      ? `answered after ${seconds(answer.elapsed_s)}`
       : "";
   const why = shown ? whyItStands(store, shown, best) : "";
   say($("chances-when"), why || when);
@@ -116,7 +124,7 @@ function makeBar() {
 export function showTouches(store) {
   const ended = store.touches.filter((touch) => touch.ended !== null).reverse();
   $("touches").replaceChildren(
-    ...(ended.length ? ended.map((touch) => row(touch, store.scene)) : [make("li", "path", word("noneYet"))]),
+    ...(ended.length ? ended.map((touch) => row(touch, store.scene)) : [make("li", "path", "none yet")]),
   );
 }
 
@@ -126,11 +134,11 @@ function row({ began, predictions, ended }, scene) {
   let before = null;
   for (const one of predictions) {
     if (one.gesture === before) continue;
-    const name = `${nameOf(one.gesture)} ${percent(one.confidence)} ${word("at", { at: seconds(one.elapsed_s) })}`;
+    const name = `${nameOf(one.gesture)} ${percent(one.confidence)} at ${seconds(one.elapsed_s)}`;
     path.append(before === null ? name : make("em", "", ` ↻ ${name}`));
     before = one.gesture;
   }
-  if (ended.reason !== "released") path.append(` · ${word(ended.reason)}`);
+  if (ended.reason !== "released") path.append(` · ${ENDINGS[ended.reason] ?? ended.reason}`);
   return make(
     "li",
     "",
@@ -144,28 +152,26 @@ function row({ began, predictions, ended }, scene) {
 export function showVitals(store, link, age) {
   const isLive = link === "live";
   const { sensor, robot, scene, status } = store;
-  vital("link", word(isLive ? "live" : "reconnecting"), isLive ? "good" : "bad");
+  vital("link", isLive ? "live" : "reconnecting", isLive ? "good" : "bad");
   vital("pad", ...padState(isLive ? sensor : null));
-  vital("rate", status && isLive && age !== null ? word("frames", { rate: Math.round(status.rate_hz) }) : "–");
+  vital("rate", status && isLive && age !== null ? `${Math.round(status.rate_hz)} frames/s` : "–");
   vital("dropped", status ? `${status.dropped}` : "–", status?.dropped ? "bad" : undefined);
   vital("robot", ...robotState(isLive, scene, robot));
   const latency = store.touches.flatMap((touch) => touch.predictions).at(-1)?.latency_ms;
   const { model } = scene;
-  vital("model", model && latency !== undefined ? word("quick", { model, ms: latency.toFixed(1) }) : model || "–");
+  vital("model", model && latency !== undefined ? `${model}, answers in ${latency.toFixed(1)} ms` : model || "–");
 }
 
 function padState(sensor) {
   if (!sensor) return ["–", "none"];
-  const states = { up: ["up", "good"], degraded: ["notFelt", "bad"], disturbed: ["noisy", "bad"] };
-  const [key, mood] = states[sensor.state] ?? ["away", "bad"];
-  return [word(key), mood];
+  return [sensor.state, sensor.state === "up" ? "good" : "bad"];
 }
 
 function robotState(isLive, scene, robot) {
   if (!isLive) return ["–", "none"];
-  if (!scene.robot_configured) return [word("none"), "none"];
-  if (!robot) return [word("awaited"), "none"];
-  return robot.state === "up" ? [word("up"), "good"] : [word("away"), "bad"];
+  if (!scene.robot_configured) return ["none", "none"];
+  if (!robot) return ["awaited", "none"];
+  return [robot.state, robot.state === "up" ? "good" : "bad"];
 }
 
 function vital(name, text, mood) {
@@ -178,13 +184,13 @@ function vital(name, text, mood) {
 /** What stands in the way, in one line; "" where nothing does. */
 export function troubleOf(store, link, age, staleAfter) {
   if (link !== "live") {
-    return link ? word("sendsNothing", { why: link }) : word("noLink");
+    return link ? `touchd sends nothing: ${link}. Trying again.` : "No connection to touchd. Trying again.";
   }
   if (store.sensor?.state === "degraded") return store.sensor.reason;
-  if (store.sensor?.state === "down") return `${word("padAway")}: ${store.sensor.reason || word("unknown")}`;
-  if (age !== null && age > staleAfter) return word("noFrames");
+  if (store.sensor?.state === "down") return `The pad is down: ${store.sensor.reason || "no reason given"}`;
+  if (age !== null && age > staleAfter) return "The pad sends no frames.";
   if (store.scene.robot_configured && store.robot?.state === "down") {
-    return `${word("robotAway")}: ${store.robot.reason || word("unknown")}`;
+    return `The robot is down: ${store.robot.reason || "no reason given"}`;
   }
   return "";
 }
@@ -197,5 +203,5 @@ export function showTrouble(text) {
 export function showAge(age, isStale) {
   document.body.toggleAttribute("data-stale", isStale);
   $("age").hidden = !isStale || age === null;
-  if (isStale && age !== null) say($("age"), age < 60 ? word("old", { age: Math.floor(age) }) : word("minute"));
+  if (isStale && age !== null) say($("age"), age < 60 ? `${Math.floor(age)} s old` : "over a minute old");
 }

@@ -1,6 +1,6 @@
 // The view for visitors: the whole screen, nothing but pad, answer, time line and the robot's words.
 
-import { seconds, word } from "./words.js";
+import { seconds } from "./words.js";
 
 const HASH = "#visitors";
 
@@ -27,9 +27,9 @@ export class Visitors {
   /** Take the words and marks of the scene. */
   use(scene) {
     const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
-    const list = new Intl.ListFormat(scene.language, { style: "long" }).format(marks);
-    this.#legend.textContent = word("legend", { marks: list });
-    this.#button.ariaLabel = this.#isShown ? word("leave") : null;
+    const list = new Intl.ListFormat("en", { style: "long" }).format(marks);
+    this.#legend.textContent =
+      `Brighter is firmer. What your hand does is said after ${list}; ↻ a change of mind, ✓ told to the robot.`;
   }
 
   get #isShown() {
@@ -47,7 +47,7 @@ export class Visitors {
   #show(isShown) {
     document.body.toggleAttribute("data-visitors", isShown);
     this.#button.ariaPressed = String(isShown);
-    this.#button.ariaLabel = isShown ? word("leave") : null;
+    this.#button.ariaLabel = isShown ? "Leave the visitors' view" : null;
     history.replaceState(null, "", isShown ? HASH : location.pathname);
     this.#onChange();
   }
