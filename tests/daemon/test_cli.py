@@ -26,10 +26,10 @@ from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.setup.parts import check_fit
 from touchd.daemon.setup.words import vocabulary
 from touchd.daemon.terminal.describe import describe
+from touchd.drivers.fakes.hand import write_simulated
 from touchd.drivers.recording import Recording, read_recordings, write_recordings
 from touchd.model.classifier import Classifier
 from touchd.model.studies.__main__ import STUDIES
-from touchd.model.studies.hand import write_simulated
 
 Refusal = Callable[..., str]
 

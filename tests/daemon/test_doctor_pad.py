@@ -16,7 +16,7 @@ from touchd.daemon.doctor.pad import (
     check_taxels,
     is_pressed,
 )
-from touchd.model.studies.hand import simulate
+from touchd.drivers.fakes.hand import simulate
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:

@@ -26,8 +26,8 @@ from selenium.webdriver.common.by import By
 from touchd.daemon.config import LiveSettings, PadSettings
 from touchd.daemon.events import Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.setup.words import name_of, vocabulary
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.model.studies.hand import simulate
 
 pytestmark = [
     pytest.mark.timeout(300),

@@ -22,8 +22,8 @@ from touchd.daemon.plot import recording as plot_recording
 from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
 from touchd.daemon.plot.recording import Trace, feel
 from touchd.daemon.setup.parts import load_model
+from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
-from touchd.model.studies.hand import simulate, write_simulated
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
 PNG = b"\x89PNG\r\n\x1a\n"

@@ -21,9 +21,9 @@ from touchd.daemon.recorder.capture import Capture, PadReader, complaints
 from touchd.daemon.recorder.dialogue import Dialogue, Terms
 from touchd.daemon.recorder.session import Session, Setting
 from touchd.daemon.terminal.width import text_width
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import Recording, RecordingError, read_recordings
-from touchd.model.studies.hand import simulate
 
 
 def recording() -> Recording:
@@ -138,7 +138,7 @@ FILL = """
 import sys
 from pathlib import Path
 from touchd.daemon.kept.recording_file import keep
-from touchd.model.studies.hand import simulate
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import RecordingError
 folder = Path(sys.argv[1])
 (recording,) = simulate((("pat", 0.5),), seed=1)

@@ -17,9 +17,9 @@ from touchd.daemon.kept.recording_file import keep
 from touchd.daemon.recorder.capture import PadLost, PadReader
 from touchd.daemon.recorder.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings
-from touchd.model.studies.hand import simulate
 
 SPEED = 6.0
 

@@ -11,10 +11,10 @@ from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import next_frames, sensing, stream_of
 
 from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring, on_grid
 from touchd.drivers.recording import Recording, Stream, ideal_clock_ms, read_recordings, write_recordings
-from touchd.model.studies.hand import simulate
 
 SWING_COUNTS = 200.0
 SWING_HZ = 3.5

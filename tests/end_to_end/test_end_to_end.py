@@ -17,6 +17,7 @@ from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import (
     Recording,
     Selection,
@@ -28,7 +29,6 @@ from touchd.drivers.recording import (
 )
 from touchd.drivers.robot.settings import RobotSettings
 from touchd.model.classifier import Classifier
-from touchd.model.studies.hand import simulate
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
 

@@ -24,9 +24,9 @@ from touchd.daemon.health import Health, Notifier
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.daemon.setup.destinations import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import splice
 from touchd.drivers.robot.settings import RobotSettings
-from touchd.model.studies.hand import simulate
 
 UNITS = Path(__file__).parents[2] / "systemd"
 

@@ -21,6 +21,7 @@ from rigs.programs import ran  # noqa: E402
 from touchd.daemon import cli  # noqa: E402
 from touchd.daemon.config import Settings  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
+from touchd.drivers.fakes.hand import simulate  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, prepare  # noqa: E402
 from touchd.model.adapt.backbone import CropFeatures, windows  # noqa: E402
@@ -34,7 +35,6 @@ from touchd.model.adapt.ship import model_name, write  # noqa: E402
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
 from touchd.model.studies.checks.reference import Reference  # noqa: E402
-from touchd.model.studies.hand import simulate  # noqa: E402
 from touchd.model.tgc import TGC  # noqa: E402
 from touchd.model.training.export import CalibratedTGC  # noqa: E402
 from touchd.model.training.remember import save, statistics  # noqa: E402

@@ -17,9 +17,9 @@ from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.daemon.playback.stream import play
 from touchd.daemon.setup.parts import load_model
+from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.model.classifier import Classifier
-from touchd.model.studies.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 
 FOLDER = Path(__file__).parents[1] / "recordings"
 GAP_S = 1.8

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from touchd.daemon.decide import DecisionSettings
+from touchd.drivers.fakes.hand import simulate
 from touchd.model.classifier import Classifier
 from touchd.model.studies.decision import (
     FILE,
@@ -27,7 +28,6 @@ from touchd.model.studies.decision import (
     measure,
     tell,
 )
-from touchd.model.studies.hand import simulate
 
 LABELS = ("notouch", "pat", "rub", "stroke")
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
 
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import (
     Recording,
     Selection,
@@ -20,7 +21,6 @@ from touchd.drivers.recording import (
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks import evaluate
-from touchd.model.studies.hand import simulate
 from touchd.model.training import haart, second_study
 from touchd.model.training.haart import TRAINING_FILE, find
 

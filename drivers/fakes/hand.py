@@ -216,7 +216,7 @@ def write_simulated(path: Path, script: Sequence[tuple[str, float]], seed: int) 
     Raises RecordingError when the file is there already or cannot be written.
     """
     provenance = {
-        "source": "SIMULATED by model/studies/hand.py; no person's data",
+        "source": "SIMULATED by drivers/fakes/hand.py; no person's data",
         "sensor": f"none; a simulated pad of {ROWS}x{COLUMNS} taxels at {FRAME_RATE_HZ:g} Hz",
         "seed": str(seed),
         "licence": "Apache-2.0",

@@ -8,10 +8,10 @@ import pytest
 from rigs.haart_folder import needs_haart
 
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
+from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.drivers.recording import Recording, Selection, read_recordings, splice
 from touchd.model.classifier import Classifier
-from touchd.model.studies.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
 
 TOUCHES = sorted(set(GESTURES) - {"notouch"})
 FINAL_FRAMES = 144
