@@ -74,11 +74,6 @@ class Health:
             self._notifier.send(READY=1)
         self._feed()
 
-    def forget(self, pad: str) -> None:
-        """A pad is no longer configured."""
-        self._away.pop(pad, None)
-        self._heard_s.pop(pad, None)
-
     def frame_processed(self, pad: str) -> None:
         """A frame went through a pad's pipeline."""
         self._heard_s[pad] = time.monotonic()

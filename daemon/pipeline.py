@@ -3,7 +3,7 @@
 import itertools
 import logging
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -114,9 +114,6 @@ class Pipeline:
 
     Events depend only on the frames, not on when or how they arrived; their times are the clock's. While
     nothing touches, the model is asked three times a second.
-    numbers: of its touches; 1, 2, ... without them.
-    before: the pipeline that this one replaces between two touches; its knowledge of the pad and its touch
-    numbers are taken over.
     viewers: returns the current viewers, to be called with live predictions.
     first_index: of the grid; it should differ among pads, so that their looks fall on different frames.
     """
@@ -130,8 +127,6 @@ class Pipeline:
         pad: str = DEFAULT_PAD,
         viewers: Viewers = tuple,
         first_index: int = 0,
-        numbers: Iterator[int] | None = None,
-        before: "Pipeline | None" = None,
     ) -> None:
         self._emit = emit
         self._viewers = viewers
@@ -143,22 +138,16 @@ class Pipeline:
         # At the end of a touch its last frame is older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker: TouchTracker = TouchTracker(
-            settings.touch, self._no_touch, before._tracker if before else None
-        )
-        self._ring: Ring = Ring(_history_frames(settings), before._ring if before else None, first_index)
-        self._numbers: Iterator[int] = before._numbers if before else numbers or itertools.count(1)
+        self._tracker = TouchTracker(settings.touch, self._no_touch)
+        self._ring = Ring(_history_frames(settings), first_index)
+        self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
-        self._is_disturbed: bool = before._is_disturbed if before else False
+        self._is_disturbed = False
         self._disturbance_frames = 0
-        self._loose_lines: tuple[str, ...] = before._loose_lines if before else ()
+        self._loose_lines: tuple[str, ...] = ()
         self._touch: Touch | None = None
-        self._age: Age = before._age if before else Age()
-        self._feeling: Feeling = Feeling(before._feeling if before else None)
-
-    @property
-    def has_touch(self) -> bool:
-        return self._touch is not None
+        self._age = Age()
+        self._feeling = Feeling()
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)

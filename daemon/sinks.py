@@ -1,6 +1,7 @@
 """Where events go. Each sink has its own bounded queue and its own thread, so that none can slow the loop."""
 
 import errno
+import itertools
 import logging
 import os
 import select
@@ -8,7 +9,7 @@ import threading
 import time
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import msgspec
@@ -21,7 +22,6 @@ from touchd.daemon.events import (
     TouchBegan,
     encode,
     epoch_s,
-    timestamp,
 )
 from touchd.daemon.kept.journal import Journal
 from touchd.drivers.queue import DroppingQueue
@@ -57,32 +57,20 @@ class Sink(typing.Protocol):
 class EventFanout:
     """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
 
-    sinks: assigned anew when the configuration changes. touches: how many began.
-    standing: the last state of each pad and of the robot.
+    touches: how many began.
     """
 
     def __init__(self) -> None:
         self.sinks: tuple[Sink, ...] = ()
         self.touches = 0
-        self.standing: dict[tuple[type[Event], str], Event] = {}
 
     def emit(self, event: Event) -> None:
         # Robots tell theirs from threads of their own; only one thread may count.
         if isinstance(event, TouchBegan):
             self.touches += 1
-        if isinstance(event, SensorEvent | RobotEvent):
-            self.standing[type(event), getattr(event, "pad", "")] = event
         # The robot last: its threads may tell at once what it does about an event.
         for sink in sorted(self.sinks, key=lambda sink: isinstance(sink, RobotSink)):
             sink.put(event)
-
-    def forget_robot(self) -> None:
-        """Tell that a robot which is up is gone: another one is configured now, or none."""
-        last = self.standing.get((RobotEvent, ""))
-        if isinstance(last, RobotEvent) and last.state == "up":
-            now = timestamp(time.time())
-            self.emit(RobotEvent(state="down", time=now, reason="it is no longer configured"))
-        self.standing.pop((RobotEvent, ""), None)
 
 
 class QueuedSink(ABC, Generic[Item]):
@@ -99,14 +87,10 @@ class QueuedSink(ABC, Generic[Item]):
         self._told_dropped = 0
         self._draining = False
         self._abandoned = threading.Event()
-        self._starting = threading.Lock()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
 
     def start(self) -> None:
-        """Begin to pass items on; may be repeated."""
-        with self._starting:
-            if self._thread.ident is None:
-                self._thread.start()
+        self._thread.start()
 
     @property
     def dropped(self) -> int:
@@ -117,9 +101,6 @@ class QueuedSink(ABC, Generic[Item]):
 
     def stop(self, timeout_s: float) -> None:
         """Write what is queued, for at most half of `timeout_s`, then give up the rest; may be repeated."""
-        if len(self._items):
-            # The daemon may end between a reload's swap and its start of new sinks.
-            self.start()
         if self._thread.ident is None:
             return
         self._draining = True
@@ -255,16 +236,13 @@ class JournalSink(QueuedSink[Event]):
 
 
 class RobotSink:
-    """Sends told answers and the pads' states to the robot. The link has its own queue and thread.
-
-    numbers: of the messages; they continue after a reload.
-    """
+    """Sends told answers and the pads' states to the robot. The link has its own queue and thread."""
 
     name = "robot"
 
-    def __init__(self, link: RobotLink, numbers: Iterator[int]) -> None:
+    def __init__(self, link: RobotLink) -> None:
         self._link = link
-        self._numbers = numbers
+        self._numbers = itertools.count(1)
 
     def start(self) -> None:
         self._link.start()

@@ -97,16 +97,10 @@ class Release:
 class TouchTracker:
     """Follows the pad frame by frame and says when a touch begins and ends.
 
-    no_touch: the network's probability that nothing touches the pad in (T, 8, 8) counts. before: a tracker
-    that this one goes on from between two touches, by other settings.
+    no_touch: the network's probability that nothing touches the pad in (T, 8, 8) counts.
     """
 
-    def __init__(
-        self,
-        settings: TouchSettings,
-        no_touch: NoTouch | None = None,
-        before: "TouchTracker | None" = None,
-    ) -> None:
+    def __init__(self, settings: TouchSettings, no_touch: NoTouch | None = None) -> None:
         self._baseline = Baseline()
         self._recent = LastSecond()
         self._wire = LooseWire()
@@ -119,8 +113,6 @@ class TouchTracker:
         self._rest_activity = 0.0
         self._light: LightContact | None = None
         self._held: HeldTouch | None = None
-        if before is not None:
-            vars(self).update(vars(before))
         self._sight = Sight(no_touch)
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)

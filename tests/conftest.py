@@ -32,7 +32,6 @@ LONGEST = (
     "test_scores.py",
     "test_sensor_faults.py",
     "test_first_day.py",
-    "test_reread.py",
     "test_pages.py",
     "test_live.py",
     "test_speed.py",

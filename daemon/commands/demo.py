@@ -1,7 +1,6 @@
 """`touchd demo`: a simulated hand on a fake pad, the real daemon and a stand-in robot, in the terminal."""
 
 import argparse
-import itertools
 import statistics
 import sys
 import tempfile
@@ -182,7 +181,7 @@ def _play(
                 RobotAction(touch=message.touch, action=kind, what=what, time=timestamp(time.time()))
             ),
         )
-        forward = RobotSink(link, itertools.count(1)).put
+        forward = RobotSink(link).put
         link.start()
         closing.callback(link.stop)
     daemon = SpawnedDaemon(settings, folder, log)

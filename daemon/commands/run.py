@@ -6,10 +6,8 @@ import logging
 import os
 import signal
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -20,12 +18,53 @@ from touchd.daemon.health import Health, Notifier
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from touchd.daemon.log import LogGate
 from touchd.daemon.service import Service
-from touchd.daemon.setup.reread import Reloader, rereading
 from touchd.daemon.sinks import LinesSink, LogHandler, LogSink
 
 # How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.
 SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
+
+log = logging.getLogger(__name__)
+
+
+class Signals:
+    """What signals have asked for, as plain attributes: a handler that takes a lock can wait for itself.
+
+    SIGINT and SIGTERM end the daemon, and so does SIGHUP where it means that the terminal has closed.
+    Elsewhere SIGHUP is ignored, with one line in the log.
+    """
+
+    def __init__(self, *, has_terminal: bool) -> None:
+        self._has_terminal = has_terminal
+        self._is_hung_up = False
+        self._must_stop = False
+
+    def listen(self) -> None:
+        """Install the handlers."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self.stop)
+        # Under nohup it is ignored already.
+        if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            signal.signal(signal.SIGHUP, self.stop if self._has_terminal else self._hang_up)
+
+    def ignore(self) -> None:
+        """Ignore further signals: the daemon has ended, and the interpreter is about to."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_IGN)
+
+    def stop(self, *_: object) -> None:
+        self._must_stop = True
+
+    def must_stop(self) -> bool:
+        """Return whether the daemon must end; call it from the loop."""
+        if self._is_hung_up:
+            self._is_hung_up = False
+            log.warning("SIGHUP is ignored; to apply new settings, restart: sudo systemctl restart touchd")
+        return self._must_stop
+
+    def _hang_up(self, *_: object) -> None:
+        self._is_hung_up = True
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -58,18 +97,11 @@ def main(arguments: Sequence[str]) -> int:
     if options.view and not is_terminal:
         parser().error("--view needs a terminal")
     in_words = is_terminal and not options.json
-    # A closed terminal sends SIGHUP too, which does not mean "reread".
-    can_reread = options.config is not None and not is_terminal
-    stop, hung_up = threading.Event(), threading.Event()
     settings = _read(options)
+    signals = Signals(has_terminal=any(os.isatty(fd) for fd in (0, 1, 2)))
     with ExitStack() as closing:
-        wanted = {signal.SIGINT: stop, signal.SIGTERM: stop}
-        # Where nohup has it ignored, a terminal that closes ends nothing.
-        if can_reread or signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-            wanted[signal.SIGHUP] = hung_up if can_reread else stop
-        for number, event in wanted.items():
-            before = signal.signal(number, lambda *_, event=event: event.set())
-            closing.callback(signal.signal, number, before)
+        signals.listen()
+        closing.callback(signals.ignore)
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         service = Service(settings, Health(notifier))
@@ -90,7 +122,7 @@ def main(arguments: Sequence[str]) -> int:
             closing.callback(log_sink.stop, LOG_STOP_S)
             handler = LogHandler(log_sink.log)
             form = _in_words(settings) if in_words else encode
-            service.tell(LinesSink("stdout", sys.stdout.fileno(), form, stop.set))
+            service.tell(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
             if in_words and page and settings.live and settings.live.host in EVERY_ADDRESS:
                 sys.stderr.write(qr_code(page))
         handler.addFilter(LogGate())
@@ -98,13 +130,12 @@ def main(arguments: Sequence[str]) -> int:
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)
         root.setLevel(settings.log_level.upper())
-        closing.enter_context(rereading(hung_up, Reloader(partial(_read, options), service.reload)))
-        service.run(stop)
+        service.run(signals.must_stop)
     return 0
 
 
 def _read(options: argparse.Namespace) -> Settings:
-    """Return the settings, at the start and at every SIGHUP; raises ConfigError."""
+    """Return the settings; raises ConfigError."""
     settings = load(options.config) if options.config else Settings()
     if options.port:
         if settings.sensors:

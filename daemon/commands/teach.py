@@ -173,7 +173,7 @@ def put_into_use(
             if only_pad(settings, pad).model != str(model):
                 raise by_hand
             try:
-                load_models(settings, {})
+                load_models(settings)
             except TouchdError as error:
                 if is_service:
                     model.unlink()

@@ -27,11 +27,11 @@ class Journal:
     """Appends lines to a file; a full disk is warned of once and costs lines, never the daemon.
 
     path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file is
-    begun. before: the journal that this one replaces, perhaps on the same file. Only one process
-    writes a journal. Raises JournalError when the file cannot be opened, or is no journal and left as it is.
+    begun. Only one process writes a journal. Raises JournalError when the file cannot be
+    opened, or is not a journal.
     """
 
-    def __init__(self, path: Path, *, max_bytes: int, keep: int, before: "Journal | None" = None) -> None:
+    def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
         # Of a link, what it leads to is rotated, and stays on its disk.
         self._path = path = path.resolve()
         self._max_bytes = max_bytes
@@ -40,13 +40,12 @@ class Journal:
         self.lost = 0
         advice = "give another journal.path, or null"
         with os_errors_as(JournalError, f"journal {path}: cannot be written", advice):
-            # The duplicate shares the lock.
-            self._fd: int = os.dup(before._fd) if before and before.is_on(path) else _open(path)
+            self._fd = _open(path)
 
     def append(self, line: bytes) -> None:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""
         try:
-            if not self.is_on(self._path):
+            if not self._is_there():
                 self._begin_anew()
                 log.warning("journal %s: was taken away; begun anew", self._path)
             size = os.fstat(self._fd).st_size
@@ -63,10 +62,10 @@ class Journal:
                 log.info("journal %s: works again; %d events were lost", self._path, self.lost)
             self._failing = False
 
-    def is_on(self, path: Path) -> bool:
-        """Whether this is what it writes to; raises OSError when that cannot be told."""
+    def _is_there(self) -> bool:
+        """Whether the path still leads to the open file; raises OSError when that cannot be found out."""
         try:
-            return os.path.samestat(os.stat(path), os.fstat(self._fd))
+            return os.path.samestat(os.stat(self._path), os.fstat(self._fd))
         except FileNotFoundError:
             return False
 

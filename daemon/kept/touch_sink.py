@@ -22,15 +22,14 @@ class TouchSink(QueuedSink[FeltTouch]):
     """A sink that keeps the frames of touches, for the pads that have a store; for others it does nothing.
 
     Frames and the events that they cause come from one thread, a frame before its events.
-    before: the sink that this one replaces, perhaps during a touch.
     """
 
     capacity = 8
 
-    def __init__(self, stores: Mapping[str, TouchStore], before: "TouchSink | None" = None) -> None:
+    def __init__(self, stores: Mapping[str, TouchStore]) -> None:
         super().__init__("touches")
         self._stores = stores
-        self._pads: defaultdict[str, _PadFrames] = before._pads if before else defaultdict(_PadFrames)
+        self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
 
     def take(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
         if pad in self._stores:

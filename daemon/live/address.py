@@ -49,21 +49,13 @@ def require_library() -> None:
         ) from error
 
 
-def listen(settings: LiveSettings, beside: socket.socket | None = None) -> socket.socket:
-    """Return a socket that listens where these settings say; raises LiveError.
-
-    beside: our own socket that it replaces; both may share the port for a moment.
-    """
+def listen(settings: LiveSettings) -> socket.socket:
+    """Return a socket that listens where these settings say; raises LiveError."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     takes_both = settings.host == "::" and socket.has_dualstack_ipv6()
     try:
-        if beside is not None:
-            beside.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         listening = socket.create_server(
-            (settings.host, settings.port),
-            family=family,
-            reuse_port=beside is not None,
-            dualstack_ipv6=takes_both,
+            (settings.host, settings.port), family=family, dualstack_ipv6=takes_both
         )
     except OSError as error:
         where = f"the live page cannot listen on {settings.host} port {settings.port}"

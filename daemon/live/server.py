@@ -44,7 +44,7 @@ PING_EVERY_S = 5.0
 GOODBYE_S = 0.2
 
 Scenes: TypeAlias = Mapping[str, Scene]
-Item: TypeAlias = Event | LivePrediction | tuple[Frame, str] | Scenes
+Item: TypeAlias = Event | LivePrediction | tuple[Frame, str]
 
 
 class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):
@@ -85,8 +85,8 @@ class LiveServer:
         log.info("live page: %s", " ".join(urls))
         self._thread.start()
 
-    def put(self, item: Event | LivePrediction | Scenes) -> None:
-        """Queue an event, a live prediction or new scenes, to be shown with the next frame or status.
+    def put(self, item: Event | LivePrediction) -> None:
+        """Queue an event or a live prediction, to be shown with the next frame or status.
 
         Waking the page's thread here would make it compete with the other sinks for this answer.
         """
@@ -203,11 +203,6 @@ class LiveServer:
                 self._viewers.show(encode_frame(frame, list(self._pads).index(pad)))
             case LivePrediction():
                 self._viewers.show(encode_message(item))
-            case Mapping():
-                for pad, scene in item.items():
-                    self._pads[pad].scene = scene
-                for state in self._state():
-                    self._viewers.tell(state)
             case _:
                 for pad in [item.pad] if not isinstance(item, RobotEvent) else self._pads:
                     self._pads[pad].put(item)

@@ -56,13 +56,11 @@ class Age:
 class Feeling:
     """Whether frames come close enough together, by the pad's clock, for touches to be felt."""
 
-    def __init__(self, before: "Feeling | None" = None) -> None:
+    def __init__(self) -> None:
         self._frames: deque[Frame] = deque(maxlen=CALIBRATION_FRAMES)
         self._without_gap = 0
         self._since_s: float | None = None
         self._is_degraded = False
-        if before:
-            vars(self).update(vars(before))
 
     def update(self, frame: Frame, restarted: bool) -> str | None:
         """Take a frame, and whether the grid restarted with it; return what changed, None for nothing.

@@ -19,7 +19,7 @@ from touchd.drivers.recording import RecordingError
 KEYS = "123456789abcdefghijkmnoprstvxyz"
 NOT_KEPT = (
     "no frames of touches are kept there; set journal.keep_touches in the daemon's configuration, "
-    "and reload it; touches from then on are kept; where it has several pads, name one with --pad"
+    "and restart it; touches from then on are kept; where it has several pads, name one with --pad"
 )
 
 

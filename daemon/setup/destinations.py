@@ -23,19 +23,18 @@ from touchd.drivers.robot.reactions import Kind, RobotMessage
 from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
-    from touchd.daemon.live.memory import Scene
     from touchd.daemon.live.server import LiveServer
 
 BYTES_PER_MB = 1_000_000
 
 
-def open_journal(settings: JournalSettings | None, before: Journal | None = None) -> Journal | None:
-    """Return the configured journal, if any, in place of the one before; raises JournalError."""
+def open_journal(settings: JournalSettings | None) -> Journal | None:
+    """Return the configured journal, if any; raises JournalError."""
     if settings is None:
         return None
     _make_state_folder(settings)
     max_bytes = round(settings.max_mb * BYTES_PER_MB)
-    return Journal(settings.file, max_bytes=max_bytes, keep=settings.keep, before=before)
+    return Journal(settings.file, max_bytes=max_bytes, keep=settings.keep)
 
 
 def _make_state_folder(settings: JournalSettings) -> None:
@@ -85,29 +84,15 @@ def link_to_robot(settings: Settings, emit: Callable[[Event], None]) -> RobotLin
     return link
 
 
-def scenes_of(settings: Settings, models: Mapping[str, Classifier]) -> dict[str, Scene]:
-    """Return each pad's scene, as the live page needs it."""
-    return {name: (pad, models[name]) for name, pad in settings.pads.items()}
-
-
-def open_live_page(
-    settings: Settings, models: Mapping[str, Classifier], before: LiveServer | None = None
-) -> LiveServer | None:
-    """Return the server of the live page, not yet started, if one is configured; raises LiveError.
-
-    before: the server that it replaces.
-    """
+def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> LiveServer | None:
+    """Return the server of the live page, not yet started, if one is configured; raises LiveError."""
     if settings.live is None:
         return None
     require_library()
     from touchd.daemon.live.server import LiveServer
 
-    if before is not None and before.settings == settings.live:
-        # The one before answers until it is replaced; another socket would take half of its visitors.
-        listening = before.listening.dup()
-    else:
-        listening = listen(settings.live, before.listening if before else None)
-    return LiveServer(listening, settings.live, scenes_of(settings, models))
+    scenes = {name: (pad, models[name]) for name, pad in settings.pads.items()}
+    return LiveServer(listen(settings.live), settings.live, scenes)
 
 
 def description_of(sensor: SensorSettings) -> str:

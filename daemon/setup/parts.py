@@ -1,18 +1,15 @@
-"""Makes the daemon's parts from a configuration, at start and at every reload."""
+"""Makes the daemon's parts from a configuration."""
 
 from __future__ import annotations
 
-import itertools
 import typing
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, suppress
-from functools import partial
+from collections.abc import Callable
+from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 
 from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.bridges.bridges import Key, make_bridges
+from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.config import ConfigError, SceneSettings, Settings
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN, Event
@@ -33,142 +30,59 @@ if typing.TYPE_CHECKING:
 Emit = Callable[[Event], None]
 
 
+@dataclass(frozen=True, eq=False)
 class Pad:
-    """One pad: its reader, the queue that this fills, and the pipeline that empties it.
+    """One pad: its reader, the queue that the reader fills, and the pipeline that empties it."""
 
-    settings: those of this pad. make_pipeline: makes its pipeline, perhaps from the one before.
-    arrived: set whenever something waits in the queue.
-    before: the same pad under the previous settings; its queue is kept, and its reader if the port stays.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        settings: Settings,
-        model: Classifier,
-        make_pipeline: Callable[..., Pipeline],
-        arrived: Signal,
-        before: Pad | None,
-    ) -> None:
-        self.name = name
-        self.settings = settings
-        self.model = model
-        self.model_file = model_file(settings)
-        self._make_pipeline = make_pipeline
-        self.pipeline = make_pipeline()
-        self.queue: FrameQueue = before.queue if before else FrameQueue(filled=arrived)
-        self.watch: PadWatch = before.watch if before else PadWatch(name)
-        sensor = settings.sensor
-        self.sensor: Sensor
-        # A reader goes on where nothing but the pad's size differs.
-        if before and sensor == msgspec.structs.replace(before.settings.sensor, size_mm=sensor.size_mm):
-            self.sensor = before.sensor
-        else:
-            self.sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self.queue)
-
-    def go_on_from(self, before: Pad) -> None:
-        """Replace the same pad under the previous settings, between two touches."""
-        self.pipeline = self._make_pipeline(before=before.pipeline)
+    name: str
+    model: Classifier
+    queue: FrameQueue
+    sensor: Sensor
+    pipeline: Pipeline
+    watch: PadWatch
 
 
+@dataclass(frozen=True, eq=False)
 class Parts:
-    """Models, pads and sinks as configured; None for a sink that is not.
+    """Pads and sinks as configured; None for a sink that is not. None of them runs before it is started."""
 
-    emit: takes every event. viewers: see `Pipeline`. arrived: see `Pad`.
-    numbers: of messages to a robot.
-    before: the running parts; unchanged ones are taken over.
-    Nothing runs before it is started. Raises TouchdError when the settings cannot be used, and leaves nothing
-    behind.
-    """
-
-    def __init__(
-        self,
-        settings: Settings,
-        emit: Emit,
-        viewers: Viewers,
-        arrived: Signal,
-        numbers: Iterator[int],
-        before: Parts | None = None,
-    ) -> None:
-        self.settings = settings
-        self.changed = [
-            name
-            for name in Settings.__struct_fields__
-            if before is None or getattr(before.settings, name) != getattr(settings, name)
-        ]
-        changed = set(self.changed)
-        pads_before: Mapping[str, Pad] = before.pads if before else {}
-        if before is None or settings.sensor.port != before.settings.sensor.port:
-            check_pad(settings)
-        models = load_models(settings, pads_before)
-        # Also those of pads that are gone: one may come back.
-        self._touch_numbers: dict[str, Iterator[int]] = before._touch_numbers if before else {}
-        self.pads: dict[str, Pad] = {
-            name: Pad(
-                name,
-                pad,
-                models[name],
-                partial(
-                    Pipeline,
-                    pad.pipeline,
-                    models[name],
-                    emit,
-                    pad=name,
-                    viewers=viewers,
-                    first_index=number,
-                    numbers=self._touch_numbers.setdefault(name, itertools.count(1)),
-                ),
-                arrived,
-                pads_before.get(name),
-            )
-            for number, (name, pad) in enumerate(settings.pads.items())
-        }
-        if before is not None and "model" not in changed and before.has_other_models:
-            self.changed.append("model")
-        self.robot: RobotSink | None = before.robot if before else None
-        acts_before = before.settings.scene.actions if before else None
-        if changed & {"robot", "sensors", "language", "words"} or settings.scene.actions != acts_before:
-            link = link_to_robot(settings, emit)
-            self.robot = RobotSink(link, numbers) if link else None
-        self.kept: TouchSink | None = before.kept if before else None
-        if changed & {"journal", "sensor", "sensors"}:
-            stores = open_touch_stores(settings)
-            self.kept = TouchSink(stores, self.kept) if stores else None
-        self.bridges: dict[Key, Bridge] = make_bridges(settings, models, before.bridges if before else {})
-        self.journal: JournalSink | None = before.journal if before else None
-        self.live: LiveServer | None = before.live if before else None
-        with ExitStack() as undo:
-            if "journal" in changed:
-                journal = open_journal(settings.journal, self.journal.journal if self.journal else None)
-                self.journal = JournalSink(journal) if journal else None
-                if journal:
-                    undo.callback(journal.close)
-            if "live" in changed or list(pads_before) != list(self.pads):
-                self.live = open_live_page(settings, models, self.live)
-            undo.pop_all()
-
-    @property
-    def has_other_models(self) -> bool:
-        """Whether a model's file has been replaced since it was read."""
-        return any(pad.model_file != model_file(pad.settings) for pad in self.pads.values())
-
-    @property
-    def models(self) -> dict[str, Classifier]:
-        return {name: pad.model for name, pad in self.pads.items()}
+    pads: tuple[Pad, ...]
+    journal: JournalSink | None
+    robot: RobotSink | None
+    live: LiveServer | None
+    kept: TouchSink | None
+    bridges: tuple[Bridge, ...]
 
     @property
     def sinks(self) -> tuple[Sink, ...]:
         one_each = (self.journal, self.robot, self.live, self.kept)
-        return (*(sink for sink in one_each if sink is not None), *self.bridges.values())
+        return (*(sink for sink in one_each if sink is not None), *self.bridges)
 
 
-def model_file(settings: Settings) -> tuple[object, ...]:
-    """Return which file a pad's model is read from; one that takes its place is another."""
-    path = settings.model_path or SHIPPED_MODEL
-    with suppress(OSError):
-        found = path.stat()
-        return path, found.st_ino, found.st_mtime_ns, found.st_size
-    return (path,)
+def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal) -> Parts:
+    """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
+
+    emit: takes every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.
+    """
+    check_pad(settings)
+    models = load_models(settings)
+    pads = []
+    for number, (name, pad) in enumerate(settings.pads.items()):
+        queue = FrameQueue(filled=arrived)
+        sensor = Sensor(pad.sensor.port, pad.sensor.baud, parser_of(pad.sensor.described), queue)
+        pipeline = Pipeline(pad.pipeline, models[name], emit, pad=name, viewers=viewers, first_index=number)
+        pads.append(Pad(name, models[name], queue, sensor, pipeline, PadWatch(name)))
+    stores = open_touch_stores(settings)
+    link = link_to_robot(settings, emit)
+    journal = open_journal(settings.journal)
+    return Parts(
+        pads=tuple(pads),
+        journal=JournalSink(journal) if journal else None,
+        robot=RobotSink(link) if link else None,
+        live=open_live_page(settings, models),
+        kept=TouchSink(stores) if stores else None,
+        bridges=tuple(make_bridges(settings, models)),
+    )
 
 
 def load_model(settings: Settings) -> Classifier:
@@ -182,22 +96,20 @@ def load_model(settings: Settings) -> Classifier:
     return classifier
 
 
-def load_models(settings: Settings, before: Mapping[str, Pad]) -> dict[str, Classifier]:
-    """Load each pad's model, shared by pads with the same file, and with those before; see `load_model`."""
-    loaded = {pad.model_file: pad.model for pad in before.values()}
+def load_models(settings: Settings) -> dict[str, Classifier]:
+    """Load each pad's model, shared by pads with the same file; see `load_model`."""
+    by_path: dict[object, Classifier] = {}
     models: dict[str, Classifier] = {}
     for name, pad in settings.pads.items():
-        file = model_file(pad)
-        if file in loaded:
-            check_fit(pad.scene, loaded[file])
+        path = pad.model_path
+        if path in by_path:
+            check_fit(pad.scene, by_path[path])
         else:
-            loaded[file] = load_model(pad)
-        models[name] = loaded[file]
-    named = {UNCERTAIN}.union(*(model.labels for model in models.values()))
-    if unknown := sorted(set(settings.words) - named):
-        raise ConfigError(
-            f"words: {unknown[0]} is nothing that is told; name one of {', '.join(sorted(named))}"
-        )
+            by_path[path] = load_model(pad)
+        models[name] = by_path[path]
+    known = {UNCERTAIN}.union(*(model.labels for model in models.values()))
+    if unknown := sorted(set(settings.words) - known):
+        raise ConfigError(f"words.{unknown[0]}: unknown gesture; known: {', '.join(sorted(known))}")
     return models
 
 

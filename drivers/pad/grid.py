@@ -52,12 +52,9 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
 
 
 class Ring:
-    """The last `capacity` grid frames; bounded, whatever comes in.
+    """The last `capacity` grid frames; bounded, whatever comes in."""
 
-    before: a ring that this one goes on from.
-    """
-
-    def __init__(self, capacity: int, before: "Ring | None" = None, first_index: int = 0) -> None:
+    def __init__(self, capacity: int, first_index: int = 0) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
         self._next_index = first_index
         self._sensor_ms: int | None = None
@@ -68,8 +65,6 @@ class Ring:
         self._in_step = IN_STEP_FRAMES
         self._late: Frame | None = None
         self._vibration = Vibration()
-        if before is not None:
-            vars(self).update(vars(before), _history=deque(before._history, maxlen=capacity))
 
     def push(self, frame: Frame) -> list[GridFrame]:
         """Take the sensor's next frame; return the grid frames that it completes, oldest first.

@@ -18,7 +18,7 @@ import pytest
 from by_hand.debian_machine import KINDS, Emulated, Machine, booted, what_is_missing
 from rigs.expectations import LENGTHS
 
-from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, decode
 
 KIND = KINDS[os.environ.get("TOUCHD_LAB", "container")]
 SLOW_MOTION = 25.0 if KIND is Emulated else 1.0
@@ -134,21 +134,6 @@ def test_events_reach_journal_log_and_robot(touchd: Machine) -> None:
     assert '"type":"prediction"' in touchd.run(f"{LOG} -u touchd")
     assert "TouchGesture/Gesture" in touchd.run(f"{LOG} -u robot")
     assert touchd.run(f"stat -c '%U %a' {EVENTS}") == "touchd 600"
-
-
-@needs_pace
-def test_a_reload_keeps_process_stream_and_touch_numbers(touchd: Machine) -> None:
-    before = shown(touchd, "MainPID")
-    await_events(touchd, 6)
-    touchd.write("/etc/touchd/touchd.yaml", CONFIGURATION + "scene: {gestures: [pat, stroke]}\n")
-    touchd.run("systemctl reload touchd")
-    touchd.wait_until(f"{LOG} -u touchd | grep -q 'changed: scene'")
-    events = await_events(touchd, 16)
-    assert shown(touchd, "MainPID", "NRestarts") == [*before, "0"]
-    assert SensorEvent in map(type, events)
-    began = [event.touch for event in events if isinstance(event, TouchBegan)]
-    assert began == list(range(1, len(began) + 1))
-    assert "0 frames dropped" in await_status(touchd, "frames/s")
 
 
 @needs_pace

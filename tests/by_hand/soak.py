@@ -12,7 +12,6 @@ when anything grew or was lost; a run that --minutes cut short says how many hou
 """
 
 import argparse
-import itertools
 import json
 import os
 import sys
@@ -94,7 +93,7 @@ class Soak:
         self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
         self._touch_sink = TouchSink({"pad": self._store})
         self._live_sink = open_live_page(settings, {"pad": model})
-        robot_sink = RobotSink(self._link, itertools.count(1))
+        robot_sink = RobotSink(self._link)
         self._sinks = (self._journal_sink, robot_sink, self._touch_sink, self._live_sink)
         for sink in self._sinks:
             sink.start()

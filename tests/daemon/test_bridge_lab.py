@@ -48,7 +48,7 @@ def test_a_library_that_cannot_be_loaded_is_named(
 def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(BridgeError, match=r"lsl: pylsl is not installed: .*pip install .*pylsl"):
-        make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()}, {})
+        make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()})
 
 
 def lsl_bridge(peer: LslPeer) -> Any:

@@ -22,10 +22,10 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
-from touchd.daemon.bridges.bridges import Key, make_bridges
+from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import SceneSettings, Settings
-from touchd.daemon.events import SensorEvent, TouchEnded, decode, encode
+from touchd.daemon.events import SensorEvent, decode, encode
 
 pytest.importorskip("paho.mqtt")
 pytestmark = needs_mosquitto
@@ -45,10 +45,10 @@ def port(tmp_path: Path) -> Iterator[int]:
 Open = Callable[..., Bridge]
 
 
-def made(port: int, before: dict[Key, Bridge] | None = None, **settings: Any) -> dict[Key, Bridge]:
+def made(port: int, **settings: Any) -> list[Bridge]:
     scene = SceneSettings(gestures=settings.pop("gestures", None))
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return make_bridges(Settings(mqtt=mqtt, scene=scene), MODELS, before or {})
+    return make_bridges(Settings(mqtt=mqtt, scene=scene), MODELS)
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def opened(port: int) -> Iterator[Open]:
     with ExitStack() as closing:
 
         def open_bridge(at: int = port, **settings: Any) -> Bridge:
-            (bridge,) = made(at, **settings).values()
+            (bridge,) = made(at, **settings)
             bridge.start()
             closing.callback(bridge.stop, 2.0)
             return bridge
@@ -213,16 +213,9 @@ def test_a_refusal_is_logged_once_and_a_corrected_password_taken(
         assert part in line
 
 
-def test_only_a_changed_bridge_is_replaced(port: int) -> None:
-    before = made(port)
-    assert made(port, before) == before
-    assert not made(port, before, topic="lab").keys() & before.keys()
-    assert made(port, before, gestures=("pat",)) == before
-    announced = made(port, discovery="homeassistant")
-    fewer = made(port, announced, discovery="homeassistant", gestures=("pat",))
-    assert not fewer.keys() & announced.keys()
+def test_a_password_file_that_cannot_be_read_is_refused(port: int) -> None:
     with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
-        made(port, before, user="robot", password_file="/nowhere")
+        made(port, user="robot", password_file="/nowhere")
 
 
 def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> None:
@@ -242,33 +235,6 @@ def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> 
     available = jinja2.Environment().from_string(entity["availability_template"])
     states = ("up", "disturbed", "degraded", "down", "stopped", "lost")
     assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 4
-
-
-def test_after_a_reload_the_daemon_publishes_what_it_prints(port: int, tmp_path: Path) -> None:
-    with Daemon(tmp_path) as daemon, subscribed(port, "touchd/#") as messages:
-        daemon.await_event(TouchEnded)
-        daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port))
-        daemon.await_reloads(1)
-        printed = daemon.finish()
-        wait_for(lambda: payloads(messages, "touchd/pad/state")[-1:] == ["stopped"])
-        published = [decode(text) for text in payloads(messages)]
-    # A new bridge also gets the pad's last state.
-    assert isinstance(published[0], SensorEvent)
-    assert len(published) > 5
-    assert published[1:] == printed[-len(published) + 1 :]
-
-
-def test_a_reload_ends_the_bridge_that_it_replaces(port: int, tmp_path: Path) -> None:
-    with Daemon(tmp_path) as daemon, subscribed(port, "#") as messages:
-        daemon.await_event(SensorEvent)
-        for number, topic in enumerate(("old", "new"), 1):
-            daemon.configure(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
-            daemon.await_reloads(number)
-            wait_for(lambda topic=topic: payloads(messages, f"{topic}/pad/state")[-1:] == ["up"])
-        wait_for(lambda: payloads(messages, "old/pad/state")[-1:] == ["stopped"])
-        heard = len(payloads(messages, "old/pad/event"))
-        wait_for(lambda: len(payloads(messages, "new/pad/event")) > 2)
-        assert len(payloads(messages, "old/pad/event")) == heard
 
 
 @pytest.mark.slow

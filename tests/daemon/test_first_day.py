@@ -1,6 +1,5 @@
 """The first day with touchd: help, mistakes, paths, commands to paste."""
 
-import itertools
 import os
 import shlex
 import shutil
@@ -158,7 +157,7 @@ def test_every_settled_touch_triggers_the_example_action_once() -> None:
     rule = ActionRule(do=(Action(say="{gesture}"),), stages=("final", "released"))
     limits = RobotLimits(stale_s=30.0)
     with StubRobot(calls.add) as robot, linked(robot, actions=(rule,), limits=limits) as (link, _):
-        sink = RobotSink(link, itertools.count(1))
+        sink = RobotSink(link)
         for event in events:
             sink.put(event)
         settled = [event.gesture for event in events if isinstance(event, TouchEnded)]

@@ -19,15 +19,13 @@ from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED, Daemon, totals
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import WITHIN_S
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
-from touchd.daemon.live.address import LiveError
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory
 from touchd.daemon.live.server import CAPACITY, LiveServer
-from touchd.daemon.setup.destinations import encoder_for, open_live_page, scenes_of
+from touchd.daemon.setup.destinations import encoder_for
 from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.fake_port import FakePort
 
@@ -171,41 +169,6 @@ def test_stopping_does_not_wait_for_viewers(served: Served, viewer: ClientConnec
     assert [message for message in viewer if isinstance(message, bytes)] == []
 
 
-def test_the_scene_can_change_while_it_is_shown(served: Served, viewer: ClientConnection) -> None:
-    scene = msgspec.structs.replace(served.settings.scene, answer_at_frames=(20, 40, 60))
-    settings = msgspec.structs.replace(served.settings, scene=scene)
-    served.sink.put(scenes_of(settings, served.models))
-    assert await_message(viewer, "state")["answer_at_frames"] == [20, 40, 60]
-
-
-def test_settings_that_cannot_be_served_change_nothing(served: Served) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        there = LiveSettings(port=taken.getsockname()[1])
-        with pytest.raises(LiveError, match="cannot listen"):
-            served.serve(Settings(live=there), served.sink)
-    assert served.ask("/").status == 200
-
-
-def test_visitors_are_answered_while_another_page_waits_to_take_over(served: Served) -> None:
-    waiting = open_live_page(served.settings, served.models, served.sink)
-    assert waiting is not None
-    assert [served.ask("/").status for _ in range(20)] == [200] * 20
-    before, served.sink = served.sink, waiting
-    before.stop(1.0)
-    waiting.start()
-    assert served.ask("/").status == 200
-
-
-def test_the_address_can_change_on_the_same_port(served: Served) -> None:
-    everywhere = LiveSettings(host="0.0.0.0", port=served.port)
-    before, served.sink = served.sink, served.serve(Settings(live=everywhere), served.sink)
-    with served.look() as viewer:
-        before.stop(1.0)
-        with pytest.raises(ConnectionClosed, match="1001"):
-            await_message(viewer, "nothing")
-    assert served.ask("/").status == 200
-
-
 @pytest.mark.slow
 def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
     stream = stream_of(LENGTHS)
@@ -229,22 +192,6 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
         assert outline(daemon.events) == expected(LENGTHS)
         frames, _, dropped = totals(daemon.log)
         assert (frames, dropped) == (len(stream.counts), 0)
-
-
-def test_sighup_opens_and_closes_the_page_without_losing_touches(tmp_path: Path) -> None:
-    with Daemon(tmp_path) as daemon:
-        daemon.await_event(SensorEvent)
-        daemon.configure(live=LiveSettings(port=0))
-        daemon.await_reloads(1)
-        assert "changed: live" in daemon.reloads()[0]
-        with connect(f"{daemon.url.replace('http', 'ws')}/stream") as viewer:
-            # A new page also knows the pad's last state.
-            state = await_message(viewer, "state")
-            assert state["sensor"] or await_message(viewer, "sensor")
-            daemon.configure()
-            with pytest.raises(ConnectionClosed, match="1001"):
-                await_message(viewer, "nothing")
-        assert outline(daemon.finish()) == expected(LENGTHS)
 
 
 def test_the_demo_is_on_a_page_until_ctrl_c() -> None:

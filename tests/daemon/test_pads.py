@@ -1,9 +1,7 @@
 """Several pads in one daemon: separate touches, and no effect of one pad's faults on others."""
 
-import itertools
 import json
 import re
-import threading
 from pathlib import Path
 
 import msgspec
@@ -38,13 +36,14 @@ from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.daemon.kept.touches import read_journal
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.daemon.setup.destinations import encoder_for, link_to_robot
-from touchd.daemon.setup.parts import Parts
+from touchd.daemon.setup.parts import make_parts
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import ActionRule
@@ -88,10 +87,8 @@ def test_pads_share_a_model_unless_one_has_its_own(tmp_path: Path) -> None:
     own = tmp_path / "own.onnx"
     own.write_bytes(SHIPPED_MODEL.read_bytes())
     sensors = {name: PadSettings(port=name, model=str(own) if name == "c" else None) for name in "abc"}
-    parts = Parts(
-        Settings(sensors=sensors), lambda _: None, lambda _: None, threading.Condition(), itertools.count(1)
-    )
-    models = {name: pad.model for name, pad in parts.pads.items()}
+    parts = make_parts(Settings(sensors=sensors), lambda _: None, tuple, Signal())
+    models = {pad.name: pad.model for pad in parts.pads}
     assert models["a"] is models["b"]
     assert models["c"] is not models["a"]
 
@@ -156,7 +153,7 @@ def test_the_robot_hears_up_of_a_pad_only_once_its_frames_come() -> None:
         assert link is not None
         link.start()
         robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
-        RobotSink(link, itertools.count(1)).put(SensorEvent(state="up", time=TIME, pad="head"))
+        RobotSink(link).put(SensorEvent(state="up", time=TIME, pad="head"))
         robot.calls.wait_for_raise("TouchGesture/head/Status", "up")
         link.stop(WITHIN_S)
         assert robot.calls.raised("TouchGesture/head/Status") == ["down", "up", "down"]
@@ -167,7 +164,7 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
     with StubRobot(calls.add) as robot:
         pads: dict[str, tuple[ActionRule, ...]] = {"head": (SAY,), "left_arm": ()}
         link = RobotLink(RobotSettings(url=robot.url), open_session=robot.open_session, actions=pads)
-        sink = RobotSink(link, itertools.count(1))
+        sink = RobotSink(link)
         sink.start()
         for pad in pads:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))

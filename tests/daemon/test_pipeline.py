@@ -401,19 +401,6 @@ def test_a_scene_chooses_when_to_answer(stages: tuple[int, int, int]) -> None:
     assert [event.frames for event in predictions(bench.feel(palm(8.5)))] == list(stages)
 
 
-def test_new_settings_apply_from_the_next_touch() -> None:
-    bench = Bench()
-    assert answered(bench.feel(palm(3.0, 60.0), nothing(2.0))) == [EARLY, REVISED, FINAL]
-    assert not bench.pipeline.has_touch
-    later = PipelineSettings(
-        touch=TouchSettings(quiet_s=0.7), decision=DecisionSettings(answer_at_frames=(20, 30, 200))
-    )
-    bench.pipeline = Pipeline(later, bench.model, bench.emitted.append, STOPPED, before=bench.pipeline)
-    events = bench.feel(palm(4.0, 60.0), nothing(2.0))
-    assert answered(events) == [("early", 20), ("revised", 30), ("final", 200)]
-    assert [end.touch for end in ended(bench.emitted)] == [1, 2]
-
-
 class Fickle(Scripted):
     """A model with random answers."""
 

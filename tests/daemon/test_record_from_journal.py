@@ -11,13 +11,13 @@ from rigs.expectations import LENGTHS, answers, stream_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
-from rigs.running_daemon import Daemon, run_daemon
+from rigs.running_daemon import run_daemon
 from rigs.terminal import Terminal
-from rigs.wait import WITHIN_S, wait_for
+from rigs.wait import WITHIN_S
 
 from touchd.daemon import cli
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, encode
+from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
 from touchd.daemon.kept.touch_frames import FeltTouch
 from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
@@ -355,20 +355,3 @@ def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path, classifie
     assert recording.gesture == "stroke"
     np.testing.assert_array_equal(recording.counts, read_frames(kept[4]).touch.counts)
     assert [stage for stage, _ in again([recording])][:3] == ["early", "revised", "final"]
-
-
-def test_keeping_is_turned_on_and_off_while_the_daemon_runs(tmp_path: Path) -> None:
-    path = tmp_path / "events.jsonl"
-    folder = folder_of(path)
-    with Daemon(tmp_path) as daemon:
-        daemon.await_event(SensorEvent)
-        assert not folder.exists()
-        daemon.configure(journal=JournalSettings(path=str(path), keep_touches=20))
-        daemon.await_reloads(1)
-        wait_for(lambda: kept_touches(folder))
-        daemon.configure(journal=JournalSettings(path=str(path)))
-        daemon.await_reloads(2)
-        kept = kept_touches(folder)
-        assert sum(isinstance(event, TouchEnded) for event in daemon.finish()) >= len(kept)
-    assert kept_touches(folder) == kept
-    assert [line.rpartition("changed: ")[2] for line in daemon.reloads()] == ["journal"] * 2

@@ -23,7 +23,7 @@ from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from touchd.daemon import cli
-from touchd.daemon.config import JournalSettings, SensorSettings, Settings, load
+from touchd.daemon.config import SensorSettings, Settings, load
 from touchd.daemon.events import Event, Prediction, TouchEnded, encode
 from touchd.daemon.kept.journal import Journal, JournalError
 from touchd.daemon.kept.touch_store import TouchStore, kept_touches
@@ -31,8 +31,8 @@ from touchd.daemon.kept.touches import read_journal, read_since
 from touchd.daemon.pad.age import Age
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon
-from touchd.daemon.setup.destinations import encoder_for, link_to_robot, open_journal
-from touchd.daemon.sinks import JournalSink, LinesSink, LogSink
+from touchd.daemon.setup.destinations import encoder_for, link_to_robot
+from touchd.daemon.sinks import LinesSink, LogSink
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
@@ -161,21 +161,6 @@ def test_two_daemons_do_not_write_one_journal(path: Path) -> None:
             Journal(path, max_bytes=200, keep=1)
     first.close()
     Journal(path, max_bytes=200, keep=1).close()
-
-
-def test_a_reload_goes_on_with_the_same_file(path: Path) -> None:
-    settings = JournalSettings(path=str(path))
-    before = JournalSink(open_journal(settings))
-    before.start()
-    before.put(touch(1))
-    after = JournalSink(open_journal(JournalSettings(path=str(path), max_mb=1.0), before.journal))
-    after.put(touch(2))
-    before.stop(WITHIN_S)
-    with pytest.raises(JournalError, match="another touchd"):
-        open_journal(settings)
-    after.start()
-    after.stop(WITHIN_S)
-    assert numbers(path) == [1, 2]
 
 
 @pytest.mark.parametrize("take_away", [Path.unlink, lambda path: path.rename(path.with_name("moved"))])

@@ -168,6 +168,27 @@ def test_a_signal_ends_the_daemon_before_systemd_would(
     assert "STOPPING=1" in manager.heard()
 
 
+def test_no_burst_of_signals_hangs_or_fails_the_daemon(tmp_path: Path, pad: FakePort) -> None:
+    with (tmp_path / "log").open("wb") as log:
+        daemon = SpawnedDaemon(Settings(sensor=SensorSettings(port=pad.path)), tmp_path, log)
+        try:
+            next(daemon.events())
+            for _ in range(400):
+                daemon.process.send_signal(signal.SIGHUP)
+                daemon.process.send_signal(signal.SIGHUP)
+            assert any(isinstance(event, TouchEnded) for event in daemon.events())
+            # Until it has ended, also while the interpreter shuts down.
+            for _ in range(400):
+                daemon.process.send_signal(signal.SIGTERM)
+                daemon.process.send_signal(signal.SIGINT)
+                time.sleep(0.002)
+            assert daemon.process.wait(WITHIN_S) == 0
+        finally:
+            daemon.stop()
+    assert (tmp_path / "log").read_text().count("SIGHUP is ignored") == 1
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
 def test_under_nohup_a_terminal_that_closes_ends_nothing(pad: FakePort) -> None:
     with Program("nohup", *TOUCHD, "run", "--port", pad.path, "--json") as daemon:
         next(daemon.stdout)

@@ -34,9 +34,9 @@ class Served:
         self.sink = self.serve(self.settings)
         self._frames = 0
 
-    def serve(self, settings: Settings, before: LiveServer | None = None) -> LiveServer:
+    def serve(self, settings: Settings) -> LiveServer:
         """Return a started page."""
-        server = open_live_page(settings, self.models, before)
+        server = open_live_page(settings, self.models)
         assert server is not None
         server.start()
         return server

@@ -1,13 +1,10 @@
-"""The spawned daemon on a fake pad, with a configuration that a test can change while it runs."""
+"""The spawned daemon on a fake pad, its events and its log."""
 
 import re
-import signal
 import threading
 from pathlib import Path
 from typing import IO, Any
 
-import msgspec
-import yaml
 from rigs.expectations import LENGTHS
 from rigs.patient_port import PATIENT, PatientPort, playing
 from rigs.wait import WITHIN_S, wait_for
@@ -23,7 +20,7 @@ TOTALS = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 
 
 class Daemon:
-    """The spawned daemon on a pad: its events, its log, and its configuration.
+    """The spawned daemon on a pad: its events, and its log.
 
     pad: a started port; by default one of its own that plays LENGTHS. log: by default a file.
     """
@@ -62,14 +59,6 @@ class Daemon:
 
         return wait_for(served)[1]  # type: ignore[index]
 
-    def configure(self, **changes: Any) -> None:
-        """Write other settings and make the daemon reload them."""
-        self.write(yaml.safe_dump(msgspec.to_builtins(msgspec.structs.replace(self.settings, **changes))))
-
-    def write(self, text: str) -> None:
-        (self._folder / "touchd.yaml").write_text(text)
-        self.process.send_signal(signal.SIGHUP)
-
     def await_event(self, kind: type) -> None:
         """Wait for the next event of a kind."""
 
@@ -81,13 +70,6 @@ class Daemon:
             return found > 0
 
         wait_for(came)
-
-    def reloads(self) -> list[str]:
-        """Return its log lines about reloads."""
-        return [line for line in self.log.splitlines() if "touchd.daemon.setup.reread" in line]
-
-    def await_reloads(self, count: int) -> None:
-        wait_for(lambda: len(self.reloads()) >= count)
 
     def finish(self) -> list[Event]:
         """Play to the end, and return all events."""
