@@ -23,12 +23,12 @@ CONNECTION: Mapping[str, Any] = {
     "ping_interval": 5.0,
     "ping_timeout": 5.0,
     # Replies are short, and without a subscription only refusals come.
-    "max_size": 64 * 1024,
+    "max_size": 16 * 1024,
     "compression": None,
     "proxy": None,
 }
 # A server may refuse each message in a few words.
-FIRST_BYTES, REFUSAL_BYTES = 64 * 1024, 1024
+FIRST_BYTES, REFUSAL_BYTES = 16 * 1024, 1024
 # websockets cannot ping, nor see that no answer comes, while it waits for what it sends to be taken.
 UNTAKEN_MS = 10_000
 # In the form that servers of ROS 1 and ROS 2 accept.

@@ -51,7 +51,6 @@ def parser() -> argparse.ArgumentParser:
         default=3.0,
         help="seconds of rest before each recording (%(default)g)",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed for the order of gestures (%(default)s)")
     parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
     parser.add_argument(
         "--from-journal",
@@ -93,7 +92,7 @@ def _record(console: Console, options: argparse.Namespace) -> None:
         prepare(options.folder)
         terms = Terms(options.seconds, options.countdown, options.licence)
         setting = ask_setting(console, options)
-        session = Session(options.folder, setting, options.gestures, options.rounds, options.seed)
+        session = Session(options.folder, setting, options.gestures, options.rounds)
         Dialogue(console, pad, settings, session, terms).run()
 
 

@@ -119,7 +119,7 @@ def _section(node: yaml.Node | None, name: str | None) -> yaml.MappingNode | Non
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the recordings that are not there yet; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
-    session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, 0)
+    session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds)
     if not session.missing():
         console.print(
             f"{participant} is recorded in {options.folder} already; give another person another name"

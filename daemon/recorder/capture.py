@@ -1,4 +1,4 @@
-"""Reads the pad while recordings are made, and checks what it read."""
+"""Reads the pad during a recording and checks the result."""
 
 import logging
 import time
@@ -24,10 +24,10 @@ RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
 LEAST_RATE_HZ = 1.0 / MAX_GAP_S
-NO_FRAME = "no frame comes: is the pad plugged in, and does it run?"
+NO_FRAME = "no frames arrive: is the pad plugged in and running?"
 
 
-class PadLost(Exception):  # noqa: N818 - says what happened; it is told and the recording done again
+class PadLost(Exception):  # noqa: N818 - names what happened; the recording is repeated
     """The pad went away or restarted during a recording; the message is for the user."""
 
 
@@ -45,7 +45,7 @@ class Capture:
 
 
 class PadReader:
-    """Reads the pad for a whole session; a context manager, which raises SensorError."""
+    """Reads the pad during a session. A context manager; entering raises SensorError."""
 
     def __init__(self, settings: Settings) -> None:
         sensor = settings.sensor
@@ -57,7 +57,7 @@ class PadReader:
 
     def __enter__(self) -> "PadReader":
         check_port(self._settings.sensor.port, self._settings.sensor.baud)
-        # The dialogue shows the sensor's troubles; its log lines would break the progress bar.
+        # Log lines would break the progress bar; the dialogue shows the sensor's faults itself.
         logging.getLogger("touchd.drivers").addHandler(logging.NullHandler())
         self._sensor.start()
         return self
@@ -67,11 +67,11 @@ class PadReader:
 
     @property
     def troubles(self) -> list[str]:
-        """Current faults of the pad's taxels, in words."""
+        """Current faults of taxels, in words."""
         return list(self._health.told.values())
 
     def await_frame(self, within_s: float) -> str:
-        """Drop queued frames and wait for a new one; return why none came, "" if one did."""
+        """Drop queued frames and wait for a new one; return why none arrived, "" if one did."""
         for _ in range(len(self._queue)):
             self._note(self._queue.get(timeout_s=0))
         until_s = time.monotonic() + within_s
@@ -83,9 +83,9 @@ class PadReader:
         return self._away or NO_FRAME
 
     def follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:
-        """Yield (seconds since the first frame, frame) for so many seconds of the pad's clock.
+        """Yield (seconds since the first frame, frame) for a number of seconds on the pad's clock.
 
-        Raises PadLost when the pad goes away or restarts.
+        Raises PadLost if the pad goes away or restarts.
         """
         passed_ms = 0
         last: Frame | None = None
@@ -94,7 +94,7 @@ class PadReader:
                 case Frame() as frame:
                     step_ms = (frame.sensor_ms - last.sensor_ms) % CLOCK_MODULUS if last else 0
                     if step_ms > RESTARTED_MS:
-                        raise PadLost("the pad restarted, or its line was cut: look at its plug")
+                        raise PadLost("the pad restarted or was disconnected: check its plug")
                     passed_ms += step_ms
                     last = frame
                     self._health.update(frame)
@@ -112,7 +112,7 @@ class PadReader:
 
 
 class Contact:
-    """Tracks whether a hand is on the pad; the first frames must be of a pad at rest."""
+    """Tracks whether the pad is touched; the first frames must show it at rest."""
 
     def __init__(self, settings: Settings) -> None:
         self._ring = Ring(1)
@@ -120,7 +120,7 @@ class Contact:
         self._touched = False
 
     def update(self, frame: Frame) -> bool:
-        """Take the next frame; return whether the pad is touched."""
+        """Process the next frame; return whether the pad is touched."""
         for laid in self._ring.push(frame):
             match self._tracker.update(laid):
                 case Onset():
@@ -131,23 +131,23 @@ class Contact:
 
 
 def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:
-    """Return reasons to repeat a recording, a line each; none when it is sound."""
+    """Return reasons to repeat a recording, one line each; none if it is usable."""
     found = list(troubles)
     pace = pace_of(capture.frames)
     if pace.rate_hz < LEAST_RATE_HZ:
-        found.append(f"{pace.rate_hz:.1f} frames a second come, and more than {LEAST_RATE_HZ:.0f} are needed")
+        found.append(f"{pace.rate_hz:.1f} frames a second arrive; more than {LEAST_RATE_HZ:.0f} are needed")
         return found
     clock = clock_by_ours(capture.frames)
     if abs(clock - 1) > CLOCK_OFF:
         found.append(
-            f"the pad's clock runs {clock:.2f} times as fast as this machine's; it must count milliseconds"
+            f"the pad's clock runs {clock:.2f} times as fast as this computer's; it must count milliseconds"
         )
     if pace.lost > MOST_LOST_SHARE * len(capture.frames):
-        found.append(f"{pace.lost} frames were lost on the way: look at cable and plug")
+        found.append(f"{pace.lost} frames were lost: check cable and plug")
     if gesture == NO_TOUCH and capture.touched_share > 0:
         found.append("something touched the pad")
     elif gesture != NO_TOUCH and capture.touched_share == 0:
-        found.append("no touch was felt: hands off during the countdown, then a little firmer")
+        found.append("no touch was detected: hands off during the countdown, then press a little harder")
     elif gesture != NO_TOUCH and capture.touched_share < LEAST_TOUCHED_SHARE:
-        found.append(f"a touch was felt for only {capture.touched_share:.0%} of the time")
+        found.append(f"a touch was detected for only {capture.touched_share:.0%} of the time")
     return found

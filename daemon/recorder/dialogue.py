@@ -1,28 +1,38 @@
-"""Guides a person through a session: records each gesture, checks it, keeps it."""
+"""Guides a person through a session: records each gesture, checks the recording, saves it."""
 
+import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
-from typing import Literal
+from typing import Literal, TypeAlias
 
-from rich.console import Console
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import timestamp
 from touchd.daemon.kept.recording_file import keep
 from touchd.daemon.recorder.capture import Capture, Contact, PadLost, PadReader, complaints
-from touchd.daemon.recorder.progress import progress
 from touchd.daemon.recorder.session import Session, Take
 from touchd.daemon.setup.destinations import description_of
 from touchd.daemon.terminal.ask import ask
+from touchd.daemon.terminal.big_words import big
+from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
+from touchd.daemon.terminal.palette import palette_for
+from touchd.drivers.frame import COLUMNS, ROWS, Counts
 from touchd.drivers.pad.pace import pace_of
 from touchd.drivers.recording import RecordingError
 
-# As in HAART: of ten seconds of a repeated gesture, keep the middle eight.
+# Trim both ends, as HAART does: it keeps the middle eight of ten seconds.
 EDGE_S = 1.0
-# A board may restart when its port is opened, which takes two seconds.
+# Opening the port may restart the board, which takes two seconds.
 ALIVE_WITHIN_S = 5.0
 
 HOW = {
@@ -35,15 +45,24 @@ HOW = {
     "tickle": "tickle the pad with light, quick fingers",
 }
 
+REFRESH_HZ = 12
+PAD_SCALE = 2
+WIDTH = 56
+GAP = 2
+# Noise above the lowest reading of a taxel.
+NOISE_COUNTS = 6.0
+
+# Takes the current step, elapsed and total seconds, and counts.
+Show: TypeAlias = Callable[[str, float, float, Counts], None]
 Choice = Literal["keep", "redo", "skip"]
 
 
 @dataclass(frozen=True)
 class Terms:
-    """Settings of every recording.
+    """Settings of all recordings of a session.
 
-    seconds: length that is kept. countdown_s: how long the pad rests before. licence: what others may do.
-    flowing: ask only about recordings that look wrong.
+    seconds: length that is saved. countdown_s: rest before each recording. licence: what others may do.
+    flowing: ask only about recordings with a complaint.
     """
 
     seconds: float
@@ -53,13 +72,13 @@ class Terms:
 
 
 class Dialogue:
-    """Asks for every recording of a session that is still missing."""
+    """Asks for each missing recording of a session."""
 
     def __init__(
         self, console: Console, pad: PadReader, settings: Settings, session: Session, terms: Terms
     ) -> None:
         self._console = console
-        self._say = console.print
+        self._print = console.print
         self._ask = partial(ask, console)
         self._pad = pad
         self._settings = settings
@@ -68,21 +87,21 @@ class Dialogue:
         self._waits = True
 
     def run(self) -> None:
-        """Record what is missing; raises `Stopped` when the person stops."""
+        """Record what is missing; raises `Stopped` if the person stops."""
         takes, missing = self._session.takes(), self._session.missing()
         for place, take in enumerate(takes, 1):
             if take in missing:
                 how = HOW.get(take.gesture, f"{take.gesture}, again and again")
-                self._say(f"\n{place} of {len(takes)}: {take.gesture}", style="bold")
-                self._say(f"  {how}, until the bar is full")
+                self._print(f"\n{place} of {len(takes)}: {take.gesture}", style="bold")
+                self._print(f"  {how}, until the bar is full")
                 self._make(take)
         there = sum(take.path.exists() for take in takes)
-        self._say(f"\n{there} of {len(takes)} recordings are in {self._session.folder}", style="bold")
+        self._print(f"\n{there} of {len(takes)} recordings are in {self._session.folder}", style="bold")
         if there < len(takes):
-            self._say("The same command asks for the others again.")
+            self._print("Run the same command again to record the others.")
 
     def _make(self, take: Take) -> None:
-        """Record until a take is kept or skipped."""
+        """Record until a take is saved or skipped."""
         choice: Choice = "redo"
         while choice == "redo":
             if self._waits and self._ask("  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s":
@@ -91,7 +110,7 @@ class Dialogue:
             try:
                 capture = self._capture(take)
             except PadLost as lost:
-                self._say(f"  {lost}", style="yellow")
+                self._print(f"  {lost}", style="yellow")
                 self._waits = True
                 continue
             choice = self._choose(capture, take)
@@ -99,17 +118,17 @@ class Dialogue:
                 self._keep(take, capture)
 
     def _keep(self, take: Take, capture: Capture) -> None:
-        """Keep a recording, as soon as it can be: the disk may be full. Raises `Stopped`."""
+        """Save a recording; if that fails, as on a full disk, ask to try again. Raises `Stopped`."""
         recording = capture.recording(self._session.setting, take.gesture)
         while True:
             try:
                 keep(take.path, [recording], self._provenance(take, capture))
             except RecordingError as error:
-                self._say(f"  not kept yet: {error}", style="yellow")
+                self._print(f"  not kept yet: {error}", style="yellow")
                 if self._ask("  Enter to try again, s to skip it, q to stop: ", ("", "s")) == "s":
                     return
             else:
-                self._say(f"  kept {take.path.name}", style="green")
+                self._print(f"  kept {take.path.name}", style="green")
                 return
 
     def _capture(self, take: Take) -> Capture:
@@ -124,7 +143,7 @@ class Dialogue:
             for elapsed_s, frame in self._pad.follow(countdown_s):
                 contact.update(frame)
                 show("hands off", elapsed_s, countdown_s, frame.pressure)
-            # For people who look at their hand, not at the screen.
+            # For people who look at their hand rather than the screen.
             self._console.bell()
             for elapsed_s, frame in self._pad.follow(length_s):
                 is_touched = contact.update(frame)
@@ -136,10 +155,10 @@ class Dialogue:
         return Capture(tuple(frames), touched / len(frames))
 
     def _choose(self, capture: Capture, take: Take) -> Choice:
-        """Show what was recorded and ask what to do with it."""
+        """Summarise a recording and ask what to do with it."""
         peak = max(int(frame.pressure.max()) for frame in capture.frames)
         pace = pace_of(capture.frames)
-        self._say(
+        self._print(
             f"  {len(capture.frames)} frames, {pace.rate_hz:.1f} a second, peak {peak} counts, "
             f"touched {capture.touched_share:.0%} of the time"
         )
@@ -151,7 +170,7 @@ class Dialogue:
             choices: Mapping[str, Choice] = {"": "keep", "r": "redo", "s": "skip"}
         else:
             for complaint in found:
-                self._say(f"  {complaint}", style="yellow")
+                self._print(f"  {complaint}", style="yellow")
             question = "  Enter to do it again, k to keep it all the same, s to skip, q to stop: "
             choices = {"": "redo", "k": "keep", "s": "skip"}
         return choices[self._ask(question, choices)]
@@ -163,6 +182,34 @@ class Dialogue:
             "sensor": description_of(self._settings.sensor),
             "rate": str(pace_of(capture.frames)),
             "part": f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s",
-            "round": f"{take.number} of {self._session.rounds}, seed {self._session.seed}",
+            "round": f"{take.number} of {self._session.rounds}",
             "licence": self._terms.licence,
         }
+
+
+@contextmanager
+def progress(console: Console) -> Iterator[Show]:
+    """Draw the pad and the progress, and erase them at the end; draws nothing without a terminal."""
+    palette = palette_for(console)
+    rest = np.full((ROWS, COLUMNS), np.inf)
+    shown = ("", 0.0, 1.0, np.zeros((ROWS, COLUMNS)))
+
+    def show(step: str, elapsed_s: float, length_s: float, pressure: Counts) -> None:
+        nonlocal shown
+        np.minimum(rest, pressure, out=rest)
+        shown = step, elapsed_s, length_s, np.maximum(pressure - rest - NOISE_COUNTS, 0.0)
+
+    def draw() -> Table:
+        step, elapsed_s, length_s, pressure = shown
+        width = min(WIDTH, console.width - COLUMNS * PAD_SCALE - GAP)
+        words = [Text(line, style="bold") for line in big(step, width, False)]
+        left = Text(f"{step}, {math.ceil(length_s - elapsed_s)} s")
+        bar = ProgressBar(total=length_s, completed=elapsed_s, width=width)
+        grid = Table.grid(padding=(1, GAP))
+        grid.add_row(
+            as_text(pad_picture(level_of(pressure), PAD_SCALE, palette)), Group(*words, "", left, bar)
+        )
+        return grid
+
+    with Live(get_renderable=draw, console=console, transient=True, refresh_per_second=REFRESH_HZ):
+        yield show

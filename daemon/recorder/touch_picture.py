@@ -1,4 +1,4 @@
-"""Kept touches in the terminal: as a list, or one with mean pad, pressure over time and answers."""
+"""Saved touches in the terminal: as a list, or one with its mean pad, pressure over time and answers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,6 +16,7 @@ from touchd.daemon.kept.touch_store import KeptFrames, KeptTouch
 from touchd.daemon.kept.touches import ReportedTouch
 from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
+from touchd.drivers.errors import one_line
 from touchd.drivers.frame import FRAME_RATE_HZ
 
 WIDTH = 80
@@ -34,32 +35,32 @@ COLUMNS = {
     "early": 13,
     "revised": 13,
     "later": 13,
-    "taken for": 9,
+    "answer": 9,
 }
 
 
 @dataclass(frozen=True)
 class Offered:
-    """A kept touch, and its touch in the journal; None if the journal has lost it."""
+    """A saved touch and what the journal reported of it, None if the journal no longer holds it."""
 
     kept: KeptTouch
-    said: ReportedTouch | None
+    reported: ReportedTouch | None
 
     @property
     def answers(self) -> Sequence[Prediction]:
-        return self.said.predictions if self.said else ()
+        return self.reported.predictions if self.reported else ()
 
     @property
-    def taken_for(self) -> str:
-        """The gesture it was settled on."""
-        return self.said.ended.gesture if self.said and self.said.ended else UNKNOWN
+    def answer(self) -> str:
+        """The gesture that the touch ended with, printable."""
+        return one_line(self.reported.ended.gesture) if self.reported and self.reported.ended else UNKNOWN
 
     @property
     def length_s(self) -> str:
-        """From first to last contact, in words."""
-        if self.said is None or self.said.ended is None:
+        """The time from first to last contact."""
+        if self.reported is None or self.reported.ended is None:
             return UNKNOWN
-        return f"{self.said.ended.frames / FRAME_RATE_HZ:.1f} s"
+        return f"{self.reported.ended.frames / FRAME_RATE_HZ:.1f} s"
 
 
 def list_touches(offered: Sequence[Offered]) -> Table:
@@ -73,7 +74,7 @@ def list_touches(offered: Sequence[Offered]) -> Table:
             str(touch.kept.number),
             touch.length_s,
             *_answers_in_columns(touch.answers),
-            Text(touch.taken_for, "bold"),
+            Text(touch.answer, "bold"),
         )
     return table
 
@@ -109,8 +110,8 @@ def _answers_in_columns(answers: Sequence[Prediction]) -> list[str]:
 
 def _answers(offered: Offered) -> Text:
     """Return the last answers to a touch, a line each."""
-    if offered.said is None:
-        return Text("the journal no longer tells of it", "dim")
+    if offered.reported is None:
+        return Text("no longer in the journal", "dim")
     lines = [
         Text(
             f"{answer.stage:<9} {answer.elapsed_s:5.1f} s  {_in_words(answer):<15}",
@@ -122,7 +123,7 @@ def _answers(offered: Offered) -> Text:
 
 
 def _in_words(answer: Prediction) -> str:
-    return UNCERTAIN if answer.gesture == UNCERTAIN else f"{answer.gesture} {answer.confidence:.0%}"
+    return UNCERTAIN if answer.gesture == UNCERTAIN else f"{one_line(answer.gesture)} {answer.confidence:.0%}"
 
 
 def _chart(load: NDArray[np.float64], clock_s: NDArray[np.float64], offered: Offered) -> Text:

@@ -292,7 +292,7 @@ def test_what_a_rosbridge_refuses_is_counted_and_said_once(
         while goes_on() and client.recv(65536):
             client.sendall(attackers.text(refusal.encode()))
             # Neither a status nor JSON, nor what can be read at all.
-            client.sendall(attackers.text(b'{"op":"publish","msg":{}}') + attackers.text(b"[" * 60_000))
+            client.sendall(attackers.text(b'{"op":"publish","msg":{}}') + attackers.text(b"[" * 8000))
 
     from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 

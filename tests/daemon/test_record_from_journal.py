@@ -22,7 +22,7 @@ from touchd.daemon.kept.touch_frames import FeltTouch
 from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.recorder.labelling import RIGHT
+from touchd.daemon.recorder.label import RIGHT
 from touchd.drivers.recording import Recording, read_provenance, read_recordings
 from touchd.model.classifier import Classifier
 
@@ -133,9 +133,9 @@ def test_a_label_given_twice_writes_once(lab: Lab, capsys: pytest.CaptureFixture
     lab.touched(17)
     assert lab.label("17=tickle") == 0
     assert lab.label("17=tickle") == 0
-    assert "is there already" in capsys.readouterr().out
+    assert "exists" in capsys.readouterr().out
     assert lab.label("17=rub") == 2
-    assert "is there already; delete it to label touch 17 anew" in capsys.readouterr().err
+    assert "exists; delete it to label touch 17 again" in capsys.readouterr().err
     assert len(lab.files()) == 1
 
 
@@ -143,7 +143,7 @@ def test_a_repeated_number_is_resolved_by_time(lab: Lab, capsys: pytest.CaptureF
     lab.touched(17)
     later = lab.touched(17, after_s=100.0)
     assert lab.label("17=tickle") == 2
-    assert f"2 kept touches have it; say which by its time, the last are {felt(17).began.time}" in (
+    assert f"2 saved touches have it; choose one by its time, the last are {felt(17).began.time}" in (
         capsys.readouterr().err
     )
     assert lab.label(f"{later.began.time[:19]}=tickle") == 0
@@ -153,7 +153,10 @@ def test_a_repeated_number_is_resolved_by_time(lab: Lab, capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("label", "message"),
     [
-        ("99=tickle", "99: no kept touch has this number or time; its frames are gone, or were never kept."),
+        (
+            "99=tickle",
+            "99: no saved touch has this number or time; its frames are deleted",
+        ),
         ("17=purr", "--label 17: purr is none of --gestures, constant, notouch, pat"),
     ],
 )
@@ -170,7 +173,7 @@ def test_an_impossible_label_is_refused_in_one_line(
 def test_labels_need_a_person_and_a_journal(lab: Lab, capsys: pytest.CaptureFixture[str]) -> None:
     lab.touched(17)
     assert cli.main(lab.arguments("--label", "17=tickle")) == 2
-    assert "say with --participant who touched" in capsys.readouterr().err
+    assert "name the person who touched with --participant" in capsys.readouterr().err
     for wrong in (["--label", "17=tickle"], ["--from-journal", str(lab.journal), "--label", "tickle"]):
         with pytest.raises(SystemExit) as ended:
             cli.main(["record", str(lab.folder), *wrong])
@@ -199,12 +202,12 @@ def test_kept_touches_are_offered_latest_first(lab: Lab) -> None:
         lab.touched(number, gesture)
     lab.journalled(felt(5))
     with Terminal(*lab.arguments("--participant", "anna", "--cover", "fur")) as terminal:
-        terminal.until("4 touches are kept; 0 of them have been looked at before")
-        terminal.until("of 1 more in the journal no frames are kept")
+        terminal.until("4 touches are saved; 0 of them have been looked at before")
+        terminal.until("1 more are in the journal without frames")
         assert terminal.until("What was under the pad?").index("pat 81%") > 0
         terminal.answer("foam")
         shown = terminal.until("u undo, q quit: ")
-        assert "1 of 4: touch 4, taken for scratch" in shown
+        assert "1 of 4: touch 4, answered scratch" in shown
         assert "mean, 0 to" in shown
         assert "early       1.0 s  scratch 81%" in shown
         assert "anna, foam under the pad, fur over it" in shown
@@ -219,7 +222,7 @@ def test_kept_touches_are_offered_latest_first(lab: Lab) -> None:
         terminal.until("ben, foam under the pad, fur over it")
         terminal.until("quit: ")
         terminal.answer("4", "kept ben_foam_fur_rub_", "4 of 4: touch 1", "quit: ")
-        terminal.answer("l", "That was the last of them.", "Enter to end, u undo: ")
+        terminal.answer("l", "That was the last touch.", "Enter to end, u undo: ")
         terminal.answer("u", "4 of 4: touch 1", "quit: ")
         terminal.answer("7", "Enter to end, u undo: ")
         terminal.answer("u", "undone", "quit: ")
@@ -247,7 +250,7 @@ def test_a_label_can_be_undone_and_a_session_resumed(lab: Lab) -> None:
         terminal.process.wait()
     assert len(lab.files()) == 1
     with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
-        terminal.until("3 touches are kept; 2 of them have been looked at before")
+        terminal.until("3 touches are saved; 2 of them have been looked at before")
         terminal.until("1 of 1: touch 1")
         terminal.until("quit: ")
         terminal.answer("q", "the same command goes on from here")
@@ -285,10 +288,10 @@ def test_a_touch_without_journal_lines_is_still_offered(lab: Lab, listed: Callab
     lab.store.add(felt(1))
     lab.touched(2)
     said = listed()
-    assert "touch 1, taken for ?" in said
-    assert "the journal no longer tells of it" in said
+    assert "touch 1, answered ?" in said
+    assert "no longer in the journal" in said
     lab.journal.unlink()
-    assert "touch 2, taken for ?" in listed()
+    assert "touch 2, answered ?" in listed()
 
 
 def test_a_rotated_damaged_journal_is_read_as_far_as_possible(lab: Lab) -> None:

@@ -76,7 +76,7 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, record: lis
         terminal.answer("an na", "a name has letters", "Who touches the pad?")
         terminal.answer("anna", "What is over the pad? [none] ")
         terminal.answer("")
-        order = [take.gesture for take in Session(tmp_path, Setting("anna", "foam"), GESTURES, 1, 0).takes()]
+        order = [take.gesture for take in Session(tmp_path, Setting("anna", "foam"), GESTURES, 1).takes()]
         for gesture in order:
             terminal.until(f"of 3: {gesture}")
             terminal.until("Enter to begin")
@@ -90,7 +90,7 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, record: lis
                 terminal.answer("")
         terminal.until("2 of 3 recordings are in")
         assert terminal.process.wait(WITHIN_S) == 0
-    assert "no touch was felt" in terminal.shown
+    assert "no touch was detected" in terminal.shown
     (pat,) = read_recordings(tmp_path / "anna_foam_none_pat_1.csv.gz")
     assert (pat.participant, pat.substrate, pat.cover, pat.gesture) == ("anna", "foam", "none", "pat")
     assert len(pat.counts) == pytest.approx(1.5 * 54, abs=1)
