@@ -235,24 +235,13 @@ def test_one_event_that_is_too_large_holds_up_no_other(
 
 def test_a_broker_that_knows_only_mqtt_3_is_spoken_to_in_it(port: int) -> None:
     pytest.importorskip("paho.mqtt")
-    versions: list[int] = []
-
-    def old_broker(client: Any, _goes_on: Callable[[], bool]) -> None:
-        versions.append(client.recv(65536)[8])
-        if versions[-1] != 4:
-            client.sendall(b"\x20\x02\x00\x01")
-            return
-        client.sendall(attackers.CONNACK)
-        while said := client.recv(65536):
-            if said[0] & 0xF0 == 0x30:
-                # The packet's number stands behind its topic.
-                at = 4 + int.from_bytes(said[2:4], "big")
-                client.sendall(attackers.PUBACK + said[at : at + 2])
-
-    with attackers.server(port, old_broker), ExitStack() as closing:
+    with attackers.server(port, attackers.acknowledge) as connections, ExitStack() as closing:
         bridge = opened(closing, port)
-        wait_for(bridge._peer_is_there.is_set)
-    assert versions == [5, 4]
+        bridge.put(touch(1))
+        wait_for(lambda: bridge._peer_is_there.is_set() and not len(bridge._items))
+        assert bridge.refused == 0
+    # The first in MQTT 5.
+    assert connections == [2]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Random faults of pad, clock, line, robot, page, journal, disk, log and signals; events stay correct."""
+"""Random faults of pad, clock, line, robot, page, bridges, disk, log and signals; events stay correct."""
 
 import os
 import random
@@ -10,12 +10,14 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from rigs import attackers
 from rigs.audit import Audit
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import HANDSHAKE
@@ -26,6 +28,10 @@ from rigs.sockets import free_port
 from rigs.wait import wait_for
 from websockets.sync.client import connect
 
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.mqtt import MqttBridge
+from touchd.daemon.bridges.rosbridge import RosbridgeBridge
+from touchd.daemon.bridges.settings import MqttSettings, RosbridgeSettings
 from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
 from touchd.daemon.events import Event
 from touchd.daemon.kept.journal import Journal
@@ -62,6 +68,51 @@ def flood(port: int) -> socket.socket:
     return viewer
 
 
+def take_everything(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    """A rosbridge server that takes what comes."""
+    attackers.welcome(client)
+    while goes_on() and client.recv(65536):
+        pass
+
+
+def hang_up(client: socket.socket, _goes_on: Callable[[], bool]) -> None:
+    client.recv(65536)
+
+
+# What a broker and a rosbridge server may be; None is gone.
+PEERS: dict[str, list[attackers.Attack]] = {
+    "broker": [
+        attackers.acknowledge,
+        attackers.unfinished_publishes,
+        attackers.huge_publish,
+        attackers.takes_nothing,
+        attackers.zeros,
+        hang_up,
+    ],
+    "rosbridge": [
+        take_everything,
+        attackers.empty_fragments,
+        attackers.pings,
+        attackers.statuses,
+        attackers.endless_header,
+        hang_up,
+    ],
+}
+
+
+class Peer:
+    """A server on one port, which changes what it is."""
+
+    def __init__(self) -> None:
+        self.port = free_port()
+        self._is_there = ExitStack()
+
+    def become(self, attack: attackers.Attack | None) -> None:
+        self._is_there.close()
+        if attack is not None:
+            self._is_there.enter_context(attackers.server(self.port, attack))
+
+
 class World(RuleBasedStateMachine):
     """A state machine of everything that can happen to a daemon in a lab."""
 
@@ -84,11 +135,18 @@ class World(RuleBasedStateMachine):
         settings = Settings(robot=RobotSettings(url=self.robot.url))
         self.page = LiveServer(listening, LiveSettings(), {"pad": (settings, Scripted())})
         self.viewers: list[ExitStack] = []
+        self.peers = {name: Peer() for name in PEERS}
+        broker, rosbridge = (peer.port for peer in self.peers.values())
+        self.bridges: tuple[Bridge, ...] = (
+            MqttBridge(MqttSettings(host="127.0.0.1", port=broker, pressure_hz=10.0), "pad"),
+            RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=10.0), "pad"),
+        )
         self.fanout = EventFanout()
         self.fanout.sinks = (
             JournalSink(Journal(self.path, max_bytes=20_000, keep=1)),
             RobotSink(link),
             self.page,
+            *self.bridges,
         )
         for sink in (*self.fanout.sinks, self.log):
             sink.start()
@@ -109,6 +167,8 @@ class World(RuleBasedStateMachine):
             frame = Frame(self.sent, round(self.sensor_ms) % 2**32, self.now_s, counts)
             self.pipeline.on_frame(frame)
             self.page.put_frame(frame, 0)
+            for bridge in self.bridges:
+                bridge.put_frame(frame, "pad")
 
     @rule(seconds=SECONDS)
     def rest(self, seconds: float) -> None:
@@ -140,6 +200,10 @@ class World(RuleBasedStateMachine):
     @rule()
     def robot_comes(self) -> None:
         self.robot.start()
+
+    @rule(name=st.sampled_from(list(PEERS)), data=st.data())
+    def peer_changes(self, name: str, data: st.DataObject) -> None:
+        self.peers[name].become(data.draw(st.sampled_from([None, *PEERS[name]])))
 
     @rule()
     def journal_is_deleted(self) -> None:
@@ -176,8 +240,14 @@ class World(RuleBasedStateMachine):
         finally:
             for viewer in self.viewers:
                 viewer.close()
+            # Whatever its server was, a bridge finds one that behaves.
+            for name, peer in self.peers.items():
+                peer.become(PEERS[name][0])
+            wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in self.bridges))
             for sink in (*self.fanout.sinks, self.log):
                 sink.stop(2.0)
+            for peer in self.peers.values():
+                peer.become(None)
             self.robot.kill()
             for fd in self.ends:
                 os.close(fd)
@@ -188,7 +258,7 @@ class World(RuleBasedStateMachine):
         assert memory_mb[-1] < memory_mb[0] + MOST_GROWTH_MB
 
 
-World.TestCase.settings = settings(max_examples=200, stateful_step_count=30, deadline=None)
+World.TestCase.settings = settings(max_examples=100, stateful_step_count=30, deadline=None)
 
 
 @pytest.mark.slow
@@ -197,19 +267,43 @@ class TestWorld(World.TestCase):  # type: ignore[name-defined,misc]
     """Events stay correct after any sequence of rules."""
 
 
+class UdpPad(FakePort):
+    """A fake pad that sends each frame as a datagram, whether anybody listens or not."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.where = ("127.0.0.1", free_port())
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+
+    def _run(self) -> None:
+        with self._socket:
+            self._play()
+
+    def _send(self, index: int, packet: bytes) -> None:
+        self._socket.sendto(packet, self.where)
+
+
 class FaultyDaemon(Daemon):
-    """The spawned daemon with a page, a journal and a log that nobody reads, and faults to inject."""
+    """The spawned daemon with all that talks to others and a log that nobody reads, and faults to inject."""
 
     def __init__(self, folder: Path, pad: FakePort) -> None:
         self.journal, self.page_port = folder / "events.jsonl", free_port()
         self.viewers: list[socket.socket] = []
         self.unread = os.pipe()
+        self.peers = {name: Peer() for name in PEERS}
+        self.pad = pad
+        broker, rosbridge = (peer.port for peer in self.peers.values())
         super().__init__(
             folder,
             pad,
             os.fdopen(self.unread[1], "wb"),
+            sensor=SensorSettings(
+                port=pad.path if not isinstance(pad, UdpPad) else f"udp://127.0.0.1:{pad.where[1]}"
+            ),
             journal=JournalSettings(path=str(self.journal), max_mb=0.1, keep=1),
             live=LiveSettings(port=self.page_port),
+            mqtt=MqttSettings(host="127.0.0.1", port=broker, pressure_hz=500.0),
+            rosbridge=RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=500.0),
             scene=SceneSettings(),
             log_level="debug",
         )
@@ -224,14 +318,27 @@ class FaultyDaemon(Daemon):
         with suppress(OSError):
             self.viewers = [*self.viewers, flood(self.page_port)][-MOST_VIEWERS:]
 
+    def change_a_peer(self) -> None:
+        name = random.choice(list(PEERS))
+        self.peers[name].become(random.choice([None, *PEERS[name]]))
+
+    def send_as_a_stranger(self) -> None:
+        """Send noise, and half a frame, to a pad's address from another one."""
+        if isinstance(self.pad, UdpPad):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                stranger.bind(("127.0.0.2", 0))
+                for size in (0, 1, 60, 200, 1400) * 20:
+                    stranger.sendto(random.randbytes(size), self.pad.where)
+
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
+@pytest.mark.parametrize("kind", [FakePort, UdpPad], ids=["serial", "udp"])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
+def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int, kind: type[FakePort]) -> None:
     random.seed(seed)
     with (
-        FakePort(stream_of(DEMO), encoder_for(SensorSettings()), speed=10.0, loop=True) as pad,
+        kind(stream_of(DEMO), encoder_for(SensorSettings()), speed=10.0, loop=True) as pad,
         FaultyDaemon(tmp_path, pad) as daemon,
     ):
         wait_for(lambda: daemon.events)
@@ -239,6 +346,8 @@ def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
             daemon.hang_up,
             daemon.delete_the_journal,
             daemon.flood_the_page,
+            daemon.change_a_peer,
+            daemon.send_as_a_stranger,
         ]
         until_s, most_mb = time.monotonic() + 60, 0.0
         while time.monotonic() < until_s:
@@ -249,6 +358,8 @@ def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int) -> None:
         assert daemon.stop() == 0
         # At ten times the pad's rate on a shared machine, not all queued frames are processed.
         assert time.monotonic() - asked_s < 5.0
+        for peer in daemon.peers.values():
+            peer.become(None)
     os.close(daemon.unread[0])
     assert most_mb < MOST_DAEMON_MB
     audit = Audit(OLDEST_TOLD_MS)

@@ -111,6 +111,35 @@ def takes_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
         time.sleep(1.0)
 
 
+def acknowledge(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    """A broker of MQTT 3.1.1 that does what it should: greets, and acknowledges each message of QoS 1."""
+    if client.recv(CHUNK)[8] != 4:
+        client.sendall(b"\x20\x02\x00\x01")
+        return
+    client.sendall(CONNACK)
+    data = b""
+    while goes_on():
+        with suppress(TimeoutError):
+            said = client.recv(CHUNK)
+            if not said:
+                return
+            data += said
+        while len(data) >= 2:
+            length, start = data[1] & 0x7F, 2
+            if data[1] & 0x80:
+                if len(data) < 3:
+                    break
+                length, start = length + 128 * data[2], 3
+            if len(data) < start + length:
+                break
+            kind, body, data = data[0], data[start : start + length], data[start + length :]
+            if kind & 0xF6 == 0x32:
+                at = 2 + int.from_bytes(body[:2], "big")
+                client.sendall(PUBACK + body[at : at + 2])
+            elif kind == 0xC0:
+                client.sendall(b"\xd0\x00")
+
+
 # rosbridge
 
 
