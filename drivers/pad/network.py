@@ -19,7 +19,10 @@ ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
 def is_network(port: str) -> bool:
     """Whether this is an address of a pad on the network; raises ValueError for one that is malformed."""
     if not port.startswith(("tcp://", "udp://")):
-        if re.fullmatch(r"(socket|rfc2217)://[^:]*", port):
+        if port.startswith("rfc2217://"):
+            # pyserial reads it into a queue that has no limit.
+            raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
+        if re.fullmatch(r"socket://[^:]*", port):
             raise ValueError("gives no port; write it as in socket://192.168.1.20:4000")
         return False
     match = ADDRESS.fullmatch(port)

@@ -19,8 +19,6 @@ Line: TypeAlias = serial.Serial | NetworkPort
 
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
-# Half a minute of the fastest pads.
-MOST_WAITING = 500_000
 
 NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ECONNREFUSED, errno.EHOSTUNREACH}
 NOT_ALLOWED = {errno.EACCES, errno.EPERM}
@@ -93,9 +91,6 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
         if type(opened) is serial.Serial:
             return _read(opened.fileno())
         first = opened.read(1)
-        # rfc2217:// reads in a thread of its own, into a queue without a limit.
-        if opened.in_waiting > MOST_WAITING:
-            raise SensorError("unusable", f"{opened.port} sends faster than it can be read")
         return first + opened.read(opened.in_waiting) if first else b""
     except (OSError, termios.error) as error:
         raise SensorError("missing", f"{opened.port} went away: unplugged or switched off?") from error

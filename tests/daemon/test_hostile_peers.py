@@ -79,7 +79,6 @@ SERVERS: dict[str, tuple[str, Configure, attackers.Attack]] = {
     "robot, zeros": ("qi", robot, attackers.zeros),
     "pad, tcp": ("serial", pad_at("tcp"), attackers.zeros),
     "pad, socket": ("serial", pad_at("socket"), attackers.zeros),
-    "pad, rfc2217": ("serial", pad_at("rfc2217"), attackers.rfc2217_flood),
 }
 
 

@@ -31,7 +31,11 @@ def test_a_readable_port_passes_undisturbed() -> None:
         ("/etc/passwd", BAUD, "/etc/passwd is no serial port: name a device like /dev/ttyACM0"),
         ("/", BAUD, "/ is no serial port"),
         ("scoket://pad:1", BAUD, "scoket://pad:1 cannot be opened: .*'scoket' not known"),
-        ("rfc2217://pad", BAUD, "rfc2217://pad cannot be opened: gives no port"),
+        (
+            "rfc2217://pad:1",
+            BAUD,
+            "rfc2217://pad:1 cannot be opened: not supported; set the server to raw TCP",
+        ),
         ("/dev/null", -1, "/dev/null cannot be opened: .*baudrate"),
     ],
 )

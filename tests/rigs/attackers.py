@@ -203,25 +203,6 @@ def claims_gigabytes(client: socket.socket, goes_on: Callable[[], bool]) -> None
     send_on(client, goes_on, itertools.chain([header], (bytes(CHUNK) for _ in itertools.count())))
 
 
-# Pads
-
-
-def rfc2217_flood(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    """Agree to everything as a server of RFC 2217, then send zeros."""
-    import serial
-    from serial.rfc2217 import PortManager
-
-    line = type("Line", (), {"write": lambda _, data: client.sendall(data)})()
-    manager = PortManager(serial.serial_for_url("loop://"), line)
-    client.settimeout(0.05)
-    until_s = time.monotonic() + 2.0
-    while time.monotonic() < until_s:
-        with suppress(TimeoutError):
-            list(manager.filter(client.recv(CHUNK)))
-    client.settimeout(1.0)
-    zeros(client, goes_on)
-
-
 # Those that connect to a daemon, or send it datagrams
 
 Find = Callable[[], list[int]]
