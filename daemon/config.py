@@ -12,7 +12,7 @@ from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.pipeline import PipelineSettings
 from touchd.daemon.setup.strict_yaml import StrictYamlError, convert
 from touchd.daemon.setup.words import Language, Vocabulary, vocabulary
-from touchd.daemon.touch import TouchSettings
+from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side

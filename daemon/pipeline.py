@@ -26,10 +26,15 @@ from touchd.daemon.events import (
     TouchEnded,
     timestamp,
 )
-from touchd.daemon.pad.age import Age, Feeling
-from touchd.daemon.pad.feel import FeelMeter
-from touchd.daemon.pad.held import LEFT_ANYHOW_FRAMES
-from touchd.daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.feel import FeelMeter
+from touchd.daemon.timing import Age, Feeling
+from touchd.daemon.tracker.tracker import (
+    SETTLED_FRAMES,
+    Onset,
+    Release,
+    TouchSettings,
+    TouchTracker,
+)
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
@@ -371,6 +376,6 @@ def _as_sent(frame: GridFrame) -> int:
 
 
 def _history_frames(settings: PipelineSettings) -> int:
-    """Return the frames to keep: the longest window, and a quiet and a bridged gap after it."""
+    """Return the frames to keep: the longest window, and those between a touch's last frame and its end."""
     spare_frames = round((settings.touch.quiet_s + MAX_GAP_S + 2) * FRAME_RATE_HZ)
-    return settings.decision.answer_at_frames[-1] + CALIBRATION_FRAMES + LEFT_ANYHOW_FRAMES + spare_frames
+    return settings.decision.answer_at_frames[-1] + SETTLED_FRAMES + spare_frames

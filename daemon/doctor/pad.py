@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import Heard
-from touchd.daemon.pad.baseline import MAX_DEVIATION_COUNTS
-from touchd.daemon.touch import Onset, TouchTracker
+from touchd.daemon.tracker.baseline import MAX_DEVIATION_COUNTS
+from touchd.daemon.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.health import Kind, PadHealth

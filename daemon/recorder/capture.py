@@ -9,7 +9,7 @@ import numpy as np
 
 from touchd.daemon.config import Settings
 from touchd.daemon.recorder.session import Setting
-from touchd.daemon.touch import Onset, Release, TouchTracker
+from touchd.daemon.tracker.tracker import Onset, Release, TouchTracker
 from touchd.drivers.frame import CLOCK_MODULUS, Frame
 from touchd.drivers.pad.grid import MAX_GAP_S, Ring
 from touchd.drivers.pad.health import PadHealth

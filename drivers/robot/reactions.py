@@ -64,7 +64,7 @@ class RobotMessage:
     gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
     stage: early, revised, final, released, ongoing or uncertain.
     touch: number of the touch on its pad since the daemon started. sequence: number of the message.
-    pad: where it was. feel: what the touch was like so far, by the names in `touchd.daemon.pad.feel`.
+    pad: where it was. feel: what the touch was like so far, by the names in `touchd.daemon.feel`.
     """
 
     gesture: str

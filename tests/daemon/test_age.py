@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from touchd.daemon.pad.age import Feeling
+from touchd.daemon.timing import Feeling
 from touchd.drivers.frame import Frame
 
 

@@ -26,8 +26,8 @@ from touchd.daemon.events import (
     epoch_s,
     timestamp,
 )
+from touchd.daemon.feel import Feel
 from touchd.daemon.kept.journal import MAX_EVENT_BYTES
-from touchd.daemon.pad.feel import Feel
 from touchd.drivers.errors import one_line
 from touchd.model.classifier import ModelMetadata
 

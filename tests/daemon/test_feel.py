@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from rigs.scripted_model import Scripted
 
 from touchd.daemon.events import Event, Prediction, TouchEnded
-from touchd.daemon.pad.feel import Feel
+from touchd.daemon.feel import Feel
 from touchd.daemon.pipeline import Pipeline, PipelineSettings
 from touchd.drivers.frame import Frame
 from touchd.drivers.robot.reactions import Action, ActionRule, Reactions, RobotMessage

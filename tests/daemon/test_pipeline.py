@@ -18,7 +18,7 @@ from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
-from touchd.daemon.touch import TouchSettings
+from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame
 from touchd.drivers.pad.sensor_state import SensorState
 from touchd.drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice

@@ -28,11 +28,11 @@ from touchd.daemon.events import Event, Prediction, TouchEnded, encode
 from touchd.daemon.kept.journal import Journal, JournalError
 from touchd.daemon.kept.touch_store import TouchStore, kept_touches
 from touchd.daemon.kept.touches import read_journal, read_since
-from touchd.daemon.pad.age import Age
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.daemon.setup.destinations import encoder_for, link_to_robot
 from touchd.daemon.sinks import LinesSink, LogSink
+from touchd.daemon.timing import Age
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame

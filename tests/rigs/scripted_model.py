@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.pad.baseline import SECOND_FRAMES
-from touchd.daemon.touch import GLANCE_FRAMES
+from touchd.daemon.tracker.baseline import SECOND_FRAMES
+from touchd.daemon.tracker.tracker import GLANCE_FRAMES
 from touchd.model.classifier import State
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")

@@ -10,7 +10,7 @@ from rigs.haart_folder import needs_haart
 from rigs.stored_report import DOCS
 
 from touchd.daemon.events import Prediction
-from touchd.daemon.touch import TouchSettings
+from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
 from touchd.model.classifier import Classifier

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.pad.baseline import MIN_NOISE_FLOOR
-from touchd.daemon.touch import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.tracker.baseline import MIN_NOISE_FLOOR
+from touchd.daemon.tracker.tracker import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.pad.grid import GridFrame
 from touchd.drivers.recording import NO_TOUCH, Recording, set_up

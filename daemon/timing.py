@@ -3,7 +3,7 @@
 from collections import deque
 from itertools import pairwise
 
-from touchd.daemon.touch import CALIBRATION_FRAMES
+from touchd.daemon.tracker.tracker import CALIBRATION_FRAMES
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame
 

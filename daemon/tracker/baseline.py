@@ -1,4 +1,4 @@
-"""What the pad reads while nothing touches it, and its last second."""
+"""The untouched pad: what each taxel reads, how much it varies, and the last second of frames."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,29 +9,31 @@ TAXELS = ROWS * COLUMNS
 Taxels = NDArray[np.float32]
 SECOND_FRAMES = 54
 
+# Time constant of the baseline, three seconds: a light touch of a second moves it by a third of a count.
 TRACK_FRAMES = 3.0 * FRAME_RATE_HZ
-# The baseline moves no faster than this per TRACK_FRAMES, so that a light touch does not become it.
+# Largest deviation that the baseline follows, so that a touch not noticed yet does not become rest.
 TRACK_COUNTS = 1.0
-MIN_NOISE_FLOOR = 1.6
+# Noise floor: two mean deviations, at least 1.6 counts, the mean floor of HAART's pad at rest.
 NOISE_DEVIATIONS = 2.0
+MIN_NOISE_FLOOR = 1.6
 MAX_DEVIATION_COUNTS = 4.0
-# A pad on a robot that breathes moves slowly by more than its noise, and more at some times than at others.
+# The noise floor also covers the slow sway of a body that breathes, times this.
 SWAY_FLOOR = 1.3
 MAX_SWAY_COUNTS = 4.0
+# Sway is forgotten by half in 15 seconds, at nine checks a second.
 SWAY_KEPT = 0.995
-# The mean noise floor of HAART's pad is 1.6, and that of the robot's 2.0 at most.
+# Mean noise floor above which light touches go unnoticed. HAART's pad has 1.6, the robot's 2.0 at most.
 DISTURBED_FLOOR = 2.2
 
 
 class Baseline:
-    """What each taxel reads while nothing touches the pad, and how much it strays.
+    """What each taxel reads at rest, and how much it varies.
 
-    counts: (64,) what it reads. noise_floor: (64,) counts above it that are noise. sway: (64,) the most
-    that it lately moved from one half second to the next.
+    counts: (64,) readings at rest. noise_floor: (64,) counts above them that are noise. sway: (64,) the
+    largest recent change from one half second to the next.
     """
 
     def __init__(self) -> None:
-        self.is_known = False
         self.counts = np.zeros(TAXELS, np.float32)
         self.noise_floor = np.full(TAXELS, MIN_NOISE_FLOOR, np.float32)
         self.sway = np.zeros(TAXELS, np.float32)
@@ -39,15 +41,14 @@ class Baseline:
         self._noise = self.noise_floor
 
     def calibrate(self, frames: NDArray[np.float32]) -> None:
-        """Take (T, 64) counts for an untouched pad."""
-        self.is_known = True
+        """Take (T, 64) counts as the untouched pad."""
         # The median of an odd number; np.median would first import numpy.ma, which stalls the loop for 20 ms.
         self.counts = np.sort(frames, axis=0)[len(frames) // 2]
         self._deviation = np.abs(frames - self.counts).mean(axis=0, dtype=np.float32)
         self._set_noise_floor()
 
     def track(self, pressure: Taxels) -> None:
-        """Drift a little towards (64,) counts of an untouched pad."""
+        """Move slowly towards (64,) counts of an untouched pad."""
         off = pressure - self.counts
         self.counts += np.maximum(np.minimum(off, TRACK_COUNTS), -TRACK_COUNTS) / TRACK_FRAMES
         self._deviation += (np.abs(off) - self._deviation) / TRACK_FRAMES
@@ -55,7 +56,7 @@ class Baseline:
 
     @property
     def mean_noise_floor(self) -> float:
-        """Mean noise floor that the taxels' noise alone would give."""
+        """Mean noise floor from noise alone, without sway."""
         return float(np.add.reduce(self._noise)) / TAXELS
 
     @property
@@ -64,7 +65,7 @@ class Baseline:
         return self.mean_noise_floor >= DISTURBED_FLOOR
 
     def track_sway(self, change: Taxels) -> None:
-        """Note by how much (64,) counts an untouched pad moved from one half second to the next."""
+        """Take the (64,) counts by which an untouched pad moved from one half second to the next."""
         self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_SWAY_COUNTS))
 
     def _set_noise_floor(self) -> None:
@@ -98,13 +99,13 @@ class LastSecond:
         return self._frames[stop - min(frames, len(self)) : stop]
 
     def halves(self) -> tuple[Taxels, Taxels]:
-        """Return what each taxel read on average in the older and in the newer half second."""
+        """Return each taxel's mean in the older and in the newer half second."""
         frames = self.last(SECOND_FRAMES).reshape(2, -1, TAXELS)
         older, newer = frames.mean(axis=1)
         return older, newer
 
     def spread(self) -> Taxels:
-        """Return the standard deviation of each taxel within the two halves."""
+        """Return each taxel's standard deviation within the two halves."""
         frames = self.last(SECOND_FRAMES).reshape(2, -1, TAXELS)
         deviation: Taxels = np.sqrt(frames.var(axis=1).mean(axis=0))
         return deviation

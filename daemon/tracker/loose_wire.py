@@ -8,7 +8,7 @@ reads says nothing, so that much is taken out.
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.pad.baseline import TAXELS, Taxels
+from touchd.daemon.tracker.baseline import TAXELS, Taxels
 from touchd.drivers.frame import COLUMNS, ROWS
 
 # A jump lies between two means of so many frames, in the last so many.

@@ -1,0 +1,93 @@
+"""Asks the network whether something touches the pad, and compares its answers with those at rest."""
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.drivers.frame import COLUMNS, ROWS
+
+PNoTouch = Callable[[NDArray[np.float32]], float]
+"""The network's probability that nothing touches the pad in (T, 8, 8) counts."""
+Frames = NDArray[np.float32]
+
+# The network is asked three times a second; three answers together begin or end a touch.
+ASK_FRAMES = 18
+ANSWERS = 3
+# Mean p_no_touch below which they begin a touch, and above which they end one.
+TOUCH, NONE = 0.15, 0.5
+# A single answer this low speaks against the end of a touch.
+DOUBT = 0.2
+# On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. Then this share of
+# it is the limit; below the second constant the network does not know the pad at rest, and is ignored.
+REST_SHARE = 0.6
+KNOWN_REST = 0.2
+# Shares by which p_no_touch at rest follows higher and lower answers: slowly down, as a touch may go
+# unnoticed.
+RISES, FALLS = 0.1, 0.05
+
+
+class NetworkCheck:
+    """p_no_touch: None without a network, or with one that does not know "notouch"."""
+
+    def __init__(self, p_no_touch: PNoTouch | None) -> None:
+        self._p_no_touch = p_no_touch
+        self._at_rest: float | None = None
+        self._answers: deque[float] = deque(maxlen=ANSWERS)
+
+    @property
+    def is_there(self) -> bool:
+        return self._p_no_touch is not None
+
+    @property
+    def knows_rest(self) -> bool:
+        """Whether the network takes this pad at rest for untouched."""
+        return self._at_rest is not None and self._at_rest >= KNOWN_REST
+
+    def forget_rest(self) -> None:
+        """Forget the answers at rest: it may be another pad."""
+        self._at_rest = None
+        self._answers.clear()
+
+    def forget_answers(self) -> None:
+        self._answers.clear()
+
+    def is_below(self, p_no_touch: float, frames: Frames) -> bool:
+        """Whether p_no_touch of (T, 64) counts is below a limit; True without a network."""
+        return self._ask(frames) < self._limit(p_no_touch)
+
+    def sees_touch(self, frames: Frames, p_no_touch: float) -> bool:
+        """The same, of a network that knows the pad at rest."""
+        return self.knows_rest and self.is_below(p_no_touch, frames)
+
+    def begins_touch(self, frames: Frames) -> bool:
+        """Ask about a pad that seems untouched; return whether the last answers together see a touch."""
+        answer = self._ask(frames)
+        self._answers.append(answer)
+        if self._at_rest is None:
+            self._at_rest = answer
+        self._at_rest += (answer - self._at_rest) * (RISES if answer > self._at_rest else FALLS)
+        return self.knows_rest and len(self._answers) == ANSWERS and self._mean < self._limit(TOUCH)
+
+    def follow_touch(self, frames: Frames) -> None:
+        """Ask about the last second of a touch."""
+        self._answers.append(self._ask(frames))
+
+    @property
+    def ends_touch(self) -> bool:
+        """Whether the last answers together see no touch."""
+        is_full = len(self._answers) == ANSWERS
+        return is_full and self._mean >= self._limit(NONE) and min(self._answers) >= self._limit(DOUBT)
+
+    @property
+    def _mean(self) -> float:
+        return sum(self._answers) / len(self._answers)
+
+    def _ask(self, frames: Frames) -> float:
+        return 0.0 if self._p_no_touch is None else self._p_no_touch(frames.reshape(-1, ROWS, COLUMNS))
+
+    def _limit(self, p_no_touch: float) -> float:
+        return (
+            min(p_no_touch, REST_SHARE * self._at_rest) if self._at_rest and self.knows_rest else p_no_touch
+        )

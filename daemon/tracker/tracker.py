@@ -1,0 +1,486 @@
+"""When a touch begins and ends.
+
+Contact is pressure above the baseline and above each taxel's noise floor, summed over the pad: a light stroke
+is hardly above noise in any one taxel, but in many at once. The tracker is in one of four states:
+
+measuring rest: the first half second of frames without a gap becomes the baseline; then quiet.
+quiet: the baseline follows the pad. Contact leads to maybe; a touch that only the network sees, to touched.
+maybe: light contact may be a baseline that shifted, or a pad that wobbles. If it is firm, or if it moves on
+    and the network agrees, touched. Without contact for half a second, quiet. Undecided after a second, quiet
+    with the current readings as the baseline.
+touched: ends when contact has been gone for `quiet_s`, or when the pad shows that nobody touches it, whatever
+    it reads, which becomes the baseline; then quiet.
+
+A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. The
+figures behind the numbers are in docs/touch.md and docs/sessions.md.
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.daemon.events import EndReason
+from touchd.daemon.tracker.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
+from touchd.daemon.tracker.loose_wire import LOOK_FRAMES, LooseWire
+from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, TOUCH, NetworkCheck, PNoTouch
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.pad.grid import GridFrame
+
+# A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
+SMOOTH_FRAMES = 3
+CALIBRATION_FRAMES = 27
+# Rest is measured again after a longer silence, in which the pad may have been changed.
+CHANGED_AFTER_MS = 2000.0
+# Checks of the last second take place nine times a second.
+CHECK_FRAMES = 6
+
+# Quiet.
+# Contact that may be a touch: docs/touch.md compares levels. Above it the network alone begins no touch.
+ONSET_COUNTS = 4.0
+# A loose wire lifts a row or column by up to this many counts in all, which do not count as contact.
+WIRE_COUNTS = 25.0
+# A vibration that begins lifts all taxels by similar amounts, until it is known and taken out: the median by
+# this share of the highest, which is no higher than this. Without the rule, a false touch more on the third
+# study.
+COMMON_COUNTS = 8.0
+COMMON_SHARE = 0.25
+# Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without the
+# rule, one more false touch in ten minutes on the robot.
+RESTLESS_FACTOR = 1.5
+RESTLESS_KEPT = 0.999
+# After a touch, the peak while the hand left counts for two quiet seconds, in which a body breathes once.
+LEAVING_FRAMES = 108
+# The network is asked about the last two thirds of a second of a quiet pad, else about the last second.
+GLANCE_FRAMES = 36
+
+# Maybe.
+# Contact that only a hand makes.
+FIRM_COUNTS = 60.0
+# A baseline that shifts is over in two frames; a hand goes on moving, by this many counts summed over the
+# pad.
+STEP_FRAMES = 2
+MOVED_COUNTS = 6.0
+# Four times that within nine frames begins a touch; later it may be a body that breathes. Without the rule, 1
+# % more touches of the robot are missed.
+SURE_MOVEMENT = 4.0
+SURE_FRAMES = 9
+# Otherwise the network decides: from a third of a second on and six times a second about what moves, and once
+# after a second about what keeps still. Without the latter, one more of HAART's 495 touches is missed.
+LEAST_ASKED_FRAMES = 18
+ASK_MOVING_FRAMES = 9
+NO_TOUCH_MOVING = 0.5
+NO_TOUCH_STILL = 0.3
+# A touch is dated back to the first of an unbroken run of frames with its taxels above rest by this much.
+# Without the rule, 3 % fewer touches of the breathing robot are right.
+BACKDATE_COUNTS = 1.0
+
+# Touched.
+# Contact below which the pad is quiet.
+RELEASE_COUNTS = 4.0
+# Low: below this share of the touch's highest level, or below the contact of a hand at rest.
+LOW_SHARE = 0.35
+LOW_COUNTS = 80.0
+# A taxel keeps still when its half seconds differ by less than this, its sway, or what its noise explains,
+# and its noise is below this, or a share of the load. A load with 2 % of noise keeps still.
+STILL_COUNTS = 0.9
+STILL_SWAYS = 1.2
+STILL_SPREADS = 0.8
+MAX_SPREAD_COUNTS = 4.0
+LOAD_NOISE = 0.03
+# Low and still for two thirds of a second: over, unless the network sees a light touch.
+STILL_FRAMES = 36
+# A load that has kept still for ten seconds becomes rest. A touch ends after ten minutes.
+SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
+LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
+
+
+class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When a touch begins and ends. The defaults were chosen by measurement: docs/touch.md.
+
+    onset_threshold: contact that begins a touch, in counts summed over the pad above each taxel's noise
+        floor; lower notices lighter touches and raises more false alarms. Above the default, none begins
+        because the network sees it.
+    quiet_s: a touch ends after this much quiet; longer than the lift-off between two strokes. Seconds.
+    """
+
+    onset_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = ONSET_COUNTS
+    quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """A touch has been noticed; first_index is the grid frame at which it truly began."""
+
+    first_index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """The touch is over; first_index and last_index are its first and last grid frame with contact."""
+
+    first_index: int
+    last_index: int
+    reason: EndReason
+
+
+@dataclass(slots=True)
+class MeasuringRest:
+    """Rest is not known yet."""
+
+
+@dataclass(slots=True)
+class Quiet:
+    """Nothing touches the pad.
+
+    frames: for how long, without those in maybe. peak: the highest contact since then. sunken_frames: for how
+    long the pad has read less than at rest. unsteady_index: the last frame in which it did, or in which rest
+    was calibrated.
+    """
+
+    frames: int = 0
+    peak: float = 0.0
+    sunken_frames: int = 0
+    unsteady_index: int = -SECOND_FRAMES
+
+
+@dataclass(slots=True)
+class Maybe:
+    """Contact that may be a touch.
+
+    quiet: the state before. since, last: its first frame, and its latest with enough contact. before: (64,)
+    counts once a shifted baseline would be over. moved: the most movement, in counts summed over
+    the pad. touched: (64,) whether a taxel is above noise.
+    """
+
+    quiet: Quiet
+    since: int
+    last: int
+    before: Taxels
+    moved: float = 0.0
+    touched: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(TAXELS, np.bool_))
+
+
+@dataclass(slots=True)
+class Touched:
+    """A touch goes on.
+
+    first, last: its first frame, and its last with contact. highest_level: the largest contact of a half
+    second. still_frames: for how long the pad has kept still.
+    """
+
+    first: int
+    last: int
+    highest_level: float = 0.0
+    still_frames: int = 0
+
+
+State: TypeAlias = MeasuringRest | Quiet | Maybe | Touched
+Change: TypeAlias = Onset | Release | None
+
+
+class TouchTracker:
+    """Takes the pad's frames one by one and returns where touches begin and end.
+
+    p_no_touch: see `NetworkCheck`. baseline: what is known of the untouched pad; it does not change during a
+    touch.
+    """
+
+    def __init__(self, settings: TouchSettings, p_no_touch: PNoTouch | None = None) -> None:
+        self.baseline = Baseline()
+        self._settings = settings
+        self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
+        self._release_counts = min(settings.onset_threshold, RELEASE_COUNTS)
+        self._network = NetworkCheck(p_no_touch)
+        self._loose_wire = LooseWire()
+        self._recent = LastSecond()
+        self._state: State = MeasuringRest()
+        # The untouched pad's recent peak contact.
+        self._restless = 0.0
+        self._index = -1
+        self._sensor_ms = 0.0
+
+    @property
+    def last_contact_index(self) -> int:
+        """The current touch's last grid frame with contact; the median delays it."""
+        state = self._state
+        if not isinstance(state, Touched) or state.last == self._index:
+            return self._index
+        return max(state.first, state.last - SMOOTH_FRAMES // 2)
+
+    @property
+    def is_disturbed(self) -> bool:
+        """Whether the untouched pad is so noisy that light touches go unnoticed."""
+        return self.baseline.is_disturbed
+
+    @property
+    def loose_lines(self) -> tuple[str, ...]:
+        """The rows and columns that jump while nothing touches the pad."""
+        return self._loose_wire.lines
+
+    def without_loose_wire(self, frames: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return (..., 8, 8) counts without the jumps of a loose line, as the tracker itself sees them."""
+        return self._loose_wire.take_out(frames, self.baseline.counts)
+
+    def update(self, frame: GridFrame) -> Change:
+        """Take the next grid frame; return the touch that it begins or ends."""
+        release = self._restart(frame) if frame.restarted else None
+        self._index, self._sensor_ms = frame.index, frame.sensor_ms
+        self._recent.push(self.without_loose_wire(frame.pressure).reshape(TAXELS))
+        if len(self._recent) < SMOOTH_FRAMES:
+            return release
+        match self._state:
+            case MeasuringRest():
+                self._measure_rest()
+                return release
+            case Quiet() as quiet:
+                return self._watch(quiet)
+            case Maybe() as maybe:
+                return self._weigh(maybe)
+            case Touched() as touch:
+                return self._hold(touch)
+
+    def forget(self, reason: EndReason) -> Release | None:
+        """End the touch, if one goes on, and measure rest again: it may be another pad."""
+        release = self._end(self._state, reason) if isinstance(self._state, Touched) else None
+        self._forget_rest()
+        return release
+
+    def _restart(self, frame: GridFrame) -> Release | None:
+        """End the touch at a gap in the frames, and forget rest after a long one."""
+        release = self._end(self._state, "gap") if isinstance(self._state, Touched) else None
+        self._recent.clear()
+        self._network.forget_answers()
+        if not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS:
+            self._forget_rest()
+        elif not isinstance(self._state, MeasuringRest):
+            self._state = Quiet()
+        return release
+
+    def _forget_rest(self) -> None:
+        self.baseline = Baseline()
+        self._loose_wire = LooseWire()
+        self._network.forget_rest()
+        self._recent.clear()
+        self._state = MeasuringRest()
+
+    def _measure_rest(self) -> None:
+        if len(self._recent) >= CALIBRATION_FRAMES:
+            self._calibrate(Quiet())
+
+    def _calibrate(self, quiet: Quiet, frames: int = CALIBRATION_FRAMES) -> None:
+        """Take the last frames as rest, and be quiet."""
+        self.baseline.calibrate(self._recent.last(frames))
+        quiet.sunken_frames, quiet.unsteady_index = 0, self._index
+        self._state = quiet
+
+    # Quiet.
+
+    def _watch(self, quiet: Quiet) -> Change:
+        self._look_for_loose_wire()
+        smooth = self._smooth()
+        rise = smooth - self.baseline.counts
+        above = self._above(rise)
+        contact = beyond_one_wire(above)
+        if is_in_common(rise):
+            contact = 0.0 if contact >= self._onset_counts else contact
+        if contact >= self._onset_counts:
+            self._state = Maybe(quiet, self._index, self._index, smooth)
+            return self._weigh(self._state)
+        self._restless = max(self._restless * RESTLESS_KEPT, contact)
+        quiet.peak = max(quiet.peak, contact)
+        if quiet.frames == LEAVING_FRAMES:
+            self._restless = quiet.peak
+        quiet.frames += 1
+        self.baseline.track(self._recent.last(1)[0])
+        self._follow_rest(quiet, sunken=beyond_one_wire(self._above(-rise)))
+        return self._ask_at_rest(quiet)
+
+    def _follow_rest(self, quiet: Quiet, sunken: float) -> None:
+        """Calibrate a pad that reads less than at rest, and learn how much it sways."""
+        is_sunken = sunken >= self._settings.onset_threshold
+        quiet.sunken_frames = quiet.sunken_frames + 1 if is_sunken else 0
+        if is_sunken:
+            quiet.unsteady_index = self._index
+        if quiet.sunken_frames >= CALIBRATION_FRAMES:
+            # Pressure does not go below rest: it was calibrated under a hand or an object that is now gone.
+            self._calibrate(quiet)
+        elif self._is_time_to_check and self._index - quiet.unsteady_index >= SECOND_FRAMES:
+            older, newer = self._recent.halves()
+            self.baseline.track_sway(np.abs(newer - older))
+
+    def _ask_at_rest(self, quiet: Quiet) -> Onset | None:
+        """Ask the network about a pad without contact: in some touches no taxel is above the noise."""
+        if self._index % ASK_FRAMES or quiet.frames < GLANCE_FRAMES or not self._network.is_there:
+            return None
+        is_seen = self._network.begins_touch(self._recent.last(GLANCE_FRAMES))
+        if not is_seen or self._settings.onset_threshold > ONSET_COUNTS:
+            return None
+        return self._begin(self._index - GLANCE_FRAMES - ASK_FRAMES)
+
+    # Maybe.
+
+    def _weigh(self, maybe: Maybe) -> Change:
+        self._look_for_loose_wire()
+        smooth = self._smooth()
+        above = self._above(smooth - self.baseline.counts)
+        contact = beyond_one_wire(above)
+        waited = self._index - maybe.since
+        if waited <= STEP_FRAMES:
+            maybe.before = smooth
+        if contact >= self._onset_counts:
+            maybe.last, maybe.touched = self._index, above > 0
+        off = smooth - maybe.before
+        off -= np.sort(off)[TAXELS // 2]
+        maybe.moved = max(maybe.moved, float(np.maximum(np.abs(off) - self.baseline.noise_floor, 0).sum()))
+
+        movement = maybe.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
+        may_breathe = waited > SURE_FRAMES and self._network.is_there
+        is_sure = contact >= FIRM_COUNTS or (movement >= SURE_MOVEMENT and not may_breathe)
+        if is_sure or self._is_light_touch(waited, movement):
+            return self._begin(self._first_frame(maybe))
+        if self._index - maybe.last >= CALIBRATION_FRAMES:
+            self._state = maybe.quiet
+        elif waited >= SECOND_FRAMES:
+            self._calibrate(maybe.quiet)
+        return None
+
+    def _is_light_touch(self, waited: int, movement: float) -> bool:
+        """Ask the network about light contact, sooner if it moves."""
+        if movement >= 1.0 and waited >= LEAST_ASKED_FRAMES:
+            is_due, least = self._index % ASK_MOVING_FRAMES == 0, NO_TOUCH_MOVING
+        else:
+            is_due, least = waited == SECOND_FRAMES and self._network.is_there, NO_TOUCH_STILL
+        return is_due and self._network.is_below(least, self._recent.last(waited - STEP_FRAMES))
+
+    def _first_frame(self, maybe: Maybe) -> int:
+        """Return the first frame of the unbroken run up to the contact with its taxels above rest."""
+        rest = self.baseline.counts[maybe.touched].mean()
+        before = self._recent.last(SECOND_FRAMES)[: maybe.since - self._index - 1, maybe.touched]
+        above = before.mean(axis=1) - rest >= BACKDATE_COUNTS
+        return maybe.since - (len(above) if above.all() else int(above[::-1].argmin()))
+
+    def _begin(self, first: int) -> Onset:
+        self._network.forget_answers()
+        self._state = Touched(first, self._index)
+        return Onset(first)
+
+    # Touched.
+
+    def _hold(self, touch: Touched) -> Release | None:
+        quiet_frames = self._index - touch.last
+        if float(self._above(self._smooth() - self.baseline.counts).sum()) >= max(
+            self._release_counts, self._restless
+        ):
+            touch.last = self._index
+        elif quiet_frames >= self._quiet_frames:
+            # About the quiet alone, where `quiet_s` is short.
+            asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
+            if len(asked) < LEAST_ASKED_FRAMES or not self._network.sees_touch(asked, NO_TOUCH_STILL):
+                return self._end(touch, "released")
+            touch.last = self._index - self._quiet_frames + ASK_FRAMES
+        elif self._quiet_frames > SECOND_FRAMES:
+            # A quiet time longer than what is checked below is waited for.
+            touch.still_frames = 0
+            self._network.forget_answers()
+            return None
+        if self._index - touch.first >= LONGEST_FRAMES:
+            return self._end_at_new_rest(touch, "longest")
+        if self._is_time_to_check and self._index - touch.first >= SECOND_FRAMES:
+            return self._check_end(touch)
+        return None
+
+    def _check_end(self, touch: Touched) -> Release | None:
+        """End the touch when the pad shows that nobody touches it, whatever it reads."""
+        older, newer = self._recent.halves()
+        change, rise = np.abs(newer - older), newer - self.baseline.counts
+        level = float(self._above(rise).sum())
+        touch.highest_level = max(touch.highest_level, level)
+        is_still = self._is_still(change, self._recent.spread(), rise)
+        touch.still_frames = touch.still_frames + CHECK_FRAMES if is_still else 0
+        # By as much as the lightest quarter rose, the whole pad may have drifted.
+        drift = max(float(np.sort(rise)[TAXELS // 4]), 0.0)
+        low = max(LOW_SHARE * touch.highest_level, LOW_COUNTS)
+        if not is_still and float(self._above(rise - drift).sum()) > low:
+            self._network.forget_answers()
+        elif self._index % ASK_FRAMES == 0:
+            self._network.follow_touch(self._recent.last(SECOND_FRAMES))
+
+        # Low and still; a light touch that keeps still may be seen by the network alone.
+        is_left = level <= low and touch.still_frames >= STILL_FRAMES
+        if is_left and level < LOW_COUNTS:
+            is_left = not self._network.sees_touch(self._recent.last(SECOND_FRAMES), DOUBT)
+        if is_left or self._network.ends_touch:
+            over_frames = max(touch.still_frames, SECOND_FRAMES if self._network.ends_touch else 0)
+            since = self._index - over_frames - SECOND_FRAMES // 2
+            touch.last = max(touch.first, min(touch.last, since))
+            return self._end_at_new_rest(touch, "released")
+        return self._end_at_new_rest(touch, "settled") if touch.still_frames >= SETTLED_FRAMES else None
+
+    def _is_still(self, change: Taxels, spread: Taxels, rise: Taxels) -> bool:
+        allowed = np.maximum(STILL_SWAYS * self.baseline.sway, STILL_SPREADS * spread)
+        noise = np.maximum(LOAD_NOISE * rise, MAX_SPREAD_COUNTS)
+        return bool((change <= np.maximum(allowed, STILL_COUNTS)).all() and (spread <= noise).all())
+
+    def _end_at_new_rest(self, touch: Touched, reason: EndReason) -> Release:
+        """End the touch, and take the current readings as rest."""
+        if reason != "released" or self._network.sees_touch(self._recent.last(SECOND_FRAMES), TOUCH):
+            # The network takes what lies there for a hand, and would begin the touch again.
+            self._network.forget_rest()
+        release = self._end(touch, reason)
+        self._calibrate(Quiet(), SECOND_FRAMES)
+        older, newer = self._recent.halves()
+        self.baseline.track_sway(np.abs(newer - older))
+        frames = self._recent.last(SECOND_FRAMES)
+        smooth = _median(frames[2:], frames[1:-1], frames[:-2])
+        self._restless = max(beyond_one_wire(each) for each in self._above(smooth - self.baseline.counts))
+        return release
+
+    def _end(self, touch: Touched, reason: EndReason) -> Release:
+        release = Release(touch.first, self.last_contact_index, reason)
+        self._network.forget_answers()
+        self._state = Quiet()
+        return release
+
+    # What the pad shows.
+
+    @property
+    def _is_time_to_check(self) -> bool:
+        return self._index % CHECK_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
+
+    @property
+    def _onset_counts(self) -> float:
+        return max(self._settings.onset_threshold, RESTLESS_FACTOR * self._restless)
+
+    def _smooth(self) -> Taxels:
+        return _median(*self._recent.last(SMOOTH_FRAMES))
+
+    def _above(self, rise: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what of (..., 64) counts is above the noise floor."""
+        above: NDArray[np.float32] = np.maximum(rise - self.baseline.noise_floor, 0)
+        return above
+
+    def _look_for_loose_wire(self) -> None:
+        is_time = self._index % CHECK_FRAMES == 0 and len(self._recent) >= LOOK_FRAMES
+        if is_time and self._loose_wire.look(self._recent.last(LOOK_FRAMES)):
+            self._network.forget_answers()
+
+
+def is_in_common(rise: Taxels) -> bool:
+    """Whether all taxels are above rest by a similar amount, as no hand lifts them."""
+    lifted = np.sort(rise)
+    return bool(lifted[TAXELS // 2] >= COMMON_SHARE * lifted[-1] and lifted[-1] <= COMMON_COUNTS)
+
+
+def beyond_one_wire(above: Taxels) -> float:
+    """Sum (64,) counts, less the strongest row or column up to what a loose wire lifts."""
+    grid = above.reshape(ROWS, COLUMNS)
+    rows, columns = np.add.reduce(grid, axis=1).tolist(), np.add.reduce(grid, axis=0).tolist()
+    return float(sum(rows) - min(max(*rows, *columns), WIRE_COUNTS))
+
+
+def _median(a: NDArray[np.float32], b: NDArray[np.float32], c: NDArray[np.float32]) -> NDArray[np.float32]:
+    median: NDArray[np.float32] = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+    return median
