@@ -24,7 +24,6 @@ STUDIES = {
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
     "tracker": ("studies.tracker.report", "touch.md: how well touches are detected"),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
-    "joined": ("studies.sessions.joined", "sessions.md: two gestures without a pause"),
 }
 
 

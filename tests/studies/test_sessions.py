@@ -5,16 +5,14 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from rigs.haart_folder import SECOND_STUDY, needs_second_study
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
-from rigs.scripted_model import LABELS, Scripted
+from rigs.scripted_model import Scripted
 
 from touchd.daemon.events import TouchEnded, epoch_s, timestamp
 from touchd.drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.play import frames_of, play
-from touchd.model.studies.sessions import joined
 from touchd.model.studies.sessions.plan import PlannedSession, SessionSettings, sessions
 from touchd.model.studies.sessions.report import measure
 from touchd.model.studies.sessions.score import judge, score
@@ -109,21 +107,3 @@ def test_quiet_alone_has_no_false_touch() -> None:
     played = judge(quiet, play(frames_of(quiet.counts), Scripted()))
     assert played.false == 0
     assert np.isclose(played.quiet_min, 0.05)
-
-
-class HearsPats(Scripted):
-    """Takes varying pressure for a pat, anything else for a constant touch."""
-
-    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
-        pressure = frames.sum(axis=(1, 2))
-        gesture = "pat" if pressure.std() > 0.5 * pressure.mean() else "constant"
-        return np.array([0.94 if label == gesture else 0.01 for label in LABELS])
-
-
-def test_a_second_gesture_counts_as_told_when_the_robot_hears_it() -> None:
-    recordings = [recording("notouch", nothing(8.0)), recording("pat", pat(8.0))]
-    recordings.append(recording("constant", palm(8.0, counts=60.0)))
-    deaf = joined.measure(recordings, Scripted(lambda asked: "pat"))
-    assert (deaf.joined, deaf.told, deaf.wrong, deaf.single, deaf.again) == (1, 0.0, 0.0, 2, 0.0)
-    hears = joined.measure(recordings, HearsPats(lambda asked: "pat"))
-    assert (hears.joined, hears.known, hears.told, hears.wrong) == (2, 2, 100.0, 0.0)

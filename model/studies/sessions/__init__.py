@@ -1,1 +1,1 @@
-"""Recordings played as a pad in use, touch after touch, and what the daemon says (docs/sessions.md)."""
+"""Sessions of a pad in use: how they are made, played and scored."""

@@ -1,8 +1,8 @@
-"""A session: one person's touches under one condition in sequence, as a pad in use would send them.
+"""A session: one person's touches under one condition, one after another, as a pad in use would send them.
 
 Each touch is followed by three seconds of that condition's notouch. A fabric's rest shifts when it is
-touched: after a pat, stroke or tickle, whose hand leaves the pad, the notouch is levelled per taxel to the
-lightest sixth of a second of that recording, and stays there until the next such touch.
+touched. So after a pat, stroke or tickle, in which the hand leaves the pad, the notouch is shifted per taxel
+to the lightest sixth of a second of that recording, until the next such touch.
 """
 
 import random
@@ -27,9 +27,9 @@ MAX_SHIFT_COUNTS = 8
 
 @dataclass(frozen=True, kw_only=True)
 class SessionSettings:
-    """How a session is made.
+    """How to make a session.
 
-    seconds: length of each touch. rest_shifts: whether the rest follows the touches, as above.
+    seconds: length of each touch. rest_shifts: whether touches shift the rest, as above.
     The disturbances begin at disturbed_from_s: noise (standard deviation in counts, each taxel), hum (a 50 Hz
     sine on all taxels), motor (a sine of motor_hz, weighted by taxel), breathing (0.5 Hz, weighted by taxel);
     the last three are amplitudes in counts.
@@ -47,7 +47,7 @@ class SessionSettings:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Frames start <= i < stop of a session; gesture is None where nothing touches."""
+    """Frames start <= i < stop of a session; gesture is None without a touch."""
 
     gesture: str | None
     start: int
@@ -66,14 +66,14 @@ class PlannedSession:
 
 
 def sessions(recordings: Sequence[Recording], settings: SessionSettings) -> Iterator[PlannedSession]:
-    """Yield a session for each person and condition that has a notouch recording among live recordings."""
+    """Yield a session for each person and condition with a notouch recording, from live recordings."""
     rng = random.Random(7)
     for key, by_gesture in together(recordings):
         yield _session(key, by_gesture, settings, rng)
 
 
 def together(recordings: Sequence[Recording]) -> Iterator[tuple[Condition, dict[str, list[Scans]]]]:
-    """Yield the counts by gesture of each person and condition that has a notouch recording."""
+    """Yield the counts by gesture of each person and condition with a notouch recording."""
     conditions: dict[Condition, dict[str, list[Scans]]] = {}
     for recording in recordings:
         by_gesture = conditions.setdefault(set_up(recording), {})
@@ -115,7 +115,7 @@ def _session(
 
 
 def _levelled(still: NDArray[np.int64], touch: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the quiet at the lightest sixth of a second of the touch, taxel by taxel."""
+    """Return the quiet frames shifted to the lightest sixth of a second of the touch, taxel by taxel."""
     blocks = [
         np.median(touch[start : start + BLOCK_FRAMES], axis=0)
         for start in range(0, len(touch) - BLOCK_FRAMES + 1, BLOCK_FRAMES)
@@ -126,7 +126,7 @@ def _levelled(still: NDArray[np.int64], touch: NDArray[np.int64]) -> NDArray[np.
 
 
 def _disturbance(frames: int, settings: SessionSettings) -> NDArray[np.float64]:
-    """Return the counts (T, 8, 8) that the disturbances add."""
+    """Return the counts (T, 8, 8) added by the disturbances."""
     rng = np.random.default_rng(0)
     at_s = (np.arange(frames) / FRAME_RATE_HZ)[:, None, None]
     weight = rng.uniform(0.5, 1.5, (ROWS, COLUMNS))

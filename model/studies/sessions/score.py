@@ -1,4 +1,4 @@
-"""What the robot was told over a session, scored touch by touch."""
+"""Scores a session touch by touch: which were detected, and what the robot was told."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -13,20 +13,20 @@ from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoc
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.model.studies.sessions.plan import PlannedSession, Stretch
 
-# A touch counts for a stretch that it overlaps by more than this.
+# A detected touch belongs to a stretch that it overlaps by more than this.
 OVERLAP_MS = 100.0
 OPEN_MS = 2000.0
 FRAME_MS = 1000.0 / FRAME_RATE_HZ
 
 
 class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
-    """Percent of the touches made, where nothing else is said.
+    """Percent of the touches made, unless stated otherwise.
 
-    missed: in no touch. merged: in a touch joined with another. split: felt as several.
-    early, revised, final: right at that stage. last, first: right in what the robot was told last, first.
+    missed: not detected. merged: detected as one with another. split: detected as several.
+    early, revised, final: right at that stage. last, first: right in the last, first answer told.
     harmful: told right, then wrong. late: told again after final. open: two seconds after the hand has left.
     false: touches in ten minutes of quiet.
-    t_first: mean seconds until the robot was first told. n: touches made.
+    t_first: mean seconds until the first answer told. n: touches made.
     """
 
     missed: float
@@ -46,8 +46,8 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
-class Felt:
-    """A touch as the daemon had it, and when it said that it was over; infinite when it never ended."""
+class Detected:
+    """A touch as detected. over_ms: when its end was reported; infinite if it never was."""
 
     start_ms: float
     stop_ms: float
@@ -57,9 +57,9 @@ class Felt:
 
 @dataclass(frozen=True)
 class Fate:
-    """The outcome of one touch made; answers are those of the touch that it began.
+    """The outcome of one touch made; answers: of the detected touch that began with it.
 
-    open: whether the daemon still had it when the hand had been away for OPEN_MS.
+    open: whether it had not ended OPEN_MS after the hand left.
     """
 
     gesture: str
@@ -71,13 +71,13 @@ class Fate:
 
     @property
     def told(self) -> list[str]:
-        """What the robot was told, in order."""
+        """The gestures told to the robot, in order."""
         return [answer.gesture for answer in self.answers if answer.told]
 
 
 @dataclass(frozen=True)
 class Played:
-    """One session's touches, its quiet time and the touches felt in it."""
+    """One session's touches, its quiet time, and the touches detected in that time."""
 
     fates: tuple[Fate, ...]
     quiet_min: float
@@ -86,12 +86,12 @@ class Played:
 
 def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
     """Compare the daemon's answers with the touches made."""
-    felt = felt_in(events)
+    detected = detected_in(events)
     made = [stretch for stretch in session.stretches if stretch.gesture is not None]
-    inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in felt]
+    inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in detected]
     quiet = sum(stretch.stop - stretch.start for stretch in session.stretches if stretch.gesture is None)
     return Played(
-        tuple(_fate(i, stretch, felt, inside) for i, stretch in enumerate(made)),
+        tuple(_fate(i, stretch, detected, inside) for i, stretch in enumerate(made)),
         quiet / FRAME_RATE_HZ / 60.0,
         sum(not among for among in inside),
     )
@@ -129,8 +129,8 @@ def score(played: Sequence[Played]) -> SessionScore:
     )
 
 
-def felt_in(events: Iterable[Event]) -> list[Felt]:
-    """Return the touches as the daemon had them."""
+def detected_in(events: Iterable[Event]) -> list[Detected]:
+    """Return the touches as detected."""
     answers: dict[int, list[Prediction]] = defaultdict(list)
     began: dict[int, float] = {}
     ended: dict[int, tuple[float, float]] = defaultdict(lambda: (inf, inf))
@@ -143,15 +143,15 @@ def felt_in(events: Iterable[Event]) -> list[Felt]:
                 ended[event.touch] = (stop_ms, epoch_s(event.time) * 1000.0)
             case Prediction():
                 answers[event.touch].append(event)
-    return [Felt(start_ms, *ended[touch], tuple(answers[touch])) for touch, start_ms in began.items()]
+    return [Detected(start_ms, *ended[touch], tuple(answers[touch])) for touch, start_ms in began.items()]
 
 
-def _overlaps(touch: Felt, stretch: Stretch) -> bool:
+def _overlaps(touch: Detected, stretch: Stretch) -> bool:
     start_ms, stop_ms = stretch.start * FRAME_MS, stretch.stop * FRAME_MS
     return touch.start_ms < stop_ms - OVERLAP_MS and touch.stop_ms > start_ms + OVERLAP_MS
 
 
-def _fate(i: int, made: Stretch, felt: Sequence[Felt], inside: Sequence[Sequence[int]]) -> Fate:
+def _fate(i: int, made: Stretch, detected: Sequence[Detected], inside: Sequence[Sequence[int]]) -> Fate:
     gesture = made.gesture or ""
     owners = [k for k, among in enumerate(inside) if i in among]
     if not owners:
@@ -161,6 +161,6 @@ def _fate(i: int, made: Stretch, felt: Sequence[Felt], inside: Sequence[Sequence
         gesture=gesture,
         merged=len(inside[owner]) > 1,
         split=sum(len(inside[k]) == 1 for k in owners) > 1,
-        open=any(felt[k].over_ms > made.stop * FRAME_MS + OPEN_MS for k in owners),
-        answers=felt[owner].answers if inside[owner][0] == i else (),
+        open=any(detected[k].over_ms > made.stop * FRAME_MS + OPEN_MS for k in owners),
+        answers=detected[owner].answers if inside[owner][0] == i else (),
     )
