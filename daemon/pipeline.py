@@ -56,7 +56,7 @@ STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # second. The mean of two such windows shows whether the gesture has changed.
 ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 40
-ONGOING_STRETCHES = 2
+ONGOING_WINDOWS = 2
 # Defer an answer that falls into a silence longer than a pat's lift-off until we know whether it is a pause
 # (include it: in HAART 90 % right, 70 without) or the end (exclude it: 80 %, 60 with). In HAART 2 % of
 # answers wait, by 0.2 s on average, nearly all of them for a stroke.
@@ -66,7 +66,6 @@ SHOWN_STRIDE_FRAMES = 3
 # Frames of a touch given to the network at once, so that few are left at a mark. A step of nine takes 0.25 ms
 # longer than a step of one, and half the processor time of steps of three.
 FEED_FRAMES = 9
-
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
@@ -89,11 +88,11 @@ class Clock:
 
 @dataclass
 class Touch:
-    """The current touch.
+    """The current touch, of `length` frames so far.
 
-    due: the stages still to come, with the length at which each is asked. heard: the model's answers so far,
-    by length. state: the model's, after the touch's first `given` frames, of `length` so far. stretches:
-    the model's answers to the last windows after the final answer.
+    due: the stages still to come, with the length at which each is answered. outputs: the model's
+    probabilities by length. state: the model's, after the touch's first `fed` frames. recent: the model's
+    outputs on the latest windows after the final answer.
     """
 
     number: int
@@ -102,11 +101,11 @@ class Touch:
     due: list[tuple[int, Stage]]
     degraded: bool
     meter: FeelMeter
-    heard: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    state: State | None = None
     length: int = 0
-    given: int = 0
-    stretches: list[NDArray[np.float64]] = field(default_factory=list)
+    outputs: dict[int, NDArray[np.float64]] = field(default_factory=dict)
+    state: State | None = None
+    fed: int = 0
+    recent: list[NDArray[np.float64]] = field(default_factory=list)
 
     @property
     def waits_until_sure(self) -> bool:
@@ -118,9 +117,9 @@ class Pipeline:
     """Takes frames and the sensor's states in order, and emits events as they fall due.
 
     Events depend only on the frames, not on when or how they arrived; their times are the clock's. While
-    nothing touches, the model is asked three times a second.
-    viewers: returns the current viewers, to be called with live predictions.
-    first_index: of the grid; it should differ among pads, so that their looks fall on different frames.
+    nothing touches, the model is asked three times a second. viewers: returns the current viewers, to be
+    called with live predictions. first_index: of the grid; it should differ among pads, so that their
+    networks are asked on different frames.
     """
 
     def __init__(
@@ -199,8 +198,8 @@ class Pipeline:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
-            self._follow(self._touch)
-            self._ask_what_is_due(self._touch, frame)
+            self._feed(self._touch)
+            self._answer_what_is_due(self._touch, frame)
 
     def _watch_for_disturbance(self) -> None:
         """Say once when the untouched pad has become too noisy to feel light touches, and when it calms."""
@@ -250,18 +249,18 @@ class Pipeline:
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touch.number, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
-    def _follow(self, touch: Touch) -> None:
+    def _feed(self, touch: Touch) -> None:
         """Give the model the touch's new frames: every few, at marks, and each while it waits to be sure."""
         length = touch.length
         viewers = self._viewers()
         is_mark = bool(touch.due) and touch.due[0][0] == length
         is_shown = bool(viewers) and length % SHOWN_STRIDE_FRAMES == 0
-        is_due = length - touch.given >= FEED_FRAMES
-        if length > self._final_frames or not (is_mark or is_shown or is_due or touch.waits_until_sure):
+        is_many = length - touch.fed >= FEED_FRAMES
+        if length > self._final_frames or not (is_mark or is_shown or is_many or touch.waits_until_sure):
             return
-        window = self._window(touch.first_index + length, length - touch.given)
+        window = self._window(touch.first_index + length, length - touch.fed)
         probabilities, touch.state = self._model.step(window, touch.state)
-        touch.heard[length], touch.given = probabilities, length
+        touch.outputs[length], touch.fed = probabilities, length
         if is_shown:
             weighed = touch.decision.weigh(probabilities)
             shown = {label: round(value, 4) for label, value in weighed.items()}
@@ -272,22 +271,22 @@ class Pipeline:
     def _window(self, stop_index: int, length: int) -> NDArray[np.float32]:
         return self._tracker.without_loose_wire(self._ring.window(stop_index, length))
 
-    def _ask_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
+    def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:
             return
         length = touch.length
-        heard = touch.heard.get(length)
-        if touch.waits_until_sure and heard is not None and touch.decision.is_sure(heard, length):
+        output = touch.outputs.get(length)
+        if touch.waits_until_sure and output is not None and touch.decision.is_sure(output, length):
             touch.due[0] = (length, "early")
         overdue = [stage for stage in touch.due if stage[0] <= length]
         if overdue:
             touch.due = touch.due[len(overdue) :]
             due_length, stage = overdue[-1]
-            self._ask(touch, stage, due_length, frame.host_s)
+            self._answer_at(touch, stage, due_length, frame.host_s)
         over = length - self._final_frames
         is_due = over > 0 and over % ONGOING_STRIDE_FRAMES == 0
         if is_due and self._decision_settings.ongoing:
-            self._ask_what_goes_on(touch, length, frame.host_s)
+            self._answer_ongoing(touch, frame.host_s)
 
     def _end(self, release: Release, since_s: float) -> None:
         touch = self._touch
@@ -296,9 +295,9 @@ class Pipeline:
         self._touch = None
         frames = release.last_index + 1 - release.first_index
         if touch.due:
-            self._ask(touch, "released", frames, since_s)
+            self._answer_at(touch, "released", frames, since_s)
         elif touch.decision.told is None:
-            self._ask(touch, "uncertain", frames, since_s)
+            self._answer_at(touch, "uncertain", frames, since_s)
         (last,) = self._ring.frames(release.last_index, release.last_index + 1)
         self._emit(
             TouchEnded(
@@ -313,22 +312,22 @@ class Pipeline:
             )
         )
 
-    def _ask(self, touch: Touch, stage: Stage, length: int, since_s: float) -> None:
-        """Ask the model about the touch's first `length` frames, or the last of those that it can take."""
+    def _answer_at(self, touch: Touch, stage: Stage, length: int, since_s: float) -> None:
+        """Answer from the touch's first `length` frames, or the last of them that the model can take."""
         frames = min(length, self._final_frames)
-        probabilities = touch.heard.get(length)
+        probabilities = touch.outputs.get(length)
         if probabilities is None:
             probabilities = self._model.probabilities(self._window(touch.first_index + length, frames))
         self._answer(touch, stage, probabilities, (frames, length), since_s)
 
-    def _ask_what_goes_on(self, touch: Touch, length: int, since_s: float) -> None:
+    def _answer_ongoing(self, touch: Touch, since_s: float) -> None:
         """Tell another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
-        probabilities = self._model.probabilities(self._window(touch.first_index + length, frames))
-        touch.stretches = [*touch.stretches[1 - ONGOING_STRETCHES :], probabilities]
-        lately: NDArray[np.float64] = np.mean(touch.stretches, axis=0)
-        if len(touch.stretches) == ONGOING_STRETCHES and touch.decision.has_changed(lately):
-            self._answer(touch, "ongoing", lately, (frames, length), since_s)
+        output = self._model.probabilities(self._window(touch.first_index + touch.length, frames))
+        touch.recent = [*touch.recent[1 - ONGOING_WINDOWS :], output]
+        mean: NDArray[np.float64] = np.mean(touch.recent, axis=0)
+        if len(touch.recent) == ONGOING_WINDOWS and touch.decision.has_changed(mean):
+            self._answer(touch, "ongoing", mean, (frames, touch.length), since_s)
 
     def _answer(
         self,
@@ -338,7 +337,7 @@ class Pipeline:
         window: tuple[int, int],
         since_s: float,
     ) -> None:
-        """Decide on an answer of the model, and report it. window: its length, and the touch's at its end."""
+        """Decide on the model's output. window: its length, and the touch's length at its end."""
         frames, length = window
         last = touch.first_index + length - 1
         age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
