@@ -6,12 +6,12 @@ from touchd.drivers.errors import TouchdError
 
 
 class PathError(TouchdError):
-    """A path begins with a home that is not known."""
+    """A path begins with an unknown home."""
 
 
 def written_out(path: str) -> Path:
-    """Return a path with its ~ or ~name replaced by that home; raises PathError where there is none."""
+    """Expand ~ and ~name at the beginning of a path; raises PathError if there is no such home."""
     try:
         return Path(path).expanduser()
     except RuntimeError as error:
-        raise PathError(f"{path}: no such home is known; write the whole path, from / on") from error
+        raise PathError(f"{path}: unknown home; write the whole path from / on") from error

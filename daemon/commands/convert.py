@@ -19,7 +19,7 @@ from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
 
 
 class ConvertError(TouchdError):
-    """The file cannot be converted; the message is one line that says why."""
+    """A file cannot be converted; the message says why."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,15 +35,15 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Write the file and name it; returns 0."""
+    """Write the file and print its name; returns 0."""
     options = parser().parse_args(arguments)
     file, out = options.file, options.out
     if out.suffix not in (".csv", ".mcap"):
-        raise ConvertError(f"{out}: neither .csv nor .mcap; give --out a name that ends so")
+        raise ConvertError(f"{out}: unknown format; end the name of --out with .csv or .mcap")
     if out.exists():
-        raise ConvertError(f"{out}: is there already; give another --out, or move it away")
+        raise ConvertError(f"{out}: exists; give another --out, or move the file away")
     if out.suffix == ".mcap":
-        # Before the work, as it may not be installed.
+        # Fail before the work if it is not installed.
         import touchd.daemon.convert.mcap  # noqa: F401
     try:
         with whole_file(out, replace=False, mode=PRIVATE_MODE) as partial:
@@ -60,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
 def _convert_recording(file: Path, out: Path) -> None:
     recordings = read_recordings(file)
     if out.suffix == ".csv":
-        # Our own layout holds whole scans.
+        # touchd's own layout holds whole scans.
         write_recordings(out, list(map(realign, recordings)), read_provenance(file))
         return
     from touchd.daemon.convert import mcap
@@ -70,19 +70,19 @@ def _convert_recording(file: Path, out: Path) -> None:
 
 
 def _convert_journal(file: Path, out: Path) -> None:
-    # Read once: a running daemon may write on, and begin another file.
+    # Read once: a running daemon may append to the file or rotate it.
     events, wrong = read_events(file)
     if not events:
         raise JournalError(f"{file}, line 1: {wrong[0]}" if wrong else f"{file}: no events in it")
     if wrong:
-        sys.stderr.write(f"{file}: left out {len(wrong)} lines that are no events\n")
+        sys.stderr.write(f"{file}: skipped {len(wrong)} lines that are not events\n")
     if out.suffix == ".csv":
         columns = list(dict.fromkeys(chain.from_iterable(map(_flat, events))))
         with out.open("x", encoding="utf-8", newline="") as target:
-            # For pandas and spreadsheets.
+            # Readable by pandas and spreadsheets.
             table = csv.DictWriter(target, columns, lineterminator="\n")
             table.writeheader()
-            # Made twice, for all rows at once take gigabytes for a journal of years.
+            # Build the rows a second time: all at once, the rows of a journal of years take gigabytes.
             table.writerows(map(_flat, events))
         return
     from touchd.daemon.convert import mcap
@@ -92,7 +92,7 @@ def _convert_journal(file: Path, out: Path) -> None:
 
 
 def _flat(event: Event) -> dict[str, Any]:
-    """Return an event's fields by name; those of a mapping are called by both names: probabilities_pat."""
+    """Flatten an event; a field of a mapping gets both names, as in probabilities_pat."""
     row: dict[str, Any] = {}
     for name, value in msgspec.to_builtins(event).items():
         if isinstance(value, dict):

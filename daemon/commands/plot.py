@@ -18,7 +18,7 @@ MOST_TOUCHES = 100
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd plot",
-        description="Draws recordings (pressure, touches, answers, mean pad), or the touches of one journal.",
+        description="Draws recordings (pressure, touches, answers, mean pads) or the touches of a journal.",
     )
     add_arguments(parser)
     parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; by default FILE.png")
@@ -34,9 +34,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Draw the files and name the picture; returns 0."""
+    """Draw the files and print the picture's name; returns 0."""
     options = parser().parse_args(arguments)
-    # Not before, as they need matplotlib.
+    # Imported here because they need matplotlib.
     from touchd.daemon.plot import journal, recording
     from touchd.daemon.plot.plot import PlotError, save
 
@@ -45,12 +45,12 @@ def main(arguments: Sequence[str]) -> int:
     if all(file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options)
         model = load_model(settings)
-        felt = recording.feel(chosen_stream(options), settings, model)
-        figure = recording.draw(felt, f"{names}, answers of {model.name}")
+        traced = recording.trace(chosen_stream(options), settings, model)
+        figure = recording.draw(traced, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
         figure = journal.draw(read_journal(options.files[0])[-options.touches :], names)
     else:
-        raise PlotError(f"{names}: one journal at a time, or recordings only")
+        raise PlotError(f"{names}: give one journal, or recordings only")
     save(figure, path)
     sys.stdout.write(f"{path}\n")
     return 0

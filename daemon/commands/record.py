@@ -1,4 +1,4 @@
-"""`touchd record`: guides a person through making recordings, a file each."""
+"""`touchd record`: guides a person through a session of recordings, one file each."""
 
 import argparse
 from collections.abc import Sequence
@@ -25,9 +25,9 @@ SHORTEST_S, LONGEST_S = 1.0, 60.0
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd record",
-        description="Makes recordings of the pad for training, one file each, never written over. What "
-        "FOLDER holds already is not recorded again: run the same command to go on after a pause or a crash. "
-        "touchd asks for what the options leave open.",
+        description="Records the pad for training, one file each, and never overwrites a file. Recordings "
+        "that FOLDER has are skipped, so the same command continues after a pause or a crash. touchd asks "
+        "for what the options leave open.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings")
     parser.add_argument("--participant", type=name, metavar="NAME", help="who touches the pad")
@@ -56,21 +56,21 @@ def parser() -> argparse.ArgumentParser:
         "--from-journal",
         type=Path,
         metavar="JOURNAL",
-        help="instead of the pad, label the touches that the daemon kept beside this journal",
+        help="label the touches that the daemon saved beside this journal, without the pad",
     )
     parser.add_argument(
         "--label",
         type=label_of,
         action="append",
         metavar="TOUCH=GESTURE",
-        help="with --from-journal: label this touch, by its number or its time's beginning, and ask nothing",
+        help="with --from-journal: label this touch, given by its number or the beginning of its time",
     )
     add_settings(parser)
     return parser
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Make one recording after the other, until all are there or the person stops; returns 0."""
+    """Make the missing recordings, or label saved touches, until the person stops; returns 0."""
     options = parser().parse_args(arguments)
     console = Console(width=text_width(), highlight=False, markup=False)
     try:
@@ -81,12 +81,12 @@ def main(arguments: Sequence[str]) -> int:
         else:
             _record(console, options)
     except (Stopped, KeyboardInterrupt):
-        console.print("\nStopped. What was kept is safe; the same command goes on from here.")
+        console.print("\nStopped. What was kept is safe; the same command continues from here.")
     return 0
 
 
 def _record(console: Console, options: argparse.Namespace) -> None:
-    """Make recordings of the pad; raises Stopped."""
+    """Record the pad; raises Stopped."""
     settings = settings_of(options)
     with PadReader(settings) as pad:
         prepare(options.folder)

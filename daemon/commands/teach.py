@@ -1,4 +1,4 @@
-"""`touchd teach`: three minutes at the pad adapt the model to its person; needs the extra `train`."""
+"""`touchd teach`: adapts the model to a person in three minutes at the pad; needs the extra `train`."""
 
 import argparse
 import json
@@ -28,7 +28,7 @@ from touchd.drivers.whole_file import whole_file
 
 ROUNDS = 2
 SERVICE_FOLDER = Path("/etc/touchd")
-# With a second at either end and the countdown, fourteen recordings take two and a half minutes.
+# Fourteen recordings with a trimmed second at each end and the countdown take 2.5 minutes.
 SECONDS = 6.0
 COUNTDOWN_S = 2.0
 
@@ -36,8 +36,8 @@ COUNTDOWN_S = 2.0
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd teach",
-        description="Records every gesture twice, adapts the shipped model to them, says how well it did "
-        "before and does after, and puts the new model into use. Interrupted, the same command goes on.",
+        description="Records every gesture twice, adapts the shipped model to the recordings, prints how "
+        "often it was right before and after, and sets the new model. Repeat the command if interrupted.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings and the model")
     add_settings(parser, "settings, in which the new model is set")
@@ -57,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0."""
     options = parser().parse_args(arguments)
-    # Before three minutes of recording, not after: adapting takes torch.
+    # Fail before three minutes of recording, not after, if torch is missing.
     from touchd.model.adapt.folder import files_of, read_file
     from touchd.model.adapt.head import AdaptSettings
     from touchd.model.adapt.report import report_lines
@@ -81,14 +81,14 @@ def main(arguments: Sequence[str]) -> int:
         is_worse = bool(lengths) and (lengths[-1].difference or 0.0) < 0.0
         put_into_use(console, options.config, output, options.pad, is_worse=is_worse)
     except (Stopped, KeyboardInterrupt):
-        console.print("\nStopped. What was kept is safe; the same command goes on from here.")
+        console.print("\nStopped. What was kept is safe; the same command continues from here.")
     return 0
 
 
 def with_model(text: str, model: Path, pad: str | None = None) -> str:
-    """Return a configuration file's text with `model:` set, everything else as it was.
+    """Return the text of a configuration with `model:` set and everything else unchanged.
 
-    pad: one of several, whose own model is set.
+    pad: the one of several pads whose model is set.
     """
     value = json.dumps(str(model), ensure_ascii=False)
     root = yaml.compose(text, yaml.SafeLoader)
@@ -110,19 +110,19 @@ def with_model(text: str, model: Path, pad: str | None = None) -> str:
 
 
 def _section(node: yaml.Node | None, name: str | None) -> yaml.MappingNode | None:
-    """Return a section of a mapping; None where there is no such section, or nothing in it."""
+    """Return a section of a mapping, None if it is missing or empty."""
     sections = {key.value: value for key, value in node.value} if isinstance(node, yaml.MappingNode) else {}
     section = sections.get(name)
     return section if isinstance(section, yaml.MappingNode) and section.value else None
 
 
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
-    """Make the recordings that are not there yet; raises Stopped."""
+    """Make the missing recordings; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
     session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds)
     if not session.missing():
         console.print(
-            f"{participant} is recorded in {options.folder} already; give another person another name"
+            f"{options.folder} has all recordings of {participant}; another person needs another name"
         )
         return
     with PadReader(settings) as pad:
@@ -141,31 +141,31 @@ def _free_name(folder: Path, name: str) -> Path:
 def put_into_use(
     console: Console, config: Path | None, model: Path, pad: str | None = None, *, is_worse: bool
 ) -> None:
-    """Set the model in the configuration, for one of several pads if named, if the person wants it.
+    """Ask, then set the model in the configuration, for one pad if `pad` names it.
 
-    Raises Stopped, and ConfigError where the model does not fit the configuration, which then stays.
+    Raises Stopped, and ConfigError if the model does not fit the configuration, which then stays unchanged.
     """
     model = model.resolve()
     if config is None:
         console.print(f"To use it, set `model: {model}` in touchd.yaml.")
         return
     pad = pad or next(iter(load(config).sensors), None)
-    question, no = f"Enter to use it from now on (in {config}), n to leave things as they are: ", "n"
+    question, no = f"Enter to use it from now on (in {config}), n to leave the configuration as it is: ", "n"
     if is_worse:
-        question, no = "It was right less often. Enter to leave things as they are, u to use it: ", ""
+        question, no = "It was right less often. Enter to leave the configuration as it is, u to use it: ", ""
     if ask(console, question, ("", "u" if is_worse else "n")) == no:
         return
     is_service = config.resolve().parent == SERVICE_FOLDER
-    again = "put sudo before the same command: it records nothing again"
+    again = "run the same command with sudo; it does not record again"
     advice = again if is_service else f"set `model: {model}` in it yourself"
     with os_errors_as(ConfigError, f"{config}: cannot be written", advice):
         if is_service:
             model = _beside(model)
-        # A link stays one.
+        # Resolve a symlink, so that it stays one.
         with whole_file(config.resolve()) as new:
             by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
             try:
-                # As bytes, for line ends to stay as they are.
+                # As bytes, to keep line ends.
                 new.write_bytes(with_model(config.read_bytes().decode(), model, pad).encode())
                 settings = load(new)
             except (ConfigError, UnicodeDecodeError) as error:
@@ -183,11 +183,11 @@ def put_into_use(
     then = (
         "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {shlex.quote(str(config))}"
     )
-    console.print(f"Set. To begin with it: {then}")
+    console.print(f"Set. To use it now: {then}")
 
 
 def _beside(model: Path) -> Path:
-    """Copy a model to the service's folder, which is all that it sees of a home; raises OSError."""
+    """Copy a model to the service's folder, since the service cannot read homes; raises OSError."""
     copy = _free_name(SERVICE_FOLDER, model.parent.name)
     with whole_file(copy, replace=False) as new:
         shutil.copyfile(model, new)

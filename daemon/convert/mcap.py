@@ -1,4 +1,4 @@
-"""Journals and recordings as MCAP, which Foxglove shows; needs the extra `mcap`."""
+"""Writes journals and recordings as MCAP, which Foxglove opens; needs the extra `mcap`."""
 
 import base64
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -14,10 +14,10 @@ from touchd.drivers.frame import COLUMNS, ROWS, Counts
 from touchd.drivers.recording import Recording, realign, set_up
 
 NS_PER_MS = 1_000_000
-# Between two recordings.
+# Gap between two recordings.
 PAUSE_MS = 1000
 BYTES_PER_TAXEL = 2
-# As Foxglove defines it, so that its image panel shows the pad.
+# Foxglove's own definition; its image panel shows the pad.
 RAW_IMAGE = {
     "title": "foxglove.RawImage",
     "type": "object",
@@ -47,7 +47,7 @@ def write_events(events: Iterable[Event], file: IO[bytes]) -> None:
         for event in events:
             of = "" if isinstance(event, RobotEvent) else f"/{event.pad}"
             name = type(event).__name__
-            # Without references, which not every reader follows.
+            # Not every reader follows references, so take the definition itself.
             schema = msgspec.json.schema(type(event))["$defs"][name]
             time_ns = round(epoch_s(event.time) * 1e9)
             add(f"/touchd{of}/{kind_of(event)}", f"touchd.{name}", schema, time_ns, encode(event))
@@ -59,7 +59,7 @@ def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
         start_ms = 0
         for recording in map(realign, recordings):
             steps = np.diff(recording.sensor_ms, prepend=recording.sensor_ms[0])
-            # A clock that starts anew goes back, time does not.
+            # The clock jumps back when the pad restarts; time in the file must not.
             clock_ms = (np.cumsum(np.maximum(steps, 0)) + start_ms).tolist()
             label = dict(zip(LABEL["properties"], (*set_up(recording), recording.gesture), strict=True))
             data = msgspec.json.encode(label)
@@ -84,7 +84,7 @@ def _image(counts: Counts, ms: int) -> dict[str, Any]:
 
 @contextmanager
 def _messages(file: IO[bytes]) -> Iterator[Callable[[str, str, dict[str, Any], int, bytes], None]]:
-    """Give what adds a message of JSON by topic, schema's name, schema and time in ns; a channel a topic."""
+    """Yield a function that adds a JSON message: topic, name of the schema, schema, time in ns, data."""
     writer = Writer(file)
     channels: dict[str, int] = {}
 

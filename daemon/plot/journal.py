@@ -1,4 +1,4 @@
-"""A journal as a picture: the last touches with answers and lengths, one below the other."""
+"""Draws the last touches of a journal, one below the other, with their answers and lengths."""
 
 from collections.abc import Sequence
 
@@ -25,9 +25,9 @@ TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
 
 
 def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
-    """Return the picture of touches, the oldest at the top; raises PlotError without touches."""
+    """Draw touches, the oldest at the top; raises PlotError if there are none."""
     if not touches:
-        raise PlotError(f"{title}: no touch in it yet, so nothing to draw")
+        raise PlotError(f"{title}: holds no touch yet")
     gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
     height = TITLE_INCHES + TOUCH_INCHES * len(touches)
     figure = new_figure(height, f"{title}: the last touches ({len(touches)})")
@@ -41,7 +41,7 @@ def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
 
 def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
     for row, touch in enumerate(touches):
-        # Answers after the final one share a column; the last is shown.
+        # Answers after the final one share a column, which shows the last.
         last = {lane_of(answer): answer for answer in touch.predictions}
         for column, answer in last.items():
             draw_answer(axes, column, row, answer, gestures)
@@ -54,7 +54,7 @@ def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequen
         for began in all_began
     ]
     axes.set_yticks(range(len(touches)), names)
-    axes.set_xlabel("answers; filled: the robot was told", fontsize=8, color=QUIET_INK)
+    axes.set_xlabel("answers; filled: sent to the robot", fontsize=8, color=QUIET_INK)
     draw_lanes(axes)
 
 
@@ -69,6 +69,6 @@ def _draw_lengths(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequen
         axes.annotate(
             told, (0, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
         )
-    axes.set_xlabel("what it was taken for, and its length in seconds", fontsize=8, color=QUIET_INK)
+    axes.set_xlabel("answer at the end, and length in seconds", fontsize=8, color=QUIET_INK)
     bare(axes, "left", "bottom")
     axes.tick_params(axis="y", length=0, labelleft=False)

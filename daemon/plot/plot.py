@@ -1,4 +1,4 @@
-"""Shared by the pictures of recordings and journals: colours, marks, lanes of answers, saving."""
+"""What pictures of recordings and journals share: colours, marks, lanes for answers, saving."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -14,12 +14,12 @@ from touchd.drivers.errors import TouchdError, os_errors_as
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
 FORMATS = (".png", ".svg", ".pdf")
-# One for each mark, and one for what is answered later.
+# One for each stage, and one for all later answers.
 LANES = ("early", "revised", "final", "later")
-# Names may hold what matplotlib takes for a formula.
+# Names may contain what matplotlib parses as a formula.
 NO_FORMULA: Mapping[str, Any] = {"parse_math": False}
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
-# Okabe and Ito's colours, safe for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
+# Okabe and Ito's palette for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
 COLOURS: Mapping[str, str] = {
     "constant": "#0072b2",
     "pat": "#e69f00",
@@ -40,7 +40,7 @@ class PlotError(TouchdError):
 
 
 def colour_of(gesture: str, gestures: Iterable[str]) -> str:
-    """Return a gesture's colour. gestures: all in the picture."""
+    """Return the colour of a gesture. gestures: all those in the picture."""
     if gesture in COLOURS:
         return COLOURS[gesture]
     others = sorted(set(gestures) - COLOURS.keys())
@@ -54,9 +54,9 @@ def new_figure(height_inches: float, title: str) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format of its suffix; raises PlotError."""
+    """Write a figure in the format that the suffix names; raises PlotError."""
     if path.suffix not in FORMATS:
-        raise PlotError(f"{path}: a picture's name ends with {', '.join(FORMATS)}; give one with -o")
+        raise PlotError(f"{path}: unknown format; end the name of -o with {', '.join(FORMATS)}")
     with os_errors_as(PlotError, f"{path}: cannot be written", "name another file with -o"):
         figure.savefig(path, dpi=DOTS_PER_INCH)
 
@@ -64,7 +64,7 @@ def save(figure: Figure, path: Path) -> None:
 def draw_answer(
     axes: Axes, x: float, y: float, answer: Prediction, gestures: Iterable[str], *, wrong: bool = False
 ) -> None:
-    """Mark an answer with its gesture; filled when the robot was told. gestures: all in the picture."""
+    """Draw an answer, filled if it was sent to the robot. gestures: all those in the picture."""
     colour = colour_of(answer.gesture, gestures)
     inside = colour if answer.told else "white"
     axes.plot([x], [y], markeredgecolor=colour, markerfacecolor=inside, clip_on=False, **MARK)
@@ -74,7 +74,7 @@ def draw_answer(
 
 
 def bare(axes: Axes, *keep: str) -> None:
-    """Remove the frame around axes except for the kept sides."""
+    """Remove the frame around axes, except for the sides to keep."""
     for side, spine in axes.spines.items():
         spine.set_visible(side in keep)
         spine.set_color(QUIET_INK)
@@ -86,7 +86,7 @@ def lane_of(answer: Prediction) -> int:
 
 
 def draw_lanes(axes: Axes) -> None:
-    """Draw a line for each tick, without a frame."""
+    """Draw a line at each tick and no frame."""
     axes.grid(axis="y", color=PALE, linewidth=0.8)
     axes.set_axisbelow(True)
     bare(axes)

@@ -1,4 +1,4 @@
-"""A recording as a picture: pressure over time, tracked touches, answers, mean pads."""
+"""Draws a recording: pressure over time, detected touches, answers, mean pads."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -36,7 +36,7 @@ from touchd.model.classifier import Classifier
 
 ROW_S = 24.0
 LONGEST_S = 300.0
-LEGEND = "filled: the robot was told    red: not the gesture that was done    grey: a touch was felt"
+LEGEND = "filled: sent to the robot    red: another gesture was performed    grey: a touch was detected"
 ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
 LABEL: Mapping[str, Any] = {
     "ha": "center",
@@ -46,13 +46,13 @@ LABEL: Mapping[str, Any] = {
     **NO_FORMULA,
 }
 LEAST_COLUMNS, MOST_COLUMNS = 4, 7
-# Do not scale noise up to look like touches.
+# Lowest upper end of the scale, so that noise does not look like a touch.
 LEAST_SCALE_COUNTS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A stream after the pipeline. time_s: (T,). rise: (T, 8, 8) counts above rest. starts_s: of touches."""
+    """A stream and what the pipeline made of it. time_s: (T,). rise: (T, 8, 8) counts above rest."""
 
     stream: Stream
     time_s: NDArray[np.float64]
@@ -65,7 +65,7 @@ class Trace:
         return self.starts_s[number] + (ended.frames if ended else 0) / FRAME_RATE_HZ
 
     def truth(self, number: int) -> str:
-        """Return the recorded gesture of most of a touch."""
+        """Return the recorded gesture that a touch overlaps most."""
         start_s, end_s = self.starts_s[number], self.ends_s(number)
 
         def overlap_s(span: Span) -> float:
@@ -75,16 +75,16 @@ class Trace:
         return max(self.stream.spans, key=overlap_s).gesture
 
 
-def feel(stream: Stream, settings: Settings, model: Classifier) -> Trace:
+def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
     """Send a stream through the pipeline; raises PlotError when it is too long for one picture."""
     steps_ms = np.diff(stream.sensor_ms)
-    # A restarted clock jumps back; the time axis must not.
+    # The clock jumps back when the pad restarts; the time axis must not.
     restarts = np.flatnonzero(steps_ms <= 0) + 1
     steps_ms = np.where(steps_ms > 0, steps_ms, 1000 / FRAME_RATE_HZ)
     time_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000
     if time_s[-1] > LONGEST_S:
         raise PlotError(
-            f"{time_s[-1]:.0f} s are too long for one picture ({LONGEST_S:g} s at most); choose with "
+            f"{time_s[-1]:.0f} s do not fit in one picture ({LONGEST_S:g} s at most); select with "
             "--participant, --substrate, --cover or --gesture"
         )
     events: list[Event] = []
@@ -94,18 +94,16 @@ def feel(stream: Stream, settings: Settings, model: Classifier) -> Trace:
     def emit(event: Event) -> None:
         events.append(event)
         if isinstance(event, TouchBegan):
-            # A touch began a little before it was noticed.
-            noticed = frames[-1]
-            starts_s.append(
-                float(time_s[noticed]) - (int(stream.sensor_ms[noticed]) - event.sensor_ms) / 1000
-            )
+            # A touch begins a little before it is detected.
+            latest = frames[-1]
+            starts_s.append(float(time_s[latest]) - (int(stream.sensor_ms[latest]) - event.sensor_ms) / 1000)
 
     play(stream, Pipeline(settings.pipeline, model, emit), frames.append)
     return Trace(stream, time_s, _rise(stream, restarts), gather(events), starts_s)
 
 
 def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (T, 8, 8) counts above rest; each setup of the pad has its own rest."""
+    """Return (T, 8, 8) counts above rest; the rest may change when the pad restarts."""
     is_quiet = np.zeros(len(stream.counts), dtype=np.bool_)
     for span in stream.spans:
         is_quiet[span.start : span.stop] = span.gesture == NO_TOUCH
@@ -115,9 +113,9 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
     return rise
 
 
-def draw(felt: Trace, title: str) -> Figure:
-    gestures = sorted({span.gesture for span in felt.stream.spans} - {NO_TOUCH})
-    rows = _rows(felt)
+def draw(traced: Trace, title: str) -> Figure:
+    gestures = sorted({span.gesture for span in traced.stream.spans} - {NO_TOUCH})
+    rows = _rows(traced)
     longest_s = max(end_s - begin_s for begin_s, end_s in rows)
     columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, len(gestures)))
     pad_rows = math.ceil(len(gestures) / columns)
@@ -127,8 +125,8 @@ def draw(felt: Trace, title: str) -> Figure:
     axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
     for row, (begin_s, end_s) in enumerate(rows):
         answers, pressure = axes[2 * row : 2 * row + 2]
-        _draw_answers(answers, felt, gestures, begin_s, end_s)
-        _draw_pressure(pressure, felt, gestures, begin_s, end_s)
+        _draw_answers(answers, traced, gestures, begin_s, end_s)
+        _draw_pressure(pressure, traced, gestures, begin_s, end_s)
         for part in (answers, pressure):
             part.set_xlim(begin_s, begin_s + longest_s)
         pressure.set_xticks([tick for tick in pressure.get_xticks() if begin_s <= tick <= end_s])
@@ -136,17 +134,17 @@ def draw(felt: Trace, title: str) -> Figure:
     axes[0].set_title(LEGEND, fontsize=8, color=QUIET_INK, loc="right")
     axes[-1].set_xlabel("seconds", fontsize=8, color=QUIET_INK)
     if gestures:
-        _draw_pads(parts[1], felt, gestures, pad_rows, columns)
+        _draw_pads(parts[1], traced, gestures, pad_rows, columns)
     return figure
 
 
-def _rows(felt: Trace) -> list[tuple[float, float]]:
-    """Return start and end in seconds of each row: of similar length, split at a quiet moment."""
-    end_s = float(felt.time_s[-1])
+def _rows(traced: Trace) -> list[tuple[float, float]]:
+    """Return start and end of each row in seconds: rows of similar length, split where nothing touches."""
+    end_s = float(traced.time_s[-1])
     count = max(1, math.ceil(end_s / ROW_S))
     length_s = end_s / count
-    quiets = [span for span in felt.stream.spans if span.gesture == NO_TOUCH]
-    middles_s = felt.time_s[[(span.start + span.stop) // 2 for span in quiets]]
+    quiets = [span for span in traced.stream.spans if span.gesture == NO_TOUCH]
+    middles_s = traced.time_s[[(span.start + span.stop) // 2 for span in quiets]]
     breaks_s = {0.0, end_s}
     for at_s in (row * length_s for row in range(1, count)):
         nearby_s = middles_s[np.abs(middles_s - at_s) < length_s / 2]
@@ -155,36 +153,36 @@ def _rows(felt: Trace) -> list[tuple[float, float]]:
     return list(pairwise(sorted(breaks_s)))
 
 
-def _draw_pressure(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw the total pressure in the recorded gesture's colour, and shade the tracked touches."""
-    first, last = np.searchsorted(felt.time_s, [begin_s, end_s]).tolist()
-    load = felt.rise.sum(axis=(1, 2))
+def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+    """Draw the total pressure in the colour of the recorded gesture, and shade detected touches."""
+    first, last = np.searchsorted(traced.time_s, [begin_s, end_s]).tolist()
+    load = traced.rise.sum(axis=(1, 2))
     highest = max(float(load[first : last + 1].max()), LEAST_SCALE_COUNTS)
-    for number in range(len(felt.touches)):
-        start_s, stop_s = max(begin_s, felt.starts_s[number]), min(end_s, felt.ends_s(number))
+    for number in range(len(traced.touches)):
+        start_s, stop_s = max(begin_s, traced.starts_s[number]), min(end_s, traced.ends_s(number))
         if start_s < stop_s:
             axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
-    for span in felt.stream.spans:
+    for span in traced.stream.spans:
         part = slice(max(span.start, first), min(span.stop, last) + 1)
         if len(load[part]) == 0:
             continue
         colour = colour_of(span.gesture, gestures)
-        axes.fill_between(felt.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
-        axes.plot(felt.time_s[part], load[part], color=colour, linewidth=0.9)
+        axes.fill_between(traced.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
+        axes.plot(traced.time_s[part], load[part], color=colour, linewidth=0.9)
         if span.gesture != NO_TOUCH:
-            middle_s = felt.time_s[part].mean()
+            middle_s = traced.time_s[part].mean()
             axes.text(middle_s, 1.04 * highest, span.gesture, color=colour, clip_on=True, **LABEL)
     axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
     axes.set_ylabel("counts above rest", fontsize=8, color=QUIET_INK)
     bare(axes, "left", "bottom")
 
 
-def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw each answer at its time, in a lane for its stage."""
-    for number, touch in enumerate(felt.touches):
-        truth = felt.truth(number)
+def _draw_answers(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+    """Draw each answer at its time, in the lane of its stage."""
+    for number, touch in enumerate(traced.touches):
+        truth = traced.truth(number)
         for answer in touch.predictions:
-            at_s = felt.starts_s[number] + answer.elapsed_s
+            at_s = traced.starts_s[number] + answer.elapsed_s
             if begin_s <= at_s < end_s:
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
                 draw_answer(axes, at_s, -lane_of(answer), answer, gestures, wrong=is_wrong)
@@ -194,14 +192,14 @@ def _draw_answers(axes: Axes, felt: Trace, gestures: Sequence[str], begin_s: flo
     draw_lanes(axes)
 
 
-def _draw_pads(figure: SubFigure, felt: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
-    """Draw the mean pad of each gesture, each on its own scale so that light touches show."""
+def _draw_pads(figure: SubFigure, traced: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
+    """Draw the mean pad of each gesture, each on its own scale so that light touches are visible."""
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in all_axes[len(gestures) :]:
         axes.set_visible(False)
     for axes, gesture in zip(all_axes, gestures, strict=False):
-        spans = [span for span in felt.stream.spans if span.gesture == gesture]
-        mean = np.concatenate([felt.rise[span.start : span.stop] for span in spans]).mean(axis=0)
+        spans = [span for span in traced.stream.spans if span.gesture == gesture]
+        mean = np.concatenate([traced.rise[span.start : span.stop] for span in spans]).mean(axis=0)
         highest = max(float(mean.max()), 1.0)
         axes.imshow(mean, cmap="inferno", vmin=0, vmax=highest)
         colour = colour_of(gesture, gestures)

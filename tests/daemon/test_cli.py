@@ -158,7 +158,7 @@ def test_an_internal_error_is_one_line_and_exit_1(
     [
         ("sensor: {prot: csv}", "sensor.prot is not a setting; did you mean port?"),
         ("model: nowhere.onnx", "nowhere.onnx: the model cannot be read"),
-        ("journal: {path: ~nosuch/events.jsonl}", "~nosuch/events.jsonl: no such home is known"),
+        ("journal: {path: ~nosuch/events.jsonl}", "~nosuch/events.jsonl: unknown home"),
         ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
         ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is no gesture"),
         ("scene: {gestures: [notouch]}", "scene.gestures: notouch is no gesture"),

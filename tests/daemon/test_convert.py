@@ -66,7 +66,7 @@ def test_lines_of_a_journal_that_are_no_events_are_left_out_and_counted(
     lines = journal.read_bytes().split(b"\n")
     journal.write_bytes(b"\n".join([b"\0" * 40, lines[0], b"garbage", *lines[1:]]))
     assert [row["type"] for row in rows(journal)] == ["touch_began", "prediction"]
-    assert "left out 2 lines that are no events" in capsys.readouterr().err
+    assert "skipped 2 lines that are not events" in capsys.readouterr().err
 
 
 def test_a_recording_whose_clock_began_anew_can_be_made_mcap(tmp_path: Path) -> None:
@@ -127,13 +127,13 @@ def test_haarts_frames_are_whole_scans_in_the_converted_file(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("file", "out", "said"),
     [
-        ("events.jsonl", "events.xlsx", "neither .csv nor .mcap"),
+        ("events.jsonl", "events.xlsx", "unknown format; end the name of --out with .csv or .mcap"),
         ("nowhere", "events.csv", "cannot be read (No such file or directory)"),
         ("empty", "events.csv", "no events in it"),
         ("events.jsonl", "events.jsonl.csv/x.csv", "No such file or directory"),
         ("text", "events.csv", "text, line 1: not an event"),
         ("zeros", "events.csv", "zeros, line 1: longer than any event"),
-        ("events.jsonl", "mine.csv", "is there already; give another --out, or move it away"),
+        ("events.jsonl", "mine.csv", "exists; give another --out, or move the file away"),
     ],
 )
 def test_an_impossible_conversion_is_refused_in_one_line(

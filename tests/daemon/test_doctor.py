@@ -68,7 +68,7 @@ def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPat
         monkeypatch.setattr("touchd.daemon.doctor.machine.SLOW_ANSWER_MS", slow_ms)
         assert check_model(SETTINGS).verdict == verdict
     homeless = check_model(Settings(model="~nosuch/model.onnx"))
-    assert "~nosuch/model.onnx: no such home is known" in homeless.found
+    assert "~nosuch/model.onnx: unknown home" in homeless.found
     missing = check_model(Settings(model="/nowhere/model.onnx"))
     assert missing.verdict == "to do"
     assert "cannot be read" in missing.found

@@ -20,7 +20,7 @@ from touchd.daemon.kept.touches import gather, read_journal
 from touchd.daemon.plot import journal as plot_journal
 from touchd.daemon.plot import recording as plot_recording
 from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
-from touchd.daemon.plot.recording import Trace, feel
+from touchd.daemon.plot.recording import Trace, trace
 from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
@@ -33,13 +33,13 @@ def recordings(seed: int = 4) -> list[Recording]:
     return simulate(SCRIPT, seed)
 
 
-def trace(stream: Stream) -> Trace:
-    return feel(stream, Settings(), load_model(Settings()))
+def traced(stream: Stream) -> Trace:
+    return trace(stream, Settings(), load_model(Settings()))
 
 
 @pytest.fixture(scope="module")
-def felt() -> Trace:
-    return trace(splice(recordings()))
+def demo() -> Trace:
+    return traced(splice(recordings()))
 
 
 def words(figure: Figure) -> list[str]:
@@ -47,18 +47,18 @@ def words(figure: Figure) -> list[str]:
     return [text.get_text() for text in figure.findobj(Text)]
 
 
-def test_touches_are_placed_where_they_truly_began_and_ended(felt: Trace) -> None:
-    spans = [span for span in felt.stream.spans if span.gesture != "notouch"]
-    assert len(felt.touches) == 2
+def test_touches_are_placed_where_they_truly_began_and_ended(demo: Trace) -> None:
+    spans = [span for span in demo.stream.spans if span.gesture != "notouch"]
+    assert len(demo.touches) == 2
     for number, span in enumerate(spans):
-        assert felt.starts_s[number] == pytest.approx(felt.time_s[span.start], abs=0.2)
-        assert felt.ends_s(number) == pytest.approx(felt.time_s[span.stop - 1], abs=0.3)
-        assert felt.truth(number) == span.gesture
+        assert demo.starts_s[number] == pytest.approx(demo.time_s[span.start], abs=0.2)
+        assert demo.ends_s(number) == pytest.approx(demo.time_s[span.stop - 1], abs=0.3)
+        assert demo.truth(number) == span.gesture
 
 
-def test_pressure_is_drawn_above_rest(felt: Trace) -> None:
-    load = felt.rise.sum(axis=(1, 2))
-    rest, rub = felt.stream.spans[:2]
+def test_pressure_is_drawn_above_rest(demo: Trace) -> None:
+    load = demo.rise.sum(axis=(1, 2))
+    rest, rub = demo.stream.spans[:2]
     assert abs(load[rest.start : rest.stop].mean()) < 10
     assert load[rub.start : rub.stop].mean() > 100
 
@@ -68,7 +68,7 @@ def test_time_continues_when_the_pads_clock_restarts() -> None:
     clocks = [part.sensor_ms - part.sensor_ms[0] for part in (splice(first), splice(second))]
     both = splice([*first, *second])
     both.sensor_ms[:] = np.concatenate(clocks)
-    played = trace(both)
+    played = traced(both)
     assert (np.diff(played.time_s) > 0).all()
     assert played.time_s[-1] == pytest.approx(2 * 12.4, abs=0.1)
     assert [played.truth(number) for number in range(4)] == ["rub", "scratch"] * 2
@@ -77,12 +77,12 @@ def test_time_continues_when_the_pads_clock_restarts() -> None:
 @pytest.mark.parametrize(("gesture", "is_red"), [("purr", True), (UNLABELLED, False)])
 def test_an_answer_is_wrong_only_where_labels_exist(gesture: str, is_red: bool) -> None:
     parts = [part if part.gesture == "notouch" else replace(part, gesture=gesture) for part in recordings()]
-    figure = plot_recording.draw(trace(splice(parts)), "a title")
+    figure = plot_recording.draw(traced(splice(parts)), "a title")
     assert ("#c00000" in {text.get_color() for text in figure.findobj(Text)}) == is_red
 
 
-def test_every_answer_stands_at_its_mark(felt: Trace) -> None:
-    figure = plot_recording.draw(felt, "a title")
+def test_every_answer_stands_at_its_mark(demo: Trace) -> None:
+    figure = plot_recording.draw(demo, "a title")
     marks = {
         round(float(np.asarray(line.get_xdata())[0]), 2)
         for part in figure.subfigs
@@ -92,7 +92,7 @@ def test_every_answer_stands_at_its_mark(felt: Trace) -> None:
     }
     expected = {
         round(start_s + answer.elapsed_s, 2)
-        for start_s, touch in zip(felt.starts_s, felt.touches, strict=True)
+        for start_s, touch in zip(demo.starts_s, demo.touches, strict=True)
         for answer in touch.predictions
     }
     assert len(expected) >= 6
@@ -102,9 +102,9 @@ def test_every_answer_stands_at_its_mark(felt: Trace) -> None:
     assert sum(text.startswith("mean pad, 0 to ") for text in written) == 2
 
 
-def test_a_name_like_a_formula_is_drawn_as_it_is(felt: Trace) -> None:
-    spans = tuple(replace(span, gesture="$x_{$") for span in felt.stream.spans)
-    figure = plot_recording.draw(replace(felt, stream=replace(felt.stream, spans=spans)), "a $\\title$")
+def test_a_name_like_a_formula_is_drawn_as_it_is(demo: Trace) -> None:
+    spans = tuple(replace(span, gesture="$x_{$") for span in demo.stream.spans)
+    figure = plot_recording.draw(replace(demo, stream=replace(demo.stream, spans=spans)), "a $\\title$")
     figure.draw_without_rendering()
     assert {"a $\\title$", "$x_{$"} <= set(words(figure))
 
@@ -178,18 +178,18 @@ def test_a_labs_own_gestures_have_their_own_colours() -> None:
 
 def test_a_recording_too_long_for_a_picture_is_refused() -> None:
     long = splice(simulate((("notouch", 301.0),), seed=1))
-    with pytest.raises(PlotError, match="301 s are too long for one picture"):
-        trace(long)
+    with pytest.raises(PlotError, match="301 s do not fit in one picture"):
+        traced(long)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["mine.csv.gz", "-o", "mine.csv"], "a picture's name ends with .png"),
+        (["mine.csv.gz", "-o", "mine.csv"], "unknown format; end the name of -o with .png"),
         (["mine.csv.gz", "-o", "nowhere/mine.png"], "nowhere/mine.png: cannot be written"),
-        (["mine.csv.gz", "notes.txt"], "one journal at a time, or recordings only"),
+        (["mine.csv.gz", "notes.txt"], "give one journal, or recordings only"),
         (["notes.txt"], "neither a journal of events nor"),
-        (["empty.jsonl"], "no touch in it yet"),
+        (["empty.jsonl"], "holds no touch yet"),
         (["nowhere.jsonl"], "cannot be read"),
     ],
 )

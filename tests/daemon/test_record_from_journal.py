@@ -253,7 +253,7 @@ def test_a_label_can_be_undone_and_a_session_resumed(lab: Lab) -> None:
         terminal.until("3 touches are saved; 2 of them have been looked at before")
         terminal.until("1 of 1: touch 1")
         terminal.until("quit: ")
-        terminal.answer("q", "the same command goes on from here")
+        terminal.answer("q", "the same command continues from here")
         assert terminal.process.wait(WITHIN_S) == 0
 
 

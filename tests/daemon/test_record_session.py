@@ -136,7 +136,7 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, record: list[str]) -> N
 def test_quitting_shows_how_to_resume(record: list[str]) -> None:
     with Terminal(*record, *ANNA) as terminal:
         terminal.until("Enter to begin")
-        terminal.answer("q", "the same command goes on from here")
+        terminal.answer("q", "the same command continues from here")
         assert terminal.process.wait(WITHIN_S) == 0
 
 
