@@ -6,13 +6,12 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from touchd.daemon.feel import Feel
-from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.frame import DEFAULT_PAD, PadState
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]
 # As large as JSON's readers keep exactly.
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
-PadState: TypeAlias = Literal["up", "down", "degraded", "disturbed"]
 
 UNCERTAIN = "uncertain"
 MAX_REASON_BYTES = 400
@@ -106,7 +105,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
-    """The pad came, went, feels no touch ("degraded"), or is too noisy for light ones ("disturbed").
+    """The pad came, went, or does not recognise every touch ("degraded").
 
     reason: one line for people, empty when there is nothing to add.
     """

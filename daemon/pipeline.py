@@ -1,7 +1,6 @@
 """From frames to events: ring, touch tracker, classifier and decision, joined without threads or I/O."""
 
 import itertools
-import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,6 @@ from touchd.daemon.events import (
     EndReason,
     Event,
     LivePrediction,
-    PadState,
     Prediction,
     SensorEvent,
     Stage,
@@ -27,7 +25,7 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.daemon.feel import FeelMeter
-from touchd.daemon.timing import Age, Feeling
+from touchd.daemon.timing import Age
 from touchd.daemon.tracker.tracker import (
     SETTLED_FRAMES,
     Onset,
@@ -36,21 +34,11 @@ from touchd.daemon.tracker.tracker import (
     TouchTracker,
 )
 from touchd.drivers.errors import one_line
-from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
-from touchd.drivers.pad.sensor_state import SensorState
+from touchd.drivers.pad.monitor import PadMonitor
 from touchd.model.classifier import Classifier, State
 
-log = logging.getLogger(__name__)
-
-DISTURBED: tuple[PadState, str] = (
-    "disturbed",
-    "the pad is noisy though nobody touches it, and feels no light touch: a motor, mains hum, a loose wire?",
-)
-CALM: tuple[PadState, str] = ("up", "the pad is calm again")
-LOOSE = "the pad's values jump on %s while nobody touches it: a loose wire? The jumps are taken out"
-# The floor measured while a hand leaves is too high, and falls within three seconds.
-DISTURBED_FRAMES = round(5 * FRAME_RATE_HZ)
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the network is asked about the last three quarters of a second alone, three times a
 # second. The mean of two such windows shows whether the gesture has changed.
@@ -119,7 +107,7 @@ class Pipeline:
     Events depend only on the frames, not on when or how they arrived; their times are the clock's. While
     nothing touches, the model is asked three times a second. viewers: returns the current viewers, to be
     called with live predictions. first_index: of the grid; it should differ among pads, so that their
-    networks are asked on different frames.
+    networks are asked on different frames. monitor: decides on the pad's state.
     """
 
     def __init__(
@@ -131,11 +119,11 @@ class Pipeline:
         pad: str = DEFAULT_PAD,
         viewers: Viewers = tuple,
         first_index: int = 0,
+        monitor: PadMonitor | None = None,
     ) -> None:
         self._emit = emit
         self._viewers = viewers
         self._pad = pad
-        self._prefix = "" if pad == DEFAULT_PAD else f"{pad}: "
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
         self._final_frames = settings.decision.answer_at_frames[-1]
@@ -146,44 +134,34 @@ class Pipeline:
         self._ring = Ring(_history_frames(settings), first_index)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
-        self._is_disturbed = False
-        self._disturbance_frames = 0
-        self._loose_lines: tuple[str, ...] = ()
         self._touch: Touch | None = None
         self._age = Age()
-        self._feeling = Feeling()
+        self._monitor = monitor or PadMonitor(pad)
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)
         for grid_frame in laid:
             self._age.update(grid_frame)
             self._advance(grid_frame)
-        why = self._feeling.update(frame, any(grid_frame.restarted for grid_frame in laid))
-        if why is not None:
-            log.warning("%s%s", self._prefix, why or "touches can be felt again")
-            self._tell_sensor("degraded" if why else "up", why)
+        restarted = any(grid_frame.restarted for grid_frame in laid)
+        self._report(self._monitor.on_frame(frame, restarted=restarted))
 
     def on_sensor_state(self, state: SensorState) -> None:
         """Note that the sensor came or went; when it goes, the touch ends and rest is calibrated anew."""
         if state.state == "down":
             self._stop("sensor")
             self._age.forget()
-            self._feeling.forget()
-            self._is_disturbed = False
-        else:
-            log.info("%sleave the pad alone for half a second: its rest is measured", self._prefix)
-        self._tell_sensor(state.state, state.reason)
+        self._report(self._monitor.on_sensor(state))
 
     def flush(self) -> None:
         """End the touch that goes on, if any: no frame will come any more."""
         self._stop("stopped")
 
-    def _tell_sensor(self, state: PadState, reason: str) -> None:
-        self._emit(
-            SensorEvent(
-                state=state, time=self._now(), reason=one_line(reason, MAX_REASON_BYTES), pad=self._pad
-            )
-        )
+    def _report(self, state: SensorState | None) -> None:
+        """Emit the pad's state, if it has changed."""
+        if state is not None:
+            reason = one_line(state.reason, MAX_REASON_BYTES)
+            self._emit(SensorEvent(state=state.state, time=self._now(), reason=reason, pad=self._pad))
 
     def _advance(self, frame: GridFrame) -> None:
         match self._tracker.update(frame):
@@ -192,33 +170,14 @@ class Pipeline:
             case Release() as release:
                 self._end(release, frame.host_s)
         if self._touch is None:
-            self._watch_for_disturbance()
-            self._watch_for_loose_wire()
+            is_noisy, loose_lines = self._tracker.is_disturbed, self._tracker.loose_lines
+            self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
         else:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
             self._feed(self._touch)
             self._answer_what_is_due(self._touch, frame)
-
-    def _watch_for_disturbance(self) -> None:
-        """Say once when the untouched pad has become too noisy to feel light touches, and when it calms."""
-        if self._tracker.is_disturbed == self._is_disturbed:
-            self._disturbance_frames = 0
-            return
-        self._disturbance_frames += 1
-        if self._disturbance_frames < DISTURBED_FRAMES:
-            return
-        self._is_disturbed = not self._is_disturbed
-        state, reason = DISTURBED if self._is_disturbed else CALM
-        log.log(logging.WARNING if self._is_disturbed else logging.INFO, "%s%s", self._prefix, reason)
-        self._tell_sensor(state, reason)
-
-    def _watch_for_loose_wire(self) -> None:
-        """Say once which lines jump while nobody touches the pad."""
-        before, self._loose_lines = self._loose_lines, self._tracker.loose_lines
-        if self._loose_lines and self._loose_lines != before:
-            log.warning("%s%s", self._prefix, LOOSE % ", ".join(self._loose_lines))
 
     def _no_touch(self, window: NDArray[np.float32]) -> float:
         """Return the probability that nothing touches the pad in these frames."""

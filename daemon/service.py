@@ -114,7 +114,6 @@ class Service:
     def _show(self, pad: Pad, frame: Frame) -> None:
         """Hand a processed frame to everything that shows or checks frames."""
         parts = self._parts
-        pad.watch.update(frame)
         if self._view is not None and pad is parts.pads[0]:
             self._view.show_frame(frame.pressure, frame.sensor_ms)
         if parts.live is not None:

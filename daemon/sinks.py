@@ -262,7 +262,7 @@ class RobotSink:
             )
             self._link.publish(message, is_told=event.told)
         elif isinstance(event, SensorEvent):
-            self._link.set_status("up" if event.state == "disturbed" else event.state, event.pad)
+            self._link.set_status(event.state, event.pad)
 
     def stop(self, timeout_s: float) -> None:
         self._link.stop(timeout_s)

@@ -1,18 +1,11 @@
-"""Uses the pad's clock to tell how old frames are, and whether touches can be felt."""
+"""Uses the pad's clock to tell how old frames are."""
 
-from collections import deque
-from itertools import pairwise
-
-from touchd.daemon.tracker.tracker import CALIBRATION_FRAMES
-from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
-from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame
+from touchd.drivers.pad.grid import GridFrame
 
 # A frame that arrives later than the one before by more than this, by the pad's clock, was held up.
 HELD_UP_S = 0.1
 # Share by which a lasting delay is forgiven.
 FORGIVEN_SHARE = 0.02
-# Feeling a touch takes half a second of frames without a gap; report when there was none for this long.
-DEAF_S = 3.0
 
 
 class Age:
@@ -51,64 +44,3 @@ class Age:
         if self._offset_s is None:
             return 0.0
         return max(0.0, now_s - self._offset_s - frame.sensor_ms / 1000.0)
-
-
-class Feeling:
-    """Whether frames come close enough together, by the pad's clock, for touches to be felt."""
-
-    def __init__(self) -> None:
-        self._frames: deque[Frame] = deque(maxlen=CALIBRATION_FRAMES)
-        self._without_gap = 0
-        self._since_s: float | None = None
-        self._is_degraded = False
-
-    def update(self, frame: Frame, restarted: bool) -> str | None:
-        """Take a frame, and whether the grid restarted with it; return what changed, None for nothing.
-
-        What changed is the reason why touches can no longer be felt, or "" when they can again.
-        """
-        self._frames.append(frame)
-        self._without_gap = 0 if restarted else self._without_gap + 1
-        if self._since_s is None:
-            self._since_s = frame.host_s
-        if self._without_gap >= CALIBRATION_FRAMES:
-            self._since_s = frame.host_s
-            if self._is_degraded:
-                self._is_degraded = False
-                return ""
-        elif not self._is_degraded and frame.host_s - self._since_s >= DEAF_S and restarted:
-            self._is_degraded = True
-            return self._why()
-        return None
-
-    def forget(self) -> None:
-        """The pad went away."""
-        self.__init__()  # type: ignore[misc]
-
-    def _why(self) -> str:
-        first, last = self._frames[0], self._frames[-1]
-        steps = len(self._frames) - 1
-        step_ms = ((last.sensor_ms - first.sensor_ms) % CLOCK_MODULUS) / steps
-        # Frames that were read together all arrived at once.
-        rate_hz = steps / max(last.host_s - first.host_s, 0.001)
-        steps_ms = [(b.sensor_ms - a.sensor_ms) % CLOCK_MODULUS for a, b in pairwise(self._frames)]
-        if max(steps_ms) > CLOCK_MODULUS // 2:
-            return (
-                "no touch can be felt: the pad's clock goes back and forth; do frames overtake one another "
-                "on the way, or do two boards send there?"
-            )
-        if rate_hz > 1.0 / MAX_GAP_S:
-            # By how many milliseconds the clock advances in a second.
-            if not 500 < step_ms * rate_hz < 2000:
-                return (
-                    f"no touch can be felt: {rate_hz:.0f} frames a second come, but the pad's clock has them "
-                    f"{step_ms:.0f} ms apart; it must count milliseconds"
-                )
-            return (
-                f"no touch can be felt: {rate_hz:.0f} frames a second come, with gaps of up to "
-                f"{max(steps_ms)} ms; are frames lost on the way?"
-            )
-        return (
-            f"no touch can be felt: {rate_hz:.1f} frames a second come, and more than "
-            f"{1.0 / MAX_GAP_S:.0f} are needed, best {FRAME_RATE_HZ:.0f}"
-        )

@@ -1,4 +1,7 @@
-"""One reading of the pad."""
+"""What a reader of a pad delivers: frames, and whether they come."""
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -14,6 +17,7 @@ DEFAULT_PAD = "pad"
 """What the only pad is called where the configuration gives it no name."""
 
 Counts = NDArray[np.uint16]
+PadState: TypeAlias = Literal["up", "degraded", "down"]
 
 
 class Frame(msgspec.Struct, frozen=True, eq=False):
@@ -29,3 +33,15 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
     sensor_ms: int
     host_s: float
     pressure: Counts
+
+
+@dataclass(frozen=True)
+class SensorState:
+    """The state of a pad: "up", "degraded" (frames come, but not every touch is recognised) or "down".
+
+    reason: one line for people. cause: tells causes apart whatever the words.
+    """
+
+    state: PadState
+    reason: str
+    cause: str = ""

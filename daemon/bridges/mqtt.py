@@ -203,7 +203,7 @@ def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, byte
         "event_types": [*labels, UNCERTAIN],
         "value_template": TO_HOME_ASSISTANT,
         "availability_topic": f"{topic}/state",
-        "availability_template": "{{ 'online' if value in ('up', 'disturbed') else 'offline' }}",
+        "availability_template": "{{ 'online' if value in ('up', 'degraded') else 'offline' }}",
         "device": {"identifiers": [name], "name": topic, "manufacturer": "touchd"},
         "icon": "mdi:hand-heart",
     }

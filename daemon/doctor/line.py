@@ -11,7 +11,7 @@ from touchd.daemon.doctor.listening import START_S, Heard, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.pad.diagnosis import as_yaml, caution, diagnose, is_certain, propose
-from touchd.drivers.pad.line_watch import MANY_SHARE
+from touchd.drivers.pad.monitor import MANY_SHARE
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from touchd.drivers.pad.protocol import parser_of

@@ -10,13 +10,13 @@ from touchd.daemon.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.pad.health import Kind, PadHealth
+from touchd.drivers.pad.monitor import Kind, TaxelFaults
 from touchd.drivers.pad.pace import steps_ms
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
 LOADED_COUNTS = 50.0
-# How long PadHealth needs to tell a stuck taxel from a quiet one.
+# How long TaxelFaults needs to tell a stuck taxel from a quiet one.
 HEALTH_S = 6.0
 PRESSED_COUNTS = 40
 NAMED_TAXELS = 3
@@ -89,12 +89,12 @@ def check_taxels(heard: Heard) -> list[Check]:
         advice = "press all over the pad in touchd run --view: where nothing lights up, it is broken"
         found = "no value changed: the pad is silent at rest, or it hangs"
         return [Check("taxels", "warning", found, advice)]
-    health = PadHealth()
+    taxels = TaxelFaults()
     for frame in heard.frames:
-        health.update(frame)
-    if not health.told:
+        taxels.update(frame)
+    if not taxels.faults:
         return [Check("taxels", "ok", f"all {ROWS * COLUMNS} are alive")]
-    return [Check("taxels", "to do", what, ADVICE_FOR[kind]) for kind, what in health.told.items()]
+    return [Check("taxels", "to do", what, ADVICE_FOR[kind]) for kind, what in taxels.faults.items()]
 
 
 def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:

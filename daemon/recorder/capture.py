@@ -12,9 +12,8 @@ from touchd.daemon.recorder.session import Setting
 from touchd.daemon.tracker.tracker import Onset, Release, TouchTracker
 from touchd.drivers.frame import CLOCK_MODULUS, Frame
 from touchd.drivers.pad.grid import MAX_GAP_S, Ring
-from touchd.drivers.pad.health import PadHealth
-from touchd.drivers.pad.line_watch import CLOCK_OFF
-from touchd.drivers.pad.pace import clock_by_ours, clock_ms, pace_of
+from touchd.drivers.pad.monitor import TaxelFaults
+from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
 from touchd.drivers.recording import NO_TOUCH, Recording
@@ -52,7 +51,7 @@ class PadReader:
         self._settings = settings
         self._queue = FrameQueue()
         self._sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self._queue)
-        self._health = PadHealth()
+        self._taxels = TaxelFaults()
         self._away = ""
 
     def __enter__(self) -> "PadReader":
@@ -68,7 +67,7 @@ class PadReader:
     @property
     def troubles(self) -> list[str]:
         """Current faults of taxels, in words."""
-        return list(self._health.told.values())
+        return list(self._taxels.faults.values())
 
     def await_frame(self, within_s: float) -> str:
         """Drop queued frames and wait for a new one; return why none arrived, "" if one did."""
@@ -97,7 +96,7 @@ class PadReader:
                         raise PadLost("the pad restarted or was disconnected: check its plug")
                     passed_ms += step_ms
                     last = frame
-                    self._health.update(frame)
+                    self._taxels.update(frame)
                     yield passed_ms / 1000, frame
                 case SensorState() as state:
                     self._note(state)
@@ -137,11 +136,6 @@ def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]
     if pace.rate_hz < LEAST_RATE_HZ:
         found.append(f"{pace.rate_hz:.1f} frames a second arrive; more than {LEAST_RATE_HZ:.0f} are needed")
         return found
-    clock = clock_by_ours(capture.frames)
-    if abs(clock - 1) > CLOCK_OFF:
-        found.append(
-            f"the pad's clock runs {clock:.2f} times as fast as this computer's; it must count milliseconds"
-        )
     if pace.lost > MOST_LOST_SHARE * len(capture.frames):
         found.append(f"{pace.lost} frames were lost: check cable and plug")
     if gesture == NO_TOUCH and capture.touched_share > 0:

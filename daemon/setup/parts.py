@@ -18,9 +18,9 @@ from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
 from touchd.daemon.sinks import JournalSink, RobotSink, Sink
 from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.pad.monitor import PadMonitor
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
-from touchd.drivers.pad.watch import PadWatch
 from touchd.drivers.queue import Signal
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -39,7 +39,6 @@ class Pad:
     queue: FrameQueue
     sensor: Sensor
     pipeline: Pipeline
-    watch: PadWatch
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +69,16 @@ def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal
     for number, (name, pad) in enumerate(settings.pads.items()):
         queue = FrameQueue(filled=arrived)
         sensor = Sensor(pad.sensor.port, pad.sensor.baud, parser_of(pad.sensor.described), queue)
-        pipeline = Pipeline(pad.pipeline, models[name], emit, pad=name, viewers=viewers, first_index=number)
-        pads.append(Pad(name, models[name], queue, sensor, pipeline, PadWatch(name)))
+        pipeline = Pipeline(
+            pad.pipeline,
+            models[name],
+            emit,
+            pad=name,
+            viewers=viewers,
+            first_index=number,
+            monitor=PadMonitor(name, sensor.parser, sensor.where),
+        )
+        pads.append(Pad(name, models[name], queue, sensor, pipeline))
     stores = open_touch_stores(settings)
     link = link_to_robot(settings, emit)
     journal = open_journal(settings.journal)

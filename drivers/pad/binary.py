@@ -125,7 +125,7 @@ class BinaryFrames(FrameParser):
             self._refuse("bad_framing")
             return []
         sensor_ms = self.time_in(window) if self.format.clock else None
-        if self._header and sensor_ms is not None and not self._clock.is_on_time(sensor_ms):
+        if self._header and sensor_ms is not None and not self.clock.is_on_time(sensor_ms):
             hides_another = self._hides_another()
             if hides_another is None:
                 return None

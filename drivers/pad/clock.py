@@ -1,5 +1,9 @@
-"""Which frames agree with the sensor's clock, how a reset of that clock is told from a damaged frame, and a
-clock for pads that have none.
+"""The time of each frame: by the pad's clock where that can be believed, otherwise by its arrival.
+
+A clock is believed in milliseconds until three windows of half a second show what it counts. If that is
+milliseconds, microseconds or seconds of arrival, it is believed in that unit; if it shows the pad's stated
+rate, in milliseconds, for a recording may be played faster. Any other clock is skipped: a frame number, an
+index, a temperature. A unit is changed only after ten seconds of evidence.
 
 A frame is on time when its clock is 1 to 250 ms after that of the last one taken (modulo 2^32, so the wrap
 after 49.7 days is nothing special). One that repeats the last clock is a duplicate. Any other is held: it may
@@ -15,12 +19,150 @@ one frame time and none is lost, even when damaged frames fall between. The sing
 restarts within 250 ms of its last start cannot be told from one that did not.
 """
 
-from touchd.drivers.frame import CLOCK_MODULUS
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from touchd.drivers.frame import CLOCK_MODULUS, Counts
 from touchd.drivers.pad.framing import ProtocolCounts, Reading
+
+# Milliseconds in what a clock may count.
+UNITS_MS = (1.0, 0.001, 1000.0)
+# What a window shows may be off by this share: frames come late, and quartzes differ by far less.
+CLOSE = 0.2
+# Windows of arrival, and how many must agree to choose a unit at first and to change it later.
+WINDOW_S, LEAST_FRAMES = 0.5, 5
+FIRST_WINDOWS, LATER_WINDOWS = 3, 20
+# A longer gap between two frames begins a new window: the line, or the daemon, was held up.
+PAUSE_S = 0.4
+# Windows agree if their rates differ by no more than this factor; a stall or a flood makes them differ.
+ALIKE = 1.3
+NOT_USED = "; it is not used, and frames are dated by their arrival"
 
 # Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
 MAX_STEP_MS = 250
 MAX_HELD = 8
+
+
+class FrameClock:
+    """Dates a parser's frames and refuses those whose clock cannot be right.
+
+    rate_hz: the pad's stated rate. note: why the pad's clock is not used, "" where it is.
+    """
+
+    def __init__(self, counts: ProtocolCounts, rate_hz: float) -> None:
+        self.note = ""
+        self._check = ClockCheck(counts)
+        self._arrivals = ArrivalClock(rate_hz)
+        self._rate_hz = rate_hz
+        self._unit_ms: float | None = UNITS_MS[0]
+        self._is_chosen = False
+        self._windows: deque[_Window] = deque(maxlen=FIRST_WINDOWS)
+        self._window: _Window | None = None
+
+    def reset(self) -> None:
+        """Forget the clock: the port was reopened, and may lead to another pad."""
+        self._check.reset()
+        self._arrivals.reset()
+        self._unit_ms = UNITS_MS[0]
+        self._is_chosen = False
+        self._windows = deque(maxlen=FIRST_WINDOWS)
+        self._window = None
+
+    def is_on_time(self, stamp: float) -> bool:
+        """Whether a frame with that clock agrees with the clock followed so far, if it is used."""
+        return self._unit_ms is None or self._check.is_on_time(_as_ms(stamp, self._unit_ms))
+
+    def judge(self, stamp: float | None, host_s: float, pressure: Counts) -> list[Reading]:
+        """Return what can be delivered now: nothing, this frame, or it after held ones that it confirms.
+
+        stamp: the frame's clock as sent, None for a pad without one.
+        """
+        if stamp is None or not math.isfinite(stamp):
+            return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
+        self._look(stamp, host_s)
+        if not self._is_chosen and stamp % 1:
+            # What has a fraction counts no milliseconds.
+            self._unit_ms = None
+        if self._unit_ms is None:
+            return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
+        delivered = self._check.judge(Reading(_as_ms(stamp, self._unit_ms), host_s, pressure))
+        if self._window is not None:
+            self._window.delivered += len(delivered)
+        return delivered
+
+    def _look(self, stamp: float, host_s: float) -> None:
+        """Compare the clock with the frames' arrival; choose its unit once there is enough evidence."""
+        window = self._window
+        if window is None or host_s - window.last_s > PAUSE_S:
+            self._window = _Window(stamp, host_s, stamp, host_s)
+            return
+        window.frames += 1
+        window.standing += stamp <= window.last
+        window.last, window.last_s = stamp, host_s
+        if window.last_s - window.first_s < WINDOW_S or window.frames < LEAST_FRAMES:
+            return
+        self._windows.append(window)
+        self._window = _Window(stamp, host_s, stamp, host_s)
+        if len(self._windows) < (self._windows.maxlen or 0):
+            return
+        unit_ms, note = self._chosen()
+        if note is None:
+            return
+        self.note, self._is_chosen = note, True
+        if unit_ms != self._unit_ms:
+            self._unit_ms = unit_ms
+            self._check.reset()
+        self._windows = deque(maxlen=LATER_WINDOWS)
+
+    def _chosen(self) -> tuple[float | None, str | None]:
+        """Return the unit that the windows show, None to skip the clock, and why.
+
+        Why is None where the windows show nothing, "" where the clock is used.
+        """
+        rates = sorted(window.rate for window in self._windows)
+        stands = any(window.standing > window.frames // 4 for window in self._windows)
+        if stands or rates[-1] > ALIKE * rates[0]:
+            if rates[0] == rates[-1] == 0 or all(2 * w.delivered < w.frames for w in self._windows):
+                return None, f"the pad's clock stands still or jumps{NOT_USED}"
+            return self._unit_ms, None
+        rate = rates[len(rates) // 2]
+        for unit_ms in UNITS_MS:
+            if abs(rate * unit_ms / 1000 - 1) <= CLOSE:
+                return unit_ms, ""
+        steps = sorted(window.step for window in self._windows)
+        if abs(1000 / steps[len(steps) // 2] / self._rate_hz - 1) <= CLOSE:
+            return UNITS_MS[0], ""
+        what = "neither milliseconds, microseconds nor seconds"
+        return None, f"the pad's clock counts {rate:.0f} in a second, {what}{NOT_USED}"
+
+
+@dataclass
+class _Window:
+    """Clock and arrival at its first and last frame; frames after the first, how many did not rise, and how
+    many were delivered."""
+
+    first: float
+    first_s: float
+    last: float
+    last_s: float
+    frames: int = 0
+    standing: int = 0
+    delivered: int = 0
+
+    @property
+    def rate(self) -> float:
+        """Counts of the clock in a second of arrival."""
+        return (self.last - self.first) / (self.last_s - self.first_s)
+
+    @property
+    def step(self) -> float:
+        """Counts of the clock from frame to frame."""
+        return (self.last - self.first) / self.frames
+
+
+def _as_ms(stamp: float, unit_ms: float) -> int:
+    return round(stamp * unit_ms) % CLOCK_MODULUS
 
 
 class ClockCheck:
@@ -81,7 +223,7 @@ def _steps_on(earlier_ms: int, later_ms: int) -> bool:
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 0.005
 LOST_S = 0.25
-# Frames that flood in are stamped a millisecond apart; so far ahead of their arrival, the clock starts anew.
+# Frames that flood in are stamped a millisecond apart; restart the clock once it leads arrival by this much.
 AHEAD_MS = 1000
 
 
@@ -97,7 +239,7 @@ class ArrivalClock:
         self._last_ms = -1
 
     def reset(self) -> None:
-        """Begin anew with the next frame."""
+        """Restart with the next frame."""
         self._period_s = self._stated_s
         self._expected_s = None
 

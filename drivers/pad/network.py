@@ -10,8 +10,9 @@ from typing import Any
 log = logging.getLogger(__name__)
 
 CONNECT_S = 3.0
-# A board that has sent nothing for so long may be replaced by another.
-GONE_S = 2.0
+# Over UDP another board is read once the one that is read has sent no frame for GONE_S; one of which no frame
+# has come yet, for TURN_S.
+GONE_S, TURN_S = 2.0, 0.5
 MOST_BYTES = 65536
 ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
 
@@ -53,12 +54,13 @@ class NetworkPort:
                 raise
         self.is_stream = match[1] == "tcp"
         self._sender: Any = None
-        self._heard_s = 0.0
+        self._until_s = 0.0
+        self._sends_frames = False
         self._has_warned = False
         self._socket.settimeout(timeout_s)
 
     def read(self) -> bytes:
-        """Return what has arrived, waiting for it at most the timeout."""
+        """Return what has arrived, waiting for it at most the timeout; over UDP, one datagram."""
         try:
             data, sender = self._socket.recvfrom(MOST_BYTES)
         except TimeoutError:
@@ -67,11 +69,16 @@ class NetworkPort:
             raise ConnectionResetError("the pad closed the connection")
         return data if self.is_stream or self._follows(sender) else b""
 
+    def keep_sender(self) -> None:
+        """Note that what was read last completed a frame: its sender is the pad."""
+        self._sends_frames = True
+        self._until_s = time.monotonic() + GONE_S
+
     def _follows(self, sender: Any) -> bool:
-        """Whether a datagram is from the board that is read: the first, until it is gone."""
-        now_s = time.monotonic()
-        if self._sender is not None and sender[0] != self._sender[0] and now_s - self._heard_s < GONE_S:
-            if not self._has_warned:
+        """Whether a datagram comes from the board that is read: who sends frames, or else each in turn."""
+        is_other = self._sender is None or sender[0] != self._sender[0]
+        if is_other and time.monotonic() < self._until_s:
+            if self._sends_frames and not self._has_warned:
                 self._has_warned = True
                 log.warning(
                     "%s: %s sends there too; only %s is read: give each board a port of its own",
@@ -80,7 +87,10 @@ class NetworkPort:
                     self._sender[0],
                 )
             return False
-        self._sender, self._heard_s = sender, now_s
+        if is_other:
+            self._sends_frames = False
+            self._until_s = time.monotonic() + TURN_S
+        self._sender = sender
         return True
 
     def write(self, data: bytes) -> None:
@@ -99,3 +109,11 @@ class NetworkPort:
 
     def __exit__(self, *_: object) -> None:
         self._socket.close()
+
+
+def ended_lines(datagram: bytes) -> bytes:
+    """Return a datagram of text with its last line ended, and with a blank line after several lines."""
+    if not datagram.strip():
+        return b""
+    lines = datagram.rstrip(b"\r\n")
+    return lines + (b"\n\n" if b"\n" in lines or b"\r" in lines else b"\n")

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.clock import ArrivalClock, ClockCheck
+from touchd.drivers.pad.clock import FrameClock
 from touchd.drivers.pad.format import PadFormat, Values, layout_of
 from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
@@ -21,8 +21,7 @@ class FrameParser(ABC):
         self.counts = ProtocolCounts()
         self.format = described
         self._layout = layout_of(described)
-        self._clock = ClockCheck(self.counts)
-        self._arrivals = ArrivalClock(described.rate_hz)
+        self.clock = FrameClock(self.counts, described.rate_hz)
         self._buffer = b""
         self._asked = False
         self._asked_s = -math.inf
@@ -61,13 +60,13 @@ class FrameParser(ABC):
         self.counts.bytes_dropped += len(self._buffer)
         self._buffer = b""
         self._asked = False
-        self._clock.reset()
-        self._arrivals.reset()
+        self.clock.reset()
 
-    def _judge(self, sensor_ms: int | None, host_s: float, values: Values) -> list[Reading]:
+    def _judge(self, stamp: float | None, host_s: float, values: Values) -> list[Reading]:
         """Return the readings that a well-formed frame confirms.
 
-        sensor_ms: None for a pad without a clock. values: (cells,) as sent; those out of range are cut.
+        stamp: its clock as sent, None for a pad without one. values: (cells,) as sent; those out of range are
+        cut.
         """
         self._asked = False
         if np.maximum.reduce(values) > self.format.full_scale:
@@ -76,6 +75,4 @@ class FrameParser(ABC):
         if values.dtype.kind != "u":
             values = np.maximum(values, 0)
         pressure = self._layout.pressure(values)
-        if sensor_ms is None:
-            return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
-        return self._clock.judge(Reading(sensor_ms, host_s, pressure))
+        return self.clock.judge(stamp, host_s, pressure)

@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import fcntl
 import os
 import select
 import stat
@@ -12,7 +13,7 @@ from typing import TypeAlias
 import serial
 
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.pad.network import NetworkPort, is_network
+from touchd.drivers.pad.network import NetworkPort, ended_lines, is_network
 from touchd.drivers.pad.parser import FrameParser
 
 Line: TypeAlias = serial.Serial | NetworkPort
@@ -71,6 +72,11 @@ def open_port(port: str, baud: int) -> Line:
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise _explained(port, error) from error
+    # The lock above keeps only those programs out that ask for it too. A pseudo-terminal would stay closed to
+    # others after touchd was killed.
+    if isinstance(opened, serial.Serial) and not os.path.realpath(port).startswith("/dev/pts/"):
+        with contextlib.suppress(OSError):
+            fcntl.ioctl(opened.fileno(), termios.TIOCEXCL)
     # Otherwise an FTDI adapter delays bytes by up to 16 ms; other ports lack the setting.
     with contextlib.suppress(AttributeError, NotImplementedError, OSError, ValueError):
         opened.set_low_latency_mode(True)
@@ -86,7 +92,9 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
         if parser.poll:
             _ask(opened, parser)
         if isinstance(opened, NetworkPort):
-            return opened.read()
+            data = opened.read()
+            is_text = parser.format.framing == "text"
+            return data if opened.is_stream or not is_text else ended_lines(data)
         # pyserial's own reading takes five system calls where two do.
         if type(opened) is serial.Serial:
             return _read(opened.fileno())
@@ -123,7 +131,10 @@ def _ask(opened: Line, parser: FrameParser) -> None:
 def _explained(port: str, error: Exception) -> SensorError:
     number = error.errno if isinstance(error, OSError) else None
     if number in NOT_THERE:
-        return SensorError("missing", f"{port} is not there: is the pad plugged in and switched on?")
+        question = "is the pad's board switched on, and in this network?"
+        if "://" not in port:
+            question = "is the pad plugged in and switched on?"
+        return SensorError("missing", f"{port} is not there: {question}")
     if number in NOT_ALLOWED:
         return SensorError(
             "denied",

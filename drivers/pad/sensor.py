@@ -1,16 +1,15 @@
-"""The pad on its serial port: a thread that reads frames, notices when they stop, and finds the pad again."""
+"""The pad on its port: a thread that reads frames, notices when they stop, and finds the pad again."""
 
 import logging
 import threading
 import time
 
 from touchd.drivers.faults import Backoff
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.diagnosis import RECENT_BYTES, diagnose
-from touchd.drivers.pad.line_watch import LineWatch
+from touchd.drivers.frame import Frame, SensorState
+from touchd.drivers.pad.network import NetworkPort
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting
-from touchd.drivers.pad.sensor_state import Announcer, SensorState
+from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.queue import DroppingQueue, Signal
 
 __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
@@ -18,16 +17,20 @@ __all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 log = logging.getLogger(__name__)
 
 FIRST_RETRY_S = 0.1
-# A diagnosis may hold up the other pads' answers; while the bytes stay wrong, it is made ever less often.
-LONGEST_LOOK_S = 16.0
-# Of a pad that sends far too much, the reader rests so many times as long as it took to parse a read.
+# After bytes without a frame for this long, set the line again: another program may have changed it.
+FRAMELESS_S = 30.0
+# A loop that took longer was stopped by the system, so that what it did not read is no evidence.
+PAUSED_S = 1.0
+# The reader of a pad that sends far too much rests this many times as long as parsing a read took.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
+# Enough to hold a few frames, of a server that may speak telnet.
+RECENT_BYTES = 32768
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
-    """What the reader hands to the daemon's loop, in order; gives up the oldest frame, never a state.
+    """Passes frames and states from the reader to the daemon's loop, in order; bounded.
 
-    Only when nothing but `capacity` states waits unread does a state go.
+    When it is full, the oldest frame is dropped. States are dropped only when the queue holds nothing else.
     filled: set when something is put; of several queues, one thread can wait on the same.
     """
 
@@ -36,36 +39,45 @@ class FrameQueue(DroppingQueue[Frame | SensorState]):
 
 
 class Sensor:
-    """Reads `port` (see `touchd.drivers.pad.port`); puts frames and changes of state into `queue`.
+    """Reads `port` (see `touchd.drivers.pad.port`); puts frames and states into `queue`.
 
-    The port is reopened whenever it fails, after FIRST_RETRY_S and then ever longer up to longest_retry_s.
-    Without a frame for silence_s the pad is down; after reopen_after_s without a byte the port is reopened
-    too, which restarts an Arduino that hangs. A frame's host_s is when its last byte was read.
+    A state "up" comes before the first frame of an opened port; a state "down" after each failed attempt, and
+    again and again while no frames come. The port is reopened whenever it fails, after FIRST_RETRY_S and then
+    ever longer up to longest_retry_s. Without a frame for silence_s the pad is down. After reopen_after_s
+    without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
+    frame too. A frame's host_s is when its last byte was read.
+    parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
     def __init__(
         self,
         port: str,
         baud: int,
-        protocol: FrameParser,
+        parser: FrameParser,
         queue: FrameQueue,
         *,
         longest_retry_s: float = 1.0,
         silence_s: float = 2.0,
         reopen_after_s: float = 10.0,
+        frameless_s: float = FRAMELESS_S,
     ) -> None:
         self._port = port
         self._baud = baud
-        self._protocol = protocol
+        self.parser = parser
         self._queue = queue
         self._longest_retry_s = longest_retry_s
         self._backoff = Backoff(FIRST_RETRY_S, longest_retry_s)
         self._silence_s = silence_s
         self._reopen_after_s = reopen_after_s
-        self._announcer = Announcer(queue.put)
-        self._watch = LineWatch(protocol, self._where)
+        self._frameless_s = frameless_s
+        self._is_up = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
+
+    @property
+    def where(self) -> str:
+        """The port, with its baud rate where it has one."""
+        return self._port + at_baud(self._port, self._baud)
 
     def start(self) -> None:
         """Begin to read; returns at once."""
@@ -87,67 +99,77 @@ class Sensor:
                 with open_port(self._port, self._baud) as opened:
                     self._read(opened)
             except SensorError as error:
-                self._fail(error.kind, str(error))
+                self._report_down(error.kind, str(error))
             except Exception as error:
                 # Retry after any error: a dead reader would stay down.
                 log.debug("the reader of %s failed", self._port, exc_info=True)
-                self._fail("internal", f"internal error while reading {self._port}: {error!r}")
+                self._report_down("internal", f"internal error while reading {self._port}: {error!r}")
             if time.monotonic() - begun_s > self._longest_retry_s:
                 self._backoff.reset()
             self._stop.wait(self._backoff.pause_s())
 
-    def _fail(self, kind: str, why: str) -> None:
-        """Report a failure, unless told to stop: another reader may fill the queue by now."""
-        if not self._stop.is_set():
-            self._announcer.down(kind, why)
-
     def _read(self, opened: Line) -> None:
-        """Read until stopped, or until a long silence calls for reopening the port."""
-        self._protocol.reset()
-        self._watch.forget_clock()
+        """Read until stopped, or until the port should be opened again."""
+        self.parser.reset()
         recent = b""
-        byte_s = frame_s = looked_s = time.monotonic()
-        look_s = self._silence_s
+        read_s = byte_s = frame_s = reported_s = time.monotonic()
         while not self._stop.is_set():
-            data = read_waiting(opened, self._protocol)
+            data = read_waiting(opened, self.parser)
             now_s = time.monotonic()
+            if now_s - read_s > PAUSED_S:
+                byte_s = frame_s = now_s
+            read_s = now_s
             if data:
                 byte_s = now_s
                 recent = (recent + data)[-RECENT_BYTES:]
                 if self._hand_over(data, now_s):
-                    frame_s = looked_s = now_s
-                    look_s = self._silence_s
-                    recent = b""
-            if len(data) >= FLOOD_BYTES:
-                self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
-            if now_s - byte_s > self._reopen_after_s:
+                    frame_s, recent = now_s, b""
+                    if isinstance(opened, NetworkPort):
+                        opened.keep_sender()
+                self._rest_from(len(data), now_s)
+            if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
                 return
-            if now_s - looked_s > look_s:
-                looked_s = now_s
-                if now_s - byte_s <= self._silence_s:
-                    look_s = min(2 * look_s, LONGEST_LOOK_S)
-                self._explain(recent, frame_s, is_silent=now_s - byte_s > self._silence_s)
+            if now_s - max(frame_s, reported_s) > self._silence_s:
+                reported_s = now_s
+                self._report_no_frames(recent, is_silent=now_s - byte_s > self._silence_s)
 
     def _hand_over(self, data: bytes, host_s: float) -> bool:
         """Parse what arrived at `host_s`; return whether it completed a frame."""
-        frames = self._protocol.feed(data, host_s)
-        if frames:
-            self._announcer.up(self._port)
-            for frame in frames:
-                self._queue.put(frame)
-        self._watch.update(host_s, frames[-1].sensor_ms if frames else None)
+        frames = self.parser.feed(data, host_s)
+        if frames and not self._is_up:
+            self._is_up = True
+            self._queue.put(SensorState("up", f"frames arrive from {self._port}"))
+        for frame in frames:
+            self._queue.put(frame)
         return bool(frames)
 
-    def _explain(self, recent: bytes, since_s: float, *, is_silent: bool) -> None:
-        """Say why no frame has come since `since_s`."""
-        if is_silent:
-            kind = "silent"
-            reason = f"no data for {self._silence_s:g} s: is it the pad's port, and does the pad run?"
-        else:
-            kind, reason = diagnose(recent, self._protocol.format)
-            reason += "; touchd doctor says what to set" if kind in ("format", "noise") else ""
-        self._announcer.down(kind, f"{self._where}: {reason}", since_s)
+    def _rest_from(self, count: int, begun_s: float) -> None:
+        """Leave the processor to others after a read of very many bytes, which began at `begun_s`."""
+        if count >= FLOOD_BYTES:
+            self._stop.wait(min(FLOOD_REST * (time.monotonic() - begun_s), LONGEST_REST_S))
 
-    @property
-    def _where(self) -> str:
-        return self._port + at_baud(self._port, self._baud)
+    def _report_no_frames(self, recent: bytes, *, is_silent: bool) -> None:
+        """Report that no frames come, and what comes instead."""
+        described = self.parser.format
+        if is_silent:
+            why = "is it the pad's port, and does the pad run?"
+            if self._port.startswith("udp://"):
+                why = "does the board run, and send to this machine and port?"
+            self._report_down("silent", f"{self.where}: no data for {self._silence_s:g} s: {why}")
+        elif self._port.startswith("tcp://") and parser_of(described).feed(_without_telnet(recent), 0.0):
+            why = f"frames of {described} come with every byte FF doubled, as telnet does; set its raw mode"
+            self._report_down("telnet", f"{self.where}: {why}")
+        else:
+            why = f"bytes come but no frame of {described}; touchd doctor says what they look like"
+            self._report_down("no frames", f"{self.where}: {why}")
+
+    def _report_down(self, cause: str, reason: str) -> None:
+        """Report that no frames come, unless told to stop: another reader may fill the queue by now."""
+        if not self._stop.is_set():
+            self._is_up = False
+            self._queue.put(SensorState("down", reason, cause))
+
+
+def _without_telnet(data: bytes) -> bytes:
+    """Return bytes as they were before a telnet server doubled each FF."""
+    return data.replace(b"\xff\xff", b"\xff")

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from touchd.drivers.frame import CLOCK_MODULUS
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.framing import Reading
 from touchd.drivers.pad.parser import FrameParser
@@ -184,6 +183,4 @@ class TextFrames(FrameParser):
         self._run_leads = ()
 
     def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Reading]:
-        clock = skipped[0] if skipped else -1.0
-        is_clock = 0 <= clock < CLOCK_MODULUS and clock == int(clock)
-        return self._judge(int(clock) if is_clock else None, host_s, np.array(cells))
+        return self._judge(skipped[0] if skipped else None, host_s, np.array(cells))

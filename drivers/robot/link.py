@@ -9,6 +9,7 @@ import importlib.util
 import logging
 import os
 import platform
+import re
 import sys
 import threading
 import time
@@ -172,7 +173,9 @@ class RobotLink:
         """Log that the robot is there, or that an attempt to reach it failed; report a change."""
         url = self._settings.url
         if state == "down":
-            self._faults.begin("down", f"robot {url} is down ({reason}); trying until it is there")
+            what = f"robot {url} is down ({reason}); trying until it is there"
+            # Durations in a reason differ from one attempt to the next.
+            self._faults.begin("down", what, cause=re.sub(r"[\d.]+", "", reason))
         elif self._state is None:
             log.info("robot %s is up", url)
         else:

@@ -4,7 +4,7 @@
 
 with the memory settings of the service.
 
-Bytes go through parser, ring, touch tracker, classifier, decision, pad watch, journal, kept touches, the link
+Bytes go through parser, ring, touch tracker, classifier, decision, monitor, journal, kept touches, the link
 to a stand-in robot that is switched off and on, and the live page, with a viewer now and then; the pad is
 unplugged at times, and its line has bursts of garbage. The pad is another program, its line a pipe, which
 waits for the daemon's parts; a serial port does not wait, and frames would be dropped. Ends with exit code 1
@@ -40,7 +40,6 @@ from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import SensorState
-from touchd.drivers.pad.watch import PadWatch
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.settings import RobotSettings
 
@@ -99,7 +98,6 @@ class Soak:
             sink.start()
         self.viewer = Viewer(port)
         self._pipeline = Pipeline(settings.pipeline, model, self._emit)
-        self._pad_watch = PadWatch()
 
     def run(self, line: Iterable[bytes], hours: float, until_s: float) -> dict[str, object]:
         """Read `hours` of sensor time from a pad, at most until `until_s`; return the figures."""
@@ -110,7 +108,6 @@ class Soak:
             for frame in self._parser.feed(data, time.monotonic()):
                 self._touch_sink.take(frame)
                 self._pipeline.on_frame(frame)
-                self._pad_watch.update(frame)
                 self._live_sink.put_frame(frame, 0)
                 frames += 1
             if frames // ROBOT_EVERY_FRAMES != before // ROBOT_EVERY_FRAMES:

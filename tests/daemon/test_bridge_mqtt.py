@@ -233,8 +233,8 @@ def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> 
     assert event == {"event_type": "stroke", "confidence": 0.81, "stage": "early", "touch": 7}
     assert template.render(value_json=json.loads(encode(touch(1)))) == ""
     available = jinja2.Environment().from_string(entity["availability_template"])
-    states = ("up", "disturbed", "degraded", "down", "stopped", "lost")
-    assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 4
+    states = ("up", "degraded", "down", "stopped", "lost")
+    assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 3
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import gzip
 import io
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import replace
@@ -153,12 +152,10 @@ print(*(f"kept {path.name}" for path in folder.iterdir()), file=sys.stderr)
 """
 
 
-def captured(
-    touched_share: float, clock_ms: Iterable[int] = range(0, 1900, 19), clock: float = math.inf
-) -> Capture:
-    """A capture of a pad whose clock runs so many times as fast as this computer's."""
+def captured(touched_share: float, clock_ms: Iterable[int] = range(0, 1900, 19)) -> Capture:
+    """A capture of frames at these times of the pad's clock."""
     nothing = np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame(i, ms, ms / 1000 / clock, nothing) for i, ms in enumerate(clock_ms))
+    frames = tuple(Frame(i, ms, ms / 1000, nothing) for i, ms in enumerate(clock_ms))
     return Capture(frames, touched_share)
 
 
@@ -183,13 +180,6 @@ def test_a_recording_that_does_not_show_its_gesture_is_reported(
         assert [text in line for text, line in zip([*health, *found], told, strict=True)] == [True] * len(
             told
         )
-
-
-@pytest.mark.parametrize(("clock", "told"), [(1.0, []), (4.0, ["4.00"]), (0.05, ["0.05"])])
-def test_a_clock_that_does_not_count_milliseconds_is_told(clock: float, told: list[str]) -> None:
-    says = "the pad's clock runs {} times as fast as this computer's; it must count milliseconds"
-    capture = captured(0.9, range(0, 19 * 400, 19), clock)
-    assert complaints(capture, "pat", []) == [says.format(ratio) for ratio in told]
 
 
 @pytest.mark.parametrize(("columns", "width"), [(30, 40), (60, 60), (200, 80)])

@@ -41,8 +41,7 @@ from touchd.daemon.setup.destinations import encoder_for
 from touchd.daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.sensor_state import SensorState
+from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.settings import RobotSettings
 

@@ -1,13 +1,15 @@
 """Clock checks: no frame is lost after a restart, and frames with a damaged clock are refused."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import assert_are, counts_of, flip, packet, packets
 
-from touchd.drivers.pad.clock import MAX_HELD, ArrivalClock
+from touchd.drivers.pad.clock import MAX_HELD, ArrivalClock, FrameClock
+from touchd.drivers.pad.framing import ProtocolCounts
 
 
 @pytest.mark.parametrize("restart_ms", [0, 3, 1_000_000])
@@ -107,3 +109,99 @@ def test_a_gap_restarts_the_clock_of_arrivals() -> None:
     before = [clock.stamp_ms(number / 54) for number in range(54)]
     assert before[-1] == round(1000 * 53 / 54)
     assert clock.stamp_ms(1.3) == 1300
+
+
+STILL = np.zeros((8, 8), np.uint16)
+
+
+def dated(
+    stamp: Callable[[float], float], seconds: float = 6.0, arrival: Callable[[float], float] = float
+) -> tuple[FrameClock, list[tuple[float, int]]]:
+    """Return a clock after frames at 54 Hz, and each frame's arrival with its time in ms.
+
+    stamp: what the pad sends at a second of its time. arrival: when that comes.
+    """
+    clock = FrameClock(ProtocolCounts(), 54.0)
+    frames: list[tuple[float, int]] = []
+    for number in range(round(54 * seconds)):
+        host_s = 100.0 + arrival(number / 54)
+        readings = clock.judge(stamp(number / 54), host_s, STILL)
+        frames += [(reading.host_s, reading.sensor_ms) for reading in readings]
+    return clock, frames
+
+
+def is_in_ms(frames: list[tuple[float, int]]) -> bool:
+    """Whether the frames' times of the last three seconds count the milliseconds of their arrival."""
+    (first_s, first_ms), *_, (last_s, last_ms) = frames[-162:]
+    return abs((last_ms - first_ms) / 1000 - (last_s - first_s)) < 0.03
+
+
+@pytest.mark.parametrize(
+    "counts_a_second",
+    [1000.0, 840.0, 1160.0, 1e6, 1.0],
+    ids=["ms", "slow", "fast", "microseconds", "seconds"],
+)
+def test_a_clock_is_used_in_the_unit_that_it_counts(counts_a_second: float) -> None:
+    clock, frames = dated(lambda second: 7.0 + second * counts_a_second)
+    assert clock.note == ""
+    steps_ms = np.diff([ms for _, ms in frames[-100:]])
+    unit_ms = 1000 / 10 ** round(np.log10(counts_a_second))
+    assert steps_ms.mean() == pytest.approx(counts_a_second * unit_ms / 54, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "why"),
+    [
+        (lambda second: round(54 * second), "counts 54 in a second"),
+        (lambda second: 500 * second, "counts 500 in a second"),
+        (lambda second: 2000 * second, "counts 2000 in a second"),
+        (lambda second: 10_000 * second, "counts 10000 in a second"),
+        (lambda second: 3.0, "stands still or jumps"),
+        (lambda second: float(int(second)), "stands still or jumps"),
+        (lambda second: 23.0 + 0.4 * np.sin(40 * second), "stands still or jumps"),
+        (lambda second: -1000 * second, "stands still or jumps"),
+    ],
+    ids=["frames", "half", "twice", "tenths", "constant", "whole seconds", "temperature", "backwards"],
+)
+def test_a_number_that_is_no_clock_is_skipped(stamp: Callable[[float], float], why: str) -> None:
+    clock, frames = dated(stamp)
+    assert why in clock.note
+    assert clock.note.endswith("it is not used, and frames are dated by their arrival")
+    assert is_in_ms(frames)
+    assert len(frames) >= 54 * 4
+
+
+@pytest.mark.parametrize("speed", [0.5, 2.0, 16.0, 100.0])
+def test_a_recording_played_faster_keeps_its_clock(speed: float) -> None:
+    clock, frames = dated(lambda second: round(1000 * second), 6 * speed, lambda second: second / speed)
+    assert clock.note == ""
+    assert np.diff([ms for _, ms in frames]).mean() == pytest.approx(1000 / 54, rel=0.01)
+
+
+def test_frames_that_were_held_up_do_not_discredit_a_clock() -> None:
+    # For three of every five seconds the line gives nothing, then all at once.
+    clock, frames = dated(
+        lambda second: round(1000 * second),
+        60.0,
+        lambda second: second if second % 5 < 2 else second // 5 * 5 + 5,
+    )
+    assert clock.note == ""
+    assert len(frames) == 54 * 60
+
+
+def test_a_daemon_stopped_for_long_does_not_discredit_a_clock() -> None:
+    clock = FrameClock(ProtocolCounts(), 54.0)
+    # Five seconds of frames wait in the port's buffer; fifteen are lost.
+    for begin_s, end_s, late_s in ((0, 10, 0.0), (10, 15, 20.0), (30, 60, 0.0)):
+        for number in range(54 * begin_s, 54 * end_s):
+            arrival_s = begin_s + late_s if late_s else number / 54
+            clock.judge(round(1000 * number / 54), arrival_s, STILL)
+            assert clock.note == ""
+
+
+def test_a_skipped_clock_is_used_once_it_counts_milliseconds() -> None:
+    clock = FrameClock(ProtocolCounts(), 54.0)
+    for number in range(54 * 30):
+        clock.judge(number if number < 270 else 1000 * number / 54, number / 54, STILL)
+        assert number != 269 or "counts 54" in clock.note
+    assert clock.note == ""

@@ -67,7 +67,7 @@ def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     with sensing(address) as queue:
-        assert next_state(queue).reason == f"{address} is not there: is the pad plugged in and switched on?"
+        assert next_state(queue).reason.startswith(f"{address} is not there: is the pad's board switched on")
         with socket.create_server(("127.0.0.1", port)) as server:
             connection, _ = server.accept()
             with connection:
@@ -146,7 +146,10 @@ def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
 
         def read() -> list[Frame]:
-            return parser.feed(read_waiting(opened, parser), time.monotonic())
+            frames = parser.feed(read_waiting(opened, parser), time.monotonic())
+            if frames:
+                opened.keep_sender()
+            return frames
 
         frames = []
         for number in range(30):
@@ -162,8 +165,37 @@ def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
         assert read() + read()
         give(PACKETS[30])
         assert read() == []
-    told = f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board a port of its own"
-    assert caplog.messages == [told]
+    warning = (
+        f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board a port of its own"
+    )
+    assert caplog.messages == [warning]
+
+
+@pytest.mark.parametrize("stray", [b"", b"hello", PACKETS[0][:50]], ids=["empty", "text", "half a frame"])
+def test_strays_from_elsewhere_do_not_hold_a_udp_pad_out(stray: bytes) -> None:
+    with udp_pad() as (address, give), sensing(address, silence_s=2.0) as queue:
+        for number in range(200):
+            give(stray, "127.0.0.2")
+            give(PACKETS[number])
+            time.sleep(0.01)
+        items = queue.take_all()
+    assert [item.state for item in items if not isinstance(item, Frame)] == ["up"]
+    assert len(items) > 100
+
+
+@pytest.mark.parametrize("line_end", ["", "\n", "\r\n"])
+@pytest.mark.parametrize("lines", [1, 8], ids=["a line", "a line a row"])
+def test_a_datagram_of_text_is_a_frame(line_end: str, lines: int) -> None:
+    described = PadFormat(framing="text", rows=8, columns=8)
+    parser = parser_of(described)
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+        frames = []
+        for counts in STREAM.counts[:5]:
+            rows = counts.reshape(lines, -1).tolist()
+            give(((line_end or "\n").join(" ".join(map(str, row)) for row in rows) + line_end).encode())
+            frames += parser.feed(read_waiting(opened, parser), time.monotonic())
+    # The first one may be the rest of a frame.
+    assert [frame.pressure.tolist() for frame in frames] == STREAM.counts[1:5].tolist()
 
 
 def test_a_pad_may_have_an_ipv6_address() -> None:

@@ -12,6 +12,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.monitor import PadMonitor
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState
 from touchd.drivers.recording import Span, Stream, ideal_clock_ms
@@ -25,6 +26,18 @@ def stream_of(frames: int = 4000) -> Stream:
     return Stream(counts, ideal_clock_ms(frames, 1000), (Span(0, frames, "rub"),))
 
 
+class MonitoredQueue(FrameQueue):
+    """Logs what the reader reports as the daemon does, and holds only changes of the pad's state."""
+
+    def __init__(self) -> None:
+        super().__init__(100_000)
+        self._monitor = PadMonitor()
+
+    def put(self, item: Frame | SensorState) -> None:
+        if isinstance(item, Frame) or self._monitor.on_sensor(item):
+            super().put(item)
+
+
 @contextmanager
 def sensing(
     port: str,
@@ -33,7 +46,7 @@ def sensing(
 ) -> Iterator[FrameQueue]:
     """Yield a running sensor's queue; afterwards no thread or descriptor of it is left."""
     before = set(os.listdir("/proc/self/fd"))
-    queue = FrameQueue(100_000)
+    queue = MonitoredQueue()
     pauses_s = {"longest_retry_s": 0.2, "silence_s": 0.5} | options
     sensor = Sensor(port, BAUD, protocol or FabricGrid(), queue, **pauses_s)
     sensor.start()

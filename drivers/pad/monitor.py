@@ -1,0 +1,372 @@
+"""What is wrong with a pad: decides on its state (up, degraded, down) and logs each fault, not too often.
+
+Faults are seen in four places: by the reader (no frames), in the frames' clock and gaps, in what the parser
+refuses, and in the values at rest (broken wires, a short, noise). Here they become one state and one log.
+"""
+
+import logging
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.drivers.faults import FaultLog
+from touchd.drivers.frame import (
+    CLOCK_MODULUS,
+    COLUMNS,
+    DEFAULT_PAD,
+    FRAME_RATE_HZ,
+    ROWS,
+    Counts,
+    Frame,
+    SensorState,
+)
+from touchd.drivers.pad.grid import MAX_GAP_S
+from touchd.drivers.pad.parser import FrameParser
+
+log = logging.getLogger(__name__)
+
+Kind = Literal["frozen", "dead line", "stuck taxel", "saturated", "drift"]
+
+# Faults that last are noted again so often, by the frames' arrival.
+NOTE_S = 1.0
+# With these no touch, or no light one, is recognised; other faults cost a part of the pad or some frames.
+DEGRADING = ("gaps", "frozen", "noise")
+
+# Recognising a touch takes half a second of frames without a gap; a fault if there was none for DEAF_S.
+WITHOUT_GAP_FRAMES = 27
+DEAF_S = 3.0
+# After a pause as long as this in their arrival, frames say nothing: the daemon may have been stopped.
+PAUSE_S = 2.0
+
+# The parser's counts are compared so often. One lost frame in fifty is a fault that will grow.
+LOOK_S = 10.0
+MANY_SHARE = 0.02
+
+# The noise measured while a hand leaves is too high, and falls within three seconds.
+NOISY_FRAMES = round(5 * FRAME_RATE_HZ)
+
+
+# The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
+# From there it takes a taxel about 8 s to count as still, and half a second to count as lively again.
+AVERAGE_S = 2.0
+# Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
+BLOCK_FRAMES = 27
+STILL_SHARE = 0.01
+UNKNOWN_SHARE = 0.05
+LIVELY_SHARE = 0.1
+# A pad of which so many taxels change at once has noise, and stillness on it means something.
+LIVELY_TAXELS = 48
+SATURATED_COUNT = 1000
+SATURATED_TAXELS = 16
+# The level under every touch: no touch lasts a minute without a gap.
+REST_BLOCK_S = 10.0
+REST_BLOCKS = 6
+DRIFT_COUNTS = 10.0
+# Taxels of one broken wire do not fall still in the same frame; report once all have.
+SETTLE_S = 2.0
+
+
+class PadMonitor:
+    """Follows a pad's frames and states; each method returns the pad's state if it has changed.
+
+    name: the pad's, for the log. parser: whose counts tell what the line damages. where: the pad's port.
+    """
+
+    def __init__(self, name: str = DEFAULT_PAD, parser: FrameParser | None = None, where: str = "") -> None:
+        self._prefix = "" if name == DEFAULT_PAD else f"{name}: "
+        self._faults = FaultLog(log, self._prefix)
+        self._gaps = _Gaps()
+        self._taxels = TaxelFaults()
+        self._line = None if parser is None else _Line(parser, where)
+        self._rest = _Rest()
+        self._lasting: dict[str, str] = {}
+        self._noted_s = -math.inf
+        self._state: SensorState | None = None
+
+    def on_sensor(self, state: SensorState) -> SensorState | None:
+        """Take what the reader reports: that frames come, or after each attempt that none do."""
+        if state.state == "down":
+            is_news = self._faults.begin("down", state.reason, cause=state.cause)
+            if self._state is None or self._state.state != "down":
+                self._gaps, self._rest = _Gaps(), _Rest()
+                for kind in ("gaps", "noise", "loose wire"):
+                    self._faults.end(kind)
+                    self._lasting.pop(kind, None)
+        else:
+            is_news = self._state is None or self._state.state == "down"
+            advice = "leave the pad alone for half a second, while its rest is measured"
+            if self._state is None:
+                log.info("%s%s; %s", self._prefix, state.reason, advice)
+            else:
+                self._faults.end("down", f"{state.reason} again; {advice}")
+        if not is_news:
+            return None
+        self._state = state
+        return state
+
+    def on_frame(self, frame: Frame, *, restarted: bool) -> SensorState | None:
+        """Take the next frame. restarted: whether it follows no other on the grid."""
+        self._gaps.update(frame, restarted)
+        self._taxels.update(frame)
+        if self._line is not None:
+            self._line.update(frame.host_s)
+        return self._note(frame.host_s)
+
+    def on_rest(self, *, is_noisy: bool, loose_lines: Sequence[str]) -> None:
+        """Take what the tracker knows of the untouched pad, once a frame of the grid."""
+        self._rest.update(is_noisy, loose_lines)
+
+    def _note(self, now_s: float) -> SensorState | None:
+        """Log what has begun and ended; return the state if it is another one now."""
+        found: dict[str, str] = dict(self._gaps.faults)
+        found.update(self._taxels.faults.items())
+        found.update(self._rest.faults)
+        if self._line is not None:
+            found.update(self._line.faults)
+        if found.keys() == self._lasting.keys() and now_s - self._noted_s < NOTE_S:
+            return None
+        self._noted_s = now_s
+        for kind in self._lasting.keys() - found.keys():
+            self._faults.end(kind, f"no longer: {self._lasting[kind]}", now_s)
+        for kind, what in found.items():
+            self._faults.begin(kind, what, now_s, cause=what)
+        self._lasting = found
+        worst = next((kind for kind in DEGRADING if kind in found), "")
+        before = self._state.cause if self._state is not None and self._state.state == "degraded" else ""
+        if worst == before:
+            return None
+        self._state = SensorState("up", "touches are recognised again")
+        if worst:
+            self._state = SensorState("degraded", found[worst], worst)
+        return self._state
+
+
+class _Gaps:
+    """Whether frames come close enough together, by the pad's clock, for touches to be recognised."""
+
+    def __init__(self) -> None:
+        self.faults: dict[str, str] = {}
+        self._frames: deque[Frame] = deque(maxlen=WITHOUT_GAP_FRAMES)
+        self._without_gap = 0
+        self._since_s = -math.inf
+
+    def update(self, frame: Frame, restarted: bool) -> None:
+        is_first = not self._frames or frame.host_s - self._frames[-1].host_s > PAUSE_S
+        self._frames.append(frame)
+        self._without_gap = 0 if restarted else self._without_gap + 1
+        if is_first:
+            self._since_s = frame.host_s
+        if self._without_gap >= WITHOUT_GAP_FRAMES:
+            self._since_s = frame.host_s
+            self.faults.clear()
+        elif not self.faults and restarted and frame.host_s - self._since_s >= DEAF_S:
+            self.faults["gaps"] = f"no touch is recognised: {self._why()}"
+
+    def _why(self) -> str:
+        first, last = self._frames[0], self._frames[-1]
+        # Frames that were read together all arrived at once.
+        rate_hz = (len(self._frames) - 1) / max(last.host_s - first.host_s, 0.001)
+        steps_ms = [(b.sensor_ms - a.sensor_ms) % CLOCK_MODULUS for a, b in pairwise(self._frames)]
+        if max(steps_ms) > CLOCK_MODULUS // 2:
+            return (
+                "the pad's clock goes back and forth; do frames overtake one another on the way, or do two "
+                "boards send there?"
+            )
+        if rate_hz > 1.0 / MAX_GAP_S:
+            return (
+                f"{rate_hz:.0f} frames a second come, with gaps of up to {max(steps_ms)} ms; are frames lost "
+                "on the way?"
+            )
+        return (
+            f"{rate_hz:.1f} frames a second come, and more than {1.0 / MAX_GAP_S:.0f} are needed, best "
+            f"{FRAME_RATE_HZ:.0f}"
+        )
+
+
+class _Line:
+    """Whether a parser refuses more than a few frames, and whether it skips the pad's clock."""
+
+    def __init__(self, parser: FrameParser, where: str) -> None:
+        self.faults: dict[str, str] = {}
+        self._parser = parser
+        self._where = where
+        self._before = replace(parser.counts)
+        self._looked_s = -math.inf
+
+    def update(self, now_s: float) -> None:
+        """Compare the counts every LOOK_S of arrival; look at the clock each time."""
+        note = self._parser.clock.note
+        if note and "clock" not in self.faults:
+            self.faults["clock"] = f"{self._where}: {note}"
+        elif not note and "clock" in self.faults:
+            del self.faults["clock"]
+        passed_s = now_s - self._looked_s
+        if passed_s < LOOK_S:
+            return
+        counts, before = replace(self._parser.counts), self._before
+        self._before, self._looked_s = counts, now_s
+        if passed_s > 2 * LOOK_S:
+            # The first frames, or those after a pause, which is reported elsewhere.
+            return
+        for kind in ("line", "full scale"):
+            self.faults.pop(kind, None)
+        intact, refused = counts.frames - before.frames, counts.bad - before.bad
+        if intact and refused > MANY_SHARE * (intact + refused):
+            advice = "try a shorter cable and another USB port, no hub"
+            if "://" in self._where:
+                advice = "does another board send there too?"
+            share = refused / (intact + refused)
+            self.faults["line"] = (
+                f"{self._where}: {share:.0%} of the last frames were damaged on the way; {advice}"
+            )
+        if counts.clipped - before.clipped > MANY_SHARE * intact:
+            above = f"values above full_scale {self._parser.format.full_scale} are cut to it"
+            self.faults["full scale"] = (
+                f"{self._where}: {above}; if firm presses do that, set a larger one in sensor.format"
+            )
+
+
+class _Rest:
+    """Whether the untouched pad is too noisy for light touches, and which of its lines jump."""
+
+    def __init__(self) -> None:
+        self.faults: dict[str, str] = {}
+        self._other_frames = 0
+
+    def update(self, is_noisy: bool, loose_lines: Sequence[str]) -> None:
+        self._other_frames = self._other_frames + 1 if is_noisy != ("noise" in self.faults) else 0
+        if self._other_frames >= NOISY_FRAMES:
+            self._other_frames = 0
+            if is_noisy:
+                self.faults["noise"] = (
+                    "light touches are not recognised: the pad is noisy though nobody touches it; a motor, "
+                    "mains hum, a loose wire?"
+                )
+            else:
+                del self.faults["noise"]
+        if loose_lines:
+            self.faults["loose wire"] = (
+                f"the values of {', '.join(loose_lines)} jump while nobody touches the pad: a loose wire? "
+                "The jumps are taken out"
+            )
+
+
+class TaxelFaults:
+    """Faults that the values show: wires that broke, a short, a rest level that creeps up.
+
+    The fabric pad is never still: in all of HAART's recordings, at rest and under hands, each of the 64
+    taxels changes at least every 2 s, and none reads above 972. So a taxel that stands still is broken, not
+    just untouched. Other pads are silent at rest; there stillness means nothing and is not reported.
+    faults: those that last, in words.
+    """
+
+    def __init__(self) -> None:
+        self._block: list[Frame] = []
+        self._clock_s = 0.0
+        self._activity = np.full((ROWS, COLUMNS), UNKNOWN_SHARE)
+        self._is_still = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
+        self._has_noise = False
+        self._saturation = 0.0
+        self._rest = _RestLevel()
+        self.faults: dict[Kind, str] = {}
+        self._changing_since_s: dict[Kind, float] = {}
+
+    def update(self, frame: Frame) -> None:
+        """Take the next frame."""
+        self._block.append(frame)
+        if len(self._block) <= BLOCK_FRAMES:
+            return
+        self._measure(np.stack([one.pressure for one in self._block]), _passed_s(self._block))
+        self._block = [frame]
+        self._follow(self._current())
+
+    def _measure(self, pressure: Counts, passed_s: float) -> None:
+        """Take (T, 8, 8) frames, the first of which was taken before, and how long the others took."""
+        self._clock_s += passed_s
+        weight = 1.0 - math.exp(-passed_s / AVERAGE_S)
+        changed = (pressure[1:] != pressure[:-1]).mean(axis=0)
+        self._activity += weight * (changed - self._activity)
+        is_still = self._activity < STILL_SHARE
+        self._is_still = is_still | (self._is_still & (self._activity < LIVELY_SHARE))
+        self._has_noise |= int((self._activity > LIVELY_SHARE).sum()) >= LIVELY_TAXELS
+        is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
+        self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
+        self._rest.update(pressure[1:].min(axis=0), self._clock_s)
+
+    def _current(self) -> dict[Kind, str]:
+        """Return what looks faulty now."""
+        found: dict[Kind, str] = {}
+        if self._saturation > (0.5 if "saturated" in self.faults else 0.9):
+            found["saturated"] = "a quarter of the pad or more is at its limit: too heavy a load, a short?"
+        elif self._has_noise and self._is_still.all():
+            found["frozen"] = "frames arrive but no value changes: the pad is off its board, or it hangs"
+        elif self._has_noise:
+            found |= _still_parts(self._is_still)
+        rise = self._rest.rise_counts
+        if rise > (DRIFT_COUNTS / 2 if "drift" in self.faults else DRIFT_COUNTS):
+            found["drift"] = f"the level at rest rose by {rise:.0f} counts: drift, or something lies there"
+        return found
+
+    def _follow(self, found: Mapping[Kind, str]) -> None:
+        """Take over what has begun or ended and stayed so for SETTLE_S."""
+        changing = sorted(found.keys() ^ self.faults.keys())
+        self._changing_since_s = {kind: self._changing_since_s.get(kind, self._clock_s) for kind in changing}
+        for kind, since_s in self._changing_since_s.items():
+            if self._clock_s - since_s < SETTLE_S:
+                continue
+            if kind in self.faults:
+                del self.faults[kind]
+            else:
+                self.faults[kind] = found[kind]
+
+
+class _RestLevel:
+    """The lowest value of each taxel in the last minute, and how far it rose above the lowest minute yet."""
+
+    def __init__(self) -> None:
+        self._blocks: deque[Counts] = deque(maxlen=REST_BLOCKS)
+        self._block_until_s = REST_BLOCK_S
+        self._lowest: Counts | None = None
+        self._reference: NDArray[np.float64] | None = None
+        self.rise_counts = 0.0
+
+    def update(self, pressure: Counts, clock_s: float) -> None:
+        self._lowest = pressure if self._lowest is None else np.minimum(self._lowest, pressure)
+        if clock_s < self._block_until_s:
+            return
+        self._block_until_s = clock_s + REST_BLOCK_S
+        self._blocks.append(self._lowest)
+        self._lowest = None
+        if len(self._blocks) == REST_BLOCKS:
+            level = np.min(np.stack(self._blocks), axis=0).astype(np.float64)
+            self._reference = level if self._reference is None else np.minimum(self._reference, level)
+            self.rise_counts = float((level - self._reference).mean())
+
+
+def _passed_s(frames: Sequence[Frame]) -> float:
+    """Return how long frames took by the pad's clock; 1 s where the clock jumped."""
+    clock_ms = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
+    return float(np.minimum(np.diff(clock_ms) % CLOCK_MODULUS / 1000, 1.0).sum())
+
+
+def _still_parts(is_still: NDArray[np.bool_]) -> dict[Kind, str]:
+    """Name the rows, columns and single taxels (counted from 1) of a mask (8, 8)."""
+    rows: NDArray[np.bool_] = is_still.sum(axis=1) == COLUMNS
+    columns: NDArray[np.bool_] = is_still.sum(axis=0) == ROWS
+    parts: dict[Kind, str] = {}
+    lines = [f"row {row + 1}" for row in np.flatnonzero(rows)]
+    lines += [f"column {column + 1}" for column in np.flatnonzero(columns)]
+    if lines:
+        parts["dead line"] = f"{', '.join(lines)} of the pad stands still: a broken wire?"
+    singles = np.argwhere(is_still & ~rows[:, None] & ~columns[None, :])
+    if len(singles):
+        places = ", ".join(f"row {row + 1} column {column + 1}" for row, column in singles[:4])
+        more = f" and {len(singles) - 4} more" if len(singles) > 4 else ""
+        parts["stuck taxel"] = f"the taxel at {places}{more} stands still"
+    return parts

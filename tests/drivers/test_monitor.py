@@ -1,0 +1,359 @@
+"""What is wrong with a pad is one state and a few log lines: its line, its clock, its values."""
+
+import logging
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.haart_folder import needs_haart
+from rigs.line_faults import Faults
+from rigs.made_pad import MadePad, nothing
+from rigs.patient_port import playing
+from rigs.running_daemon import run_daemon
+from rigs.sensor_rig import stream_of
+
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.events import SensorEvent
+from touchd.drivers.faults import LASTS_S
+from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
+from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.monitor import LOOK_S, NOISY_FRAMES, PadMonitor, TaxelFaults
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
+
+RATE_HZ = 54
+DEAD_ROW = "row 7 of the pad stands still: a broken wire?"
+# Frames, rows and columns.
+A_TAXEL, ROW_7, SATURATED = np.s_[:, 2, 4], np.s_[:, 6], np.s_[:, 2:6, 2:7]
+
+
+def sound_pad(seconds: int) -> Counts:
+    return MadePad(5).counts(nothing(seconds))
+
+
+def frames_of(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[Frame]:
+    clock_ms = ideal_clock_ms(len(counts)).tolist() if clock_ms is None else clock_ms
+    return [Frame(0, ms, ms / 1000, pressure) for ms, pressure in zip(clock_ms, counts, strict=True)]
+
+
+def faults_in(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[tuple[float, str, bool]]:
+    """Return each fault that begins (True) or ends, in words, with its second on the pad's clock."""
+    taxels, found = TaxelFaults(), list[tuple[float, str, bool]]()
+    for frame in frames_of(counts, clock_ms):
+        before = dict(taxels.faults)
+        taxels.update(frame)
+        for kind in before.keys() ^ taxels.faults.keys():
+            what = (before | taxels.faults)[kind]
+            found.append((frame.sensor_ms / 1000, what, kind in taxels.faults))
+    return found
+
+
+def logged(counts: Counts, caplog: pytest.LogCaptureFixture) -> list[tuple[int, str, str]]:
+    """Return each log line's second, level and message."""
+    caplog.set_level(logging.INFO)
+    monitor, lines = PadMonitor(), list[tuple[int, str, str]]()
+    for frame in frames_of(counts):
+        caplog.clear()
+        monitor.on_frame(frame, restarted=False)
+        lines += [(frame.sensor_ms // 1000, record.levelname, record.message) for record in caplog.records]
+    return lines
+
+
+def is_begin_and_end(lines: list[tuple[int, str, str]], fault: str) -> bool:
+    """Whether these log lines are of one fault that begins and ends."""
+    (_, begin, first), (_, end, last) = lines
+    ended = f"no longer: {fault} (after "
+    return (begin, first, end) == ("WARNING", fault, "INFO") and last.startswith(ended)
+
+
+def pad_with_dead_row(seconds: int, *broken: tuple[int, int]) -> Counts:
+    """A pad whose seventh row is dead in each of these spans of seconds."""
+    counts = sound_pad(seconds)
+    for begin_s, end_s in broken:
+        counts[begin_s * RATE_HZ : end_s * RATE_HZ][ROW_7] = 0
+    return counts
+
+
+@pytest.mark.parametrize(
+    ("where", "stuck_at", "what"),
+    [
+        (A_TAXEL, 300, "the taxel at row 3 column 5 stands still"),
+        (ROW_7, 0, "row 7 of the pad stands still: a broken wire?"),
+        (np.s_[:, :, 0], 0, "column 1 of the pad stands still: a broken wire?"),
+        (np.s_[:], sound_pad(1)[0], "frames arrive but no value changes"),
+        (SATURATED, 1023, "a quarter of the pad or more is at its limit"),
+    ],
+    ids=["taxel", "row", "column", "frozen", "saturated"],
+)
+def test_a_broken_pad_and_its_repair_are_reported_once(
+    where: Any, stuck_at: Any, what: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    counts = sound_pad(30)
+    counts[5 * RATE_HZ : 20 * RATE_HZ][where] = stuck_at
+    (begun_s, begin, is_begin), (ended_s, end, is_still_there) = faults_in(counts)
+    assert (is_begin, end, is_still_there) == (True, begin, False)
+    assert begin.startswith(what)
+    assert 5 < begun_s < 18
+    assert 20 < ended_s < 25
+    assert is_begin_and_end(logged(counts, caplog), begin)
+
+
+def test_a_heavy_still_hand_is_no_fault() -> None:
+    counts = sound_pad(20)
+    counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
+    assert faults_in(counts) == []
+
+
+def test_a_hand_that_covers_the_pad_for_45_s_is_no_drift() -> None:
+    counts = sound_pad(240)
+    counts[100 * RATE_HZ : 145 * RATE_HZ] += 30
+    assert faults_in(counts) == []
+
+
+def test_a_load_at_the_limit_two_thirds_of_the_time_is_no_fault() -> None:
+    counts = sound_pad(30)
+    for first in range(0, 30 * RATE_HZ, 9):
+        counts[first : first + 6][SATURATED] = 1023
+    assert faults_in(counts) == []
+
+
+def test_a_load_that_wavers_at_the_limit_is_one_finding() -> None:
+    counts = sound_pad(40)
+    counts[5 * RATE_HZ : 15 * RATE_HZ][SATURATED] = 1023
+    for first in range(15 * RATE_HZ, 40 * RATE_HZ, 10):
+        counts[first : first + 7][SATURATED] = 1023
+    assert [is_begin for _, _, is_begin in faults_in(counts)] == [True]
+
+
+def test_a_firm_fingertip_at_the_limit_is_no_fault() -> None:
+    counts = sound_pad(20)
+    fingertip = counts[5 * RATE_HZ :, 2:5, 2:5]
+    fingertip[:] = np.random.default_rng(1).integers(1000, 1024, fingertip.shape)
+    assert faults_in(counts) == []
+
+
+def test_a_stuck_taxel_that_twitches_now_and_then_is_one_finding() -> None:
+    counts = sound_pad(90)
+    counts[5 * RATE_HZ :, 3, 3] = 100
+    # In a twentieth of the frames, for ten seconds at a time.
+    for first in range(30 * RATE_HZ, 90 * RATE_HZ, 20 * RATE_HZ):
+        counts[first : first + 10 * RATE_HZ : 40, 3, 3] = 101
+    assert [is_begin for _, _, is_begin in faults_in(counts)] == [True]
+
+
+def test_an_intermittent_contact_does_not_flood_the_log() -> None:
+    counts = sound_pad(60)
+    for second in range(5, 60, 2):
+        counts[second * RATE_HZ : (second + 1) * RATE_HZ][A_TAXEL] = 300
+    assert len(faults_in(counts)) <= 1
+
+
+def test_several_broken_taxels_are_one_finding() -> None:
+    counts = sound_pad(20)
+    counts[:, [0, 2, 3, 5, 7], [1, 1, 6, 5, 0]] = 0
+    ((_, what, _),) = faults_in(counts)
+    assert what == (
+        "the taxel at row 1 column 2, row 3 column 2, row 4 column 7, row 6 column 6 and 1 more stands still"
+    )
+
+
+def test_a_pad_that_is_silent_at_rest_is_not_broken() -> None:
+    counts = np.zeros((60 * RATE_HZ, 8, 8), np.uint16)
+    counts[20 * RATE_HZ : 25 * RATE_HZ, 2:5, 2:5] = 200 + sound_pad(5)[:, 2:5, 2:5]
+    assert faults_in(counts) == []
+
+
+def test_a_creeping_rest_and_its_return_are_reported_once(caplog: pytest.LogCaptureFixture) -> None:
+    counts = sound_pad(300)
+    creep = np.concatenate([np.zeros(80), np.linspace(0, 40, 100), np.zeros(120)])
+    counts += np.repeat(creep, RATE_HZ).astype(np.uint16)[:, None, None]
+    (begun_s, begin, is_begin), (ended_s, _, is_still_there) = faults_in(counts)
+    assert (is_begin, is_still_there) == (True, False)
+    assert 80 < begun_s < 180 < ended_s < 270
+    assert is_begin_and_end(logged(counts, caplog), begin)
+    assert begin.startswith("the level at rest rose by")
+
+
+@pytest.mark.parametrize("levels", [(0, 14, 7, 14), (14, 0, 14, 7)], ids=["wavers", "falls first"])
+def test_a_rest_that_has_risen_is_one_finding_while_it_wavers(levels: tuple[int, ...]) -> None:
+    counts = sound_pad(400)
+    counts += np.repeat(np.array(levels, np.uint16), 100 * RATE_HZ)[:, None, None]
+    assert [is_begin for _, _, is_begin in faults_in(counts)] == [True]
+
+
+def test_a_restarting_clock_does_no_harm() -> None:
+    clock_ms = [*(ideal_clock_ms(540, 2**32 - 3000) % 2**32).tolist(), *ideal_clock_ms(540).tolist()]
+    assert faults_in(sound_pad(20), clock_ms) == []
+
+
+def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
+    counts = pad_with_dead_row(32, (4, 20))
+    with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
+        events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
+    begin, end = (line for line in log.splitlines() if "stands still" in line)
+    assert begin == f"WARNING touchd.drivers.pad.monitor: {DEAD_ROW}"
+    assert end.startswith(f"INFO touchd.drivers.pad.monitor: no longer: {DEAD_ROW}")
+    assert {type(event) for event in events} <= {SensorEvent}
+
+
+def test_a_loose_wire_is_logged_ever_less_often(caplog: pytest.LogCaptureFixture) -> None:
+    counts = pad_with_dead_row(300, *((begin_s, begin_s + 12) for begin_s in range(5, 280, 30)))
+    assert is_begin_and_end(logged(counts, caplog), DEAD_ROW)
+
+
+def test_a_wire_that_breaks_for_good_is_logged_again(caplog: pytest.LogCaptureFixture) -> None:
+    first, again = logged(pad_with_dead_row(150, (5, 20), (40, 150)), caplog)[::2]
+    assert (first[1:], again[1:]) == (("WARNING", DEAD_ROW), ("WARNING", DEAD_ROW))
+    assert 40 + LASTS_S < again[0] < 40 + LASTS_S + 15
+
+
+@needs_haart
+def test_ten_minutes_of_real_touches_have_no_finding() -> None:
+    path = Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz"
+    recordings = [realign(recording) for recording in read_recordings(path, Selection(participants=("T9",)))]
+    counts = splice(recordings).counts
+    assert len(counts) > 10 * 60 * RATE_HZ
+    assert faults_in(counts) == []
+
+
+SENT = PadFormat(framing="text", rows=8, columns=8, skip=1, full_scale=4095)
+CONFIGURED = PadFormat(framing="text", rows=8, columns=8, skip=1, full_scale=1023)
+SET = "if firm presses do that, set a larger one in sensor.format"
+ABOVE = f"COM3: values above full_scale 1023 are cut to it; {SET}"
+MANY = "5% of the last frames were damaged on the way"
+TRY = "try a shorter cable and another USB port, no hub"
+UDP = "udp://0.0.0.0:4000"
+
+
+def watch(parser: FrameParser, packets: list[bytes], where: str = "COM3", turns: int = 1) -> None:
+    """Let the packets arrive over one look, again and again, after a first frame."""
+    monitor = PadMonitor(parser=parser, where=where)
+    still = np.zeros((8, 8), np.uint16)
+    monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
+    for turn in range(turns):
+        for number, packet in enumerate(packets, 1):
+            now_s = LOOK_S * (turn + number / len(packets))
+            parser.feed(packet, now_s)
+            monitor.on_frame(Frame(0, round(1000 * now_s), now_s, still), restarted=False)
+
+
+def pressed(counts: int, numbers: range) -> list[bytes]:
+    frame = np.full((8, 8), counts, np.uint16)
+    return [encode_frame(SENT, frame, round(1000 * number / 54)) for number in numbers]
+
+
+FIRM_PRESSES = pressed(100, range(420)) + pressed(900, range(420, 540))
+
+
+def faulty(**every: int) -> list[bytes]:
+    faults, stream = Faults(**every), stream_of(540)
+    sent = zip(stream.counts, stream.sensor_ms.tolist(), strict=True)
+    return [faults.on_line(number, encode_fabric_grid(*frame)) for number, frame in enumerate(sent, 1)]
+
+
+@pytest.mark.parametrize(
+    ("parser", "packets", "where", "warning"),
+    [
+        (parser_of(CONFIGURED), FIRM_PRESSES, "COM3", ABOVE),
+        (FabricGrid(), faulty(flip_bit_every=20), "COM3", f"COM3: {MANY}; {TRY}"),
+        (FabricGrid(), faulty(flip_bit_every=20), UDP, f"{UDP}: {MANY}; does another board send there too?"),
+        (FabricGrid(), faulty(), "COM3", None),
+        (FabricGrid(), faulty(flip_bit_every=100), "COM3", None),
+        (FabricGrid(), faulty(repeat_frame_every=5), "COM3", None),
+    ],
+    ids=["firm presses", "damage", "damage on a network", "sound", "little damage", "repeats"],
+)
+def test_what_a_line_loses_is_logged_with_what_to_do(
+    parser: FrameParser,
+    packets: list[bytes],
+    where: str,
+    warning: str | None,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    watch(parser, packets, where)
+    assert caplog.messages == ([warning] if warning else [])
+
+
+def test_a_line_that_goes_on_losing_frames_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    watch(parser_of(CONFIGURED), FIRM_PRESSES, turns=20)
+    assert caplog.messages == [ABOVE]
+
+
+def test_frames_refused_while_the_pad_was_away_are_no_fault(caplog: pytest.LogCaptureFixture) -> None:
+    parser, still = FabricGrid(), np.zeros((8, 8), np.uint16)
+    monitor = PadMonitor(parser=parser)
+    monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
+    for packet in faulty(flip_bit_every=3):
+        parser.feed(packet, 10.0)
+    monitor.on_frame(Frame(0, 0, 3 * LOOK_S, still), restarted=True)
+    assert caplog.messages == []
+
+
+def test_a_clock_that_is_not_used_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    parser = parser_of(SENT)
+    monitor = PadMonitor(parser=parser, where="COM3")
+    still = np.zeros((8, 8), np.uint16)
+    for number in range(540):
+        for frame in parser.feed(encode_frame(SENT, still, number), number / 54):
+            monitor.on_frame(frame, restarted=False)
+    (warning,) = caplog.messages
+    assert warning.startswith("COM3: the pad's clock counts 54 in a second, neither milliseconds")
+
+
+def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -> list[SensorState]:
+    """Return how the pad's state changes while frames arrive at these times of its clock."""
+    states, last_ms = list[SensorState | None](), -1000
+    for ms in times_ms:
+        frame = Frame(0, ms % CLOCK_MODULUS, at_s + ms / 1000, np.zeros((8, 8), np.uint16))
+        states.append(monitor.on_frame(frame, restarted=not 0 < ms - last_ms <= 150))
+        last_ms = ms
+    return [state for state in states if state is not None]
+
+
+def test_a_pad_that_loses_frames_in_runs_is_degraded_until_they_come() -> None:
+    monitor = PadMonitor()
+    # 20 of 30 frames arrive, at 54 Hz.
+    (state,) = states_of(monitor, [round(1000 / 54 * i) for i in range(600) if i % 30 < 20])
+    assert (state.state, state.cause) == ("degraded", "gaps")
+    assert "gaps of up to 20" in state.reason
+    assert "frames lost on the way" in state.reason
+    (state,) = states_of(monitor, range(12_000, 14_000, 18))
+    assert state.state == "up"
+
+
+def test_a_pad_that_is_too_slow_is_degraded() -> None:
+    (state,) = states_of(PadMonitor(), range(0, 10_000, 200))
+    assert "5.0 frames a second come, and more than 7 are needed" in state.reason
+
+
+def test_stale_frames_after_a_pause_of_the_daemon_are_no_evidence() -> None:
+    monitor = PadMonitor()
+    assert states_of(monitor, range(0, 5000, 18)) == []
+    # Ten frames waited in the port's buffer; those after them were lost.
+    assert states_of(monitor, range(5000, 5180, 18), at_s=20.0) == []
+    assert states_of(monitor, range(25_300, 30_000, 18)) == []
+
+
+def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
+    monitor = PadMonitor()
+    for is_noisy, state in ((True, "degraded"), (False, "up")):
+        for _ in range(NOISY_FRAMES - 1):
+            monitor.on_rest(is_noisy=is_noisy, loose_lines=())
+        assert states_of(monitor, [0]) == []
+        monitor.on_rest(is_noisy=is_noisy, loose_lines=())
+        assert [now.state for now in states_of(monitor, [0])] == [state]
+
+
+def test_each_cause_of_an_outage_is_reported_once_and_passing_ones_never(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monitor = PadMonitor()
+    causes = ("missing", "denied", "missing", "busy", "busy", "busy", "missing", "missing")
+    states = [monitor.on_sensor(SensorState("down", cause, cause)) for cause in causes]
+    assert [state.reason for state in states if state] == ["missing", "busy"]
+    assert caplog.messages == ["missing", "busy"]
