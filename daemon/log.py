@@ -16,7 +16,7 @@ _TRACE = logging.Formatter()
 class LogGate(logging.Filter):
     """Makes each record printable, and limits how often one place in the code logs; debugging is not limited.
 
-    What was left out is counted in the place's next line.
+    The next line of a place says how many were left out; only the first in a while has its stack trace.
     """
 
     def __init__(self) -> None:
@@ -25,14 +25,16 @@ class LogGate(logging.Filter):
         self._places: dict[tuple[str, int], _Place] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        left_out = 0
+        more = ""
         if record.levelno > logging.DEBUG:
             with self._lock:
                 place = self._places.setdefault((record.pathname, record.lineno), _Place())
                 if not place.may_log(time.monotonic()):
                     return False
-                left_out, place.left_out = place.left_out, 0
-        more = f" ({left_out} more like it were left out)" if left_out else ""
+                if place.left_out:
+                    more, place.left_out = f" ({place.left_out} more like it were left out)", 0
+                if place.lines > 1:
+                    record.exc_info = record.exc_text = None
         record.msg, record.args = one_line(record.getMessage()) + more, None
         if record.exc_info and not record.exc_text:
             lines = _TRACE.formatException(record.exc_info).split("\n")
@@ -42,18 +44,18 @@ class LogGate(logging.Filter):
 
 
 class _Place:
-    """A place in the code that logs."""
+    """A place in the code that logs. lines: in this while; left_out: since the last that was logged."""
 
     def __init__(self) -> None:
+        self.lines = 0
         self.left_out = 0
-        self._lines = 0
         self._until_s = 0.0
 
     def may_log(self, now_s: float) -> bool:
         if now_s >= self._until_s:
-            self._lines, self._until_s = 0, now_s + WHILE_S
-        self._lines += 1
-        if self._lines > MOST_LINES:
+            self.lines, self._until_s = 0, now_s + WHILE_S
+        self.lines += 1
+        if self.lines > MOST_LINES:
             self.left_out += 1
             return False
         return True

@@ -12,7 +12,8 @@ def one_line(text: str, max_bytes: int = MAX_LINE_BYTES) -> str:
     Characters that a terminal or a log could act on (newlines, escape sequences, changes of the writing
     direction, half characters) become escapes such as \\n and \\x1b.
     """
-    escaped = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:max_bytes])
+    # Not with a codec: that would be imported here, when there may be no file descriptor left.
+    escaped = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:max_bytes])
     return escaped.encode()[:max_bytes].decode(errors="ignore")
 
 

@@ -2,12 +2,14 @@
 
 import json
 import resource
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from rigs import attackers
@@ -22,6 +24,7 @@ from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.daemon.config import LiveSettings, SensorSettings
 from touchd.daemon.events import SensorEvent
+from touchd.daemon.log import MOST_LINES
 from touchd.daemon.setup.destinations import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.robot.settings import RobotSettings
@@ -176,6 +179,29 @@ def test_no_stranger_decides_how_much_memory_is_used(tmp_path: Path, name: str, 
     library, configure, protocol, attack = STRANGERS[name]
     pytest.importorskip(library)
     endured(tmp_path, lambda pid: stranger(pid, protocol, attack), seconds, **configure(free_port()))
+
+
+def test_no_descriptors_left_neither_floods_the_log_nor_lasts(tmp_path: Path, port: int) -> None:
+    pytest.importorskip("websockets")
+    with Daemon(tmp_path, live=LiveSettings(port=port)) as daemon, ExitStack() as closing:
+        wait_for(lambda: daemon.events)
+        pid = daemon.process.pid
+        most = len(list(Path(f"/proc/{pid}/fd").iterdir())) + 4
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (most, most))
+        for _ in range(40):
+            closing.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
+        time.sleep(4.0)
+        closing.close()
+
+        def is_served() -> bool:
+            with suppress(OSError), urlopen(f"http://127.0.0.1:{port}/", timeout=5.0) as answer:
+                return bool(answer.status == 200)
+            return False
+
+        wait_for(is_served)
+        assert daemon.stop() == 0
+    assert "Too many open files" in daemon.log
+    assert daemon.log.count("\n") < 2 * MOST_LINES
 
 
 @pytest.fixture

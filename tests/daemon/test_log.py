@@ -57,6 +57,15 @@ def test_a_trace_forges_no_line_of_the_log() -> None:
     assert "ValueError" in others[-2]
 
 
+def test_only_the_first_record_of_a_place_has_its_trace() -> None:
+    gate = LogGate()
+    records = [record("failed") for _ in range(3)]
+    for each in records:
+        each.exc_info = (OSError, OSError(HOSTILE), None)
+        assert gate.filter(each)
+    assert [each.exc_text is None for each in records] == [False, True, True]
+
+
 def test_one_place_cannot_flood_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
     monkeypatch.setattr("touchd.daemon.log.time.monotonic", lambda: now_s)
