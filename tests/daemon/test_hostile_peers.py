@@ -30,7 +30,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.robot.settings import RobotSettings
 
 MOST_GROWTH_MB = 20.0
-MOST_LOG_LINES = 40
+MOST_LOG_LINES = 100
 SETTLING_S = 1.5
 # A domain of DDS of its own, unlike a lab's.
 DOMAIN = 77
@@ -121,7 +121,7 @@ def endured(
             assert daemon.process.poll() is None
             asked_s = time.monotonic()
             assert daemon.stop() == 0
-            assert time.monotonic() - asked_s < AT_ONCE_S
+            assert time.monotonic() - asked_s < 2 * AT_ONCE_S
     assert most_mb - first_mb < MOST_GROWTH_MB
     assert daemon.log.count("\n") < MOST_LOG_LINES
     assert "Traceback" not in daemon.log
