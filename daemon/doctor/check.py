@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from touchd.drivers.errors import one_line
+
 Verdict = Literal["ok", "warning", "to do", "not checked"]
 
 
@@ -21,3 +23,7 @@ class Check:
     found: str
     advice: str = ""
     figures: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # It may hold what a robot answered.
+        object.__setattr__(self, "found", one_line(self.found))

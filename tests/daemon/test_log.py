@@ -5,6 +5,7 @@ import logging
 import pytest
 
 from touchd.daemon.cli import main
+from touchd.daemon.doctor.check import Check
 from touchd.daemon.log import MOST_LINES, LogGate
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line
 
@@ -25,6 +26,10 @@ def test_foreign_text_is_printable_and_short() -> None:
 
 def test_an_errors_message_is_printable() -> None:
     assert str(TouchdError(f"port {HOSTILE}")).isprintable()
+
+
+def test_a_check_shows_what_a_robot_answered_printably() -> None:
+    assert Check("robot", "ok", f"NAOqi {HOSTILE}").found.isprintable()
 
 
 @pytest.mark.parametrize(
