@@ -6,9 +6,16 @@ import time
 
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame, SensorState
-from touchd.drivers.pad.network import NetworkPort
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port, read_waiting
+from touchd.drivers.pad.port import (
+    Line,
+    NetworkPort,
+    SensorError,
+    at_baud,
+    check_port,
+    open_port,
+    read_waiting,
+)
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.queue import DroppingQueue, Signal
 

@@ -2,6 +2,8 @@
 
 import logging
 import os
+import signal
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,13 @@ from rigs.haart_folder import needs_haart
 from rigs.line_faults import Faults
 from rigs.made_pad import MadePad, nothing
 from rigs.patient_port import playing
-from rigs.running_daemon import run_daemon
+from rigs.running_daemon import Daemon, run_daemon
 from rigs.sensor_rig import stream_of
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import SensorEvent
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import LASTS_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat, encode_frame
@@ -337,6 +341,21 @@ def test_stale_frames_after_a_pause_of_the_daemon_are_no_evidence() -> None:
     # Ten frames waited in the port's buffer; those after them were lost.
     assert states_of(monitor, range(5000, 5180, 18), at_s=20.0) == []
     assert states_of(monitor, range(25_300, 30_000, 18)) == []
+
+
+def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) -> None:
+    counts = sound_pad(60)
+    stream = Stream(counts, ideal_clock_ms(len(counts)), ())
+    with FakePort(stream, encoder_for(SensorSettings())) as pad, Daemon(tmp_path, pad) as daemon:
+        daemon.await_event(SensorEvent)
+        time.sleep(2.0)
+        daemon.process.send_signal(signal.SIGSTOP)
+        time.sleep(5.0)
+        daemon.process.send_signal(signal.SIGCONT)
+        time.sleep(3.0)
+        assert daemon.stop() == 0
+    assert [event.state for event in daemon.events if isinstance(event, SensorEvent)] == ["up"]
+    assert [line for line in daemon.log.splitlines() if "drivers.pad" in line and "WARNING" in line] == []
 
 
 def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:

@@ -18,10 +18,9 @@ from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, s
 from rigs.sockets import free_port
 
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad import network
+from touchd.drivers.pad import port as port_module
 from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
-from touchd.drivers.pad.network import GONE_S
-from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from touchd.drivers.pad.port import GONE_S, SensorError, check_port, open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"], msgspec.structs.replace(PRESETS["itas"], clock=True)]
@@ -142,7 +141,7 @@ def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
 ) -> None:
     parser = FabricGrid()
     now_s = [0.0]
-    monkeypatch.setattr(network, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    monkeypatch.setattr(port_module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
 
         def read() -> list[Frame]:
