@@ -1,4 +1,4 @@
-"""Adapts the shipped network to a lab's recordings and evaluates it before and after."""
+"""Adapts the shipped network to a lab's recordings, with held-out accuracy before and after."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,13 +23,13 @@ from touchd.model.settings import LENGTHS, AugmentationSettings, NetworkSettings
 from touchd.model.tgc import TGC
 
 TEMPERATURES = np.geomspace(0.3, 5.0, 200)
-# Standard deviation of the log of a temperature around the shipped one, before any left-out answer is seen.
+# Prior standard deviation of the log of a temperature around the shipped one.
 TEMPERATURE_SPREAD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class Pretrained:
-    """The network that adapting starts from: frozen backbone, head, what its file says, what it remembers."""
+    """The network that adapting starts from: frozen backbone, head, metadata, and features of its people."""
 
     labels: tuple[str, ...]
     training: Mapping[str, Any]
@@ -65,10 +65,7 @@ class Pretrained:
 
 @dataclass(frozen=True, eq=False)
 class Adapted:
-    """A fine-tuned head, and what was measured on recordings left out in turn.
-
-    known: the labels it began with.
-    """
+    """A fine-tuned head and its cross-validation. known: labels of the pretrained network."""
 
     known: tuple[str, ...]
     labels: tuple[str, ...]
@@ -80,7 +77,7 @@ class Adapted:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Recordings, with the backbone's features of their crops and windows."""
+    """Recordings with the backbone's features of their crops and windows."""
 
     recordings: Sequence[Recording]
     shown: CropFeatures
@@ -88,7 +85,7 @@ class Features:
 
 
 def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings) -> Features:
-    """Return the features of crops to learn from and of windows to evaluate."""
+    """Compute features of crops to train on and of windows to evaluate."""
     return Features(
         recordings,
         crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed),
@@ -99,9 +96,9 @@ def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: A
 def adapt(
     pretrained: Pretrained, material: Features, settings: AdaptSettings, keep_all: bool = False
 ) -> Adapted:
-    """Adapt to all recordings, after measuring on each in turn what adapting to the others does to it.
+    """Cross-validate, then adapt to all recordings.
 
-    keep_all: keep the known gestures that no recording shows.
+    keep_all: keep known gestures without recordings.
     """
     gestures = {recording.gesture for recording in material.recordings}
     known = pretrained.labels
@@ -143,9 +140,9 @@ def _answers(
     turns: Sequence[tuple[nn.Sequential, Fold]],
     own: WindowFeatures,
 ) -> Answers:
-    """Return logits of left-out windows before and after; no head has learnt from its own.
+    """Return logits of held-out windows before and after adapting.
 
-    is_new: of each label, whether the pretrained network lacks it.
+    is_new: for each label, whether the pretrained network lacks it.
     """
     nothing = np.zeros((0, len(is_new)))
     owners, befores, afters = [own.recordings[:0]], [nothing], [nothing]
@@ -161,7 +158,7 @@ def _answers(
 
 @torch.no_grad()
 def logits(head: nn.Sequential, evaluated: WindowFeatures, chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Return a head's logits (W, labels) of chosen windows."""
+    """Return a head's logits (W, labels) for chosen windows."""
     array: NDArray[np.float64] = head(evaluated.values[torch.from_numpy(chosen)]).numpy().astype(np.float64)
     return array
 
@@ -169,9 +166,9 @@ def logits(head: nn.Sequential, evaluated: WindowFeatures, chosen: NDArray[np.bo
 def _temperature(
     answers: Answers, recordings: Sequence[Recording], labels: Sequence[str], pretrained: float
 ) -> float:
-    """Return the likeliest temperature for left-out answers, held to the pretrained's where they are few.
+    """Return the MAP temperature for held-out answers; with few of them the prior keeps the pretrained one.
 
-    Windows of one recording resemble each other, so a recording counts as one answer.
+    Windows of a recording are correlated, so a recording counts as one answer.
     """
     truth = np.array([labels.index(recordings[i].gesture) for i in answers.recordings], dtype=np.int64)
     count = len(np.unique(answers.recordings))

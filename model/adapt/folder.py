@@ -1,4 +1,4 @@
-"""A lab's own recordings, as `touchd record` leaves them in a folder: read, checked, ready to learn from."""
+"""Reads and checks a folder of a lab's own recordings, as `touchd record` makes it."""
 
 import hashlib
 import re
@@ -19,18 +19,18 @@ from touchd.drivers.recording import (
 )
 from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS
 
-# Shorter, there is not even an early answer to learn from.
+# The first answer needs 54 frames.
 SHORTEST_FRAMES = 54
-# Ten hours at 54 Hz, a quarter of a gigabyte: far beyond what a lab records, and what fits any machine.
+# Ten hours at 54 Hz, a quarter of a gigabyte.
 MOST_FRAMES = 2_000_000
 MOST_GESTURES = MOST_LABELS
 GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
-# What events say instead of a gesture.
+# Events use it in place of a gesture.
 RESERVED = "uncertain"
 
 
 class ExtraError(TouchdError):
-    """A folder of recordings cannot be learned from; the message says which, why and what to do."""
+    """A folder of recordings cannot be used for training; the message names it, the reason and the remedy."""
 
 
 def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
@@ -51,7 +51,7 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
             if frames > MOST_FRAMES:
                 raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
             _check(path, recording)
-            # A recording that is there twice would be on both sides of a left-out comparison.
+            # A duplicate could be on both sides of a fold.
             digest = hashlib.sha256(recording.counts.tobytes()).digest()
             if digest in first_of:
                 raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
@@ -62,9 +62,9 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the recording files, not those that a session was writing when it was cut off.
+    """Return the recording files, without partial files of an interrupted session.
 
-    Raises ExtraError where the folder is none.
+    Raises ExtraError if it is not a folder.
     """
     if folder.is_file():
         raise ExtraError(f"{folder}: is a file; name the folder that it is in")
@@ -74,7 +74,7 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def read_file(path: Path) -> list[Recording]:
-    """Return the recordings of one of the folder's files; raises ExtraError where it is none."""
+    """Read one file of the folder; raises ExtraError."""
     try:
         return read_recordings(path)
     except RecordingError as error:
@@ -82,7 +82,7 @@ def read_file(path: Path) -> list[Recording]:
 
 
 def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
-    """Return why gestures cannot be learned under their names, beside known ones; "" where they can."""
+    """Return what is wrong with the names of gestures, also beside known ones; "" if nothing is."""
     for gesture in gestures:
         if gesture == RESERVED or not GESTURE.fullmatch(gesture):
             return (

@@ -1,9 +1,9 @@
-"""Fine-tunes the head of a pretrained network on a few recordings, regularised towards where it began.
+"""Fine-tunes the head of a pretrained network on a few recordings, regularised towards its initial weights.
 
-L2-SP (Li, Grandvalet and Davoine 2018) is a Gaussian prior on every weight around its pretrained value. The
-fewer the recordings, the more it counts. In the end the weights lie between the pretrained and the learnt
-ones (Wortsman et al. 2022), which keeps most of what the person gains and spares others. A part of each batch
-is what the network remembers of others. All three were chosen on the second study; see docs/adapt.md.
+L2-SP (Li, Grandvalet and Davoine 2018) is a Gaussian prior on every weight around its pretrained value. Its
+weight grows with fewer recordings. The result interpolates between pretrained and fine-tuned weights
+(Wortsman et al. 2022): the person keeps most of the gain, and other people lose less. Part of each batch is
+rehearsal of other people. All three were chosen on the second study; see docs/adapt.md.
 """
 
 import copy
@@ -20,12 +20,12 @@ from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that decides what adapting yields, apart from the recordings and where it starts from.
+    """Settings of fine-tuning.
 
     crops: per recording, augmented as in training. l2_sp: weight of the squared distance from the pretrained
-    head, divided by the number of recordings; rows of new gestures are free. rehearsed: share of each batch
-    that is remembered. blend: how far the weights go from the pretrained to the learnt ones, 0 to 1; rows of
-    new gestures go all the way.
+    head, divided by the number of recordings; rows of new gestures are not penalised. rehearsed: share of
+    rehearsal in each batch. blend: interpolation from pretrained (0) to fine-tuned weights (1); rows of new
+    gestures are always 1.
     """
 
     seed: int = 0
@@ -40,7 +40,7 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def rebuilt(head: nn.Sequential, known: Sequence[str], labels: Sequence[str]) -> nn.Sequential:
-    """Return the head with one row a label: known labels keep theirs, new ones begin as the rows' mean."""
+    """Return the head with one row a label; rows of new labels start as the mean of the known rows."""
     new = copy.deepcopy(head)
     last = cast(nn.Linear, new[-1])
     rows = [known.index(label) if label in known else None for label in labels]
@@ -61,10 +61,10 @@ def fit(
     rehearsed: CropFeatures,
     settings: AdaptSettings,
 ) -> nn.Sequential:
-    """Return a head that has learnt what is `shown`, from `start`, which stays as it is.
+    """Return a copy of `start` fine-tuned on `shown`.
 
-    labels: of the head's rows, each shown or rehearsed. new: those that the shipped network did not know.
-    rehearsed: what must not be forgotten. The same arguments give the same head.
+    labels: of the head's rows, each in `shown` or `rehearsed`. new: labels that the shipped network lacks.
+    rehearsed: features of other people. Deterministic.
     """
     head = copy.deepcopy(start).train()
     is_new = torch.tensor([label in new for label in labels])
@@ -115,9 +115,9 @@ def _each(head: nn.Sequential, value: float, of_new: float, is_new: Tensor) -> l
 def _draw(
     crops: CropFeatures, labels: Sequence[str], count: int, rng: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return values (count, 4, features), classes (count,) and within (count, 4) of crops drawn at random."""
+    """Draw random crops; return values (count, 4, features), classes (count,) and within (count, 4)."""
     recordings = len(crops.gestures)
-    # As even a draw as there are recordings for.
+    # Draw each recording equally often.
     passes = [torch.randperm(recordings, generator=rng) for _ in range(-(-count // recordings))]
     chosen = torch.cat(passes)[:count]
     crop = torch.randint(crops.values.shape[1], (count,), generator=rng)

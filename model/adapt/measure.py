@@ -1,4 +1,4 @@
-"""Before and after, measured on what was left out, with how far to trust the difference."""
+"""Accuracy on held-out recordings before and after adapting, with confidence intervals."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,9 @@ UPPER = 0.975
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What was said of left-out windows of one length, over the labels of the adapted model.
+    """Logits for held-out windows of one length, over the labels of the adapted model.
 
-    recordings: (W,) which one each window is cut from. before, after: logits (W, labels); before is -inf for
+    recordings: (W,) number of each window's recording. before, after: logits (W, labels); before is -inf for
     gestures that the shipped model does not know.
     """
 
@@ -33,10 +33,10 @@ class Answers:
 
 
 class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """One gesture's share of right answers among left-out windows, at one length.
+    """Accuracy for one gesture on held-out windows of one length.
 
-    before: None where the shipped model does not know it. interval: of `after`, 95 % Wilson, counting a
-    recording and not each of its windows as one trial.
+    before: None if the shipped model lacks the gesture. interval: of `after`, 95 % Wilson; a recording counts
+    as one trial.
     """
 
     recordings: int
@@ -46,11 +46,11 @@ class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """What was said of all left-out windows of one length.
+    """Accuracy on all held-out windows of one length.
 
-    before, after: macro accuracy over the gestures that the shipped model knows too, None without any; where
-    participants were left out, the mean of theirs. interval: of the difference, 95 %, None where there is too
-    little for one. all_after: as after, over all gestures.
+    before, after: macro accuracy over gestures that the shipped model has, None without any; if participants
+    are held out, the mean over them. interval: of the difference, 95 %, None if there is too little data.
+    all_after: as after, over all gestures.
     """
 
     frames: int
@@ -62,12 +62,12 @@ class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def difference(self) -> float | None:
-        """What adapting changed, over the gestures known before."""
+        """Gain over the gestures that the shipped model has."""
         return None if self.before is None or self.after is None else self.after - self.before
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Before and after on what was left out. left_out: participants, recordings, or nothing at all."""
+    """Held-out accuracy before and after. left_out: what was held out."""
 
     left_out: LeftOut
     participants: int
@@ -81,7 +81,7 @@ def compare(
     known: Sequence[str],
     left_out: LeftOut,
 ) -> Comparison:
-    """Return the figures for left-out answers by length, of recordings by their number.
+    """Return the figures for held-out answers at each length.
 
     labels: of the logits. known: those of the shipped model.
     """
@@ -144,9 +144,9 @@ def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
 
 
 def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:
-    """Return the 95 % t interval of the mean of the strata's means; None where each holds but one value.
+    """Return the 95 % t interval of the mean of the strata's means; None if each stratum has one value.
 
-    Unlike a bootstrap, it stays honest with two or three values: it is then as wide as it must be.
+    Unlike a bootstrap, it is wide enough with two or three values.
     """
     freedom = sum(len(stratum) - 1 for stratum in strata)
     if freedom < 1:
@@ -159,7 +159,7 @@ def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:
 
 
 def wilson_interval(right: float, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share (Wilson 1927); `right` may hold parts of a trial."""
+    """Return the 95 % interval of a share (Wilson 1927); `right` may be fractional."""
     z = 1.96
     share = right / trials
     middle = (share + z * z / (2 * trials)) / (1 + z * z / trials)
@@ -169,7 +169,7 @@ def wilson_interval(right: float, trials: int) -> tuple[float, float]:
 
 
 def _shares(right: NDArray[np.bool_], owners: NDArray[np.int64], evaluated: NDArray[np.int64]) -> Floats:
-    """Return each evaluated recording's share of right windows."""
+    """Return the accuracy on each evaluated recording's windows."""
     return np.array([right[owners == recording].mean() for recording in evaluated], dtype=np.float64)
 
 

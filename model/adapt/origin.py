@@ -1,4 +1,4 @@
-"""Which code and which data made a model."""
+"""Identifies the code and the data that a model was trained with."""
 
 import hashlib
 from collections.abc import Iterable
@@ -11,7 +11,7 @@ SOURCES = ("adapt/augment.py", "tgc.py", "settings.py")
 
 
 def code_version(*more: Path) -> str:
-    """Return the installed version and a digest of the sources that decide what a training yields."""
+    """Return the installed version and a digest of the sources that affect a training."""
     digest = hashlib.sha256()
     for path in (*(Path(__file__).parents[1] / name for name in SOURCES), *more):
         digest.update(path.read_bytes())
@@ -19,7 +19,7 @@ def code_version(*more: Path) -> str:
 
 
 def data_hash(recordings: Iterable[Recording]) -> str:
-    """Return the sha256 of all counts (int16, little-endian, in order), to say which data made a model."""
+    """Return the SHA-256 of all counts (int16, little-endian, in order)."""
     digest = hashlib.sha256()
     for recording in recordings:
         digest.update(recording.counts.astype("<i2").tobytes())

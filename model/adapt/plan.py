@@ -1,7 +1,7 @@
-"""Cross-validation folds: who is left out in turn.
+"""Cross-validation folds for a folder of recordings.
 
-With two participants or more, whole participants; with one, recordings. Never are windows of one recording on
-both sides. A recording counts only where the gesture was learnt from another one on the other side.
+With two or more participants, participants are held out; with one, recordings. Windows of a recording are
+never on both sides. A held-out recording is evaluated only if the fold trains on its gesture.
 """
 
 import itertools
@@ -19,7 +19,7 @@ MOST_RECORDING_FOLDS = 4
 
 @dataclass(frozen=True)
 class Fold:
-    """Recordings by number: those trained on, and those left out and evaluated."""
+    """Numbers of the recordings to train on and of those held out and evaluated."""
 
     trained: tuple[int, ...]
     evaluated: tuple[int, ...]
@@ -27,14 +27,14 @@ class Fold:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is left out, and the folds."""
+    """What is held out, and the folds."""
 
     left_out: LeftOut
     folds: tuple[Fold, ...]
 
 
 def plan(recordings: Sequence[Recording]) -> Plan:
-    """Return the folds for a folder's recordings; none where too few are there to leave any out."""
+    """Return the folds; none if there are too few recordings to hold any out."""
     participants = sorted({recording.participant for recording in recordings})
     left_out: LeftOut
     if len(participants) > 1:
@@ -44,7 +44,7 @@ def plan(recordings: Sequence[Recording]) -> Plan:
         ]
     else:
         left_out = "recordings"
-        # Those of a gesture are dealt out one after the other.
+        # Distribute the recordings of each gesture over the folds.
         dealt: defaultdict[str, Iterator[int]] = defaultdict(itertools.count)
         fold_of = [next(dealt[recording.gesture]) % MOST_RECORDING_FOLDS for recording in recordings]
     folds = []
@@ -54,7 +54,7 @@ def plan(recordings: Sequence[Recording]) -> Plan:
         evaluated = tuple(
             i for i, own in enumerate(fold_of) if own == fold and recordings[i].gesture in gestures
         )
-        # Told from nothing else, any gesture would be right.
+        # With one label, accuracy is trivially 100 %.
         if evaluated and len(gestures) > 1:
             folds.append(Fold(trained, evaluated))
     return Plan(left_out if folds else "nothing", tuple(folds))

@@ -1,4 +1,4 @@
-"""How fast a network learns, step by step."""
+"""The learning-rate schedule that all trainings share."""
 
 import math
 
@@ -6,7 +6,7 @@ GRADIENT_LIMIT = 1.0
 
 
 def learning_rate_at(step: int, steps: int, peak: float) -> float:
-    """Return the one-cycle rate: a linear rise over the first tenth, then a cosine to zero (Smith 2018)."""
+    """One-cycle schedule: linear warm-up over the first tenth, then cosine decay to zero (Smith 2018)."""
     rise = max(1, steps // 10)
     if step < rise:
         return peak * (step + 1) / rise

@@ -1,4 +1,4 @@
-"""An adapted network as a file that the daemon loads; what is there already is never written over."""
+"""Writes an adapted network as a model file; an existing file is never overwritten."""
 
 import hashlib
 import os
@@ -39,7 +39,7 @@ def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: b
     check_output(output)
     pretrained = Pretrained.shipped()
     recordings = read_folder(extra, pretrained.labels, keep_all)
-    # On one thread sums are the same on every run, and a head is too small to gain by more.
+    # One thread makes sums reproducible; a head is too small for more.
     with one_torch_thread():
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
     write(pretrained, adapted, output, settings)
@@ -51,18 +51,18 @@ def check_output(output: Path) -> None:
     if output.suffix != SUFFIX:
         raise OutputError(f"{output}: a model's name ends with {SUFFIX}; give one with --output")
     if output.exists():
-        raise OutputError(f"{output}: is there already, and is never written over; give another --output")
+        raise OutputError(f"{output}: exists and is never overwritten; give another --output")
     if not os.access(output.parent, os.W_OK | os.X_OK):
         raise OutputError(f"{output.parent}: nothing can be written there; give another --output")
 
 
 def model_name(output: Path) -> str:
-    """Return what a model is called, after its file: in the characters that `Name` allows."""
+    """Return a model's name: its file's, in the characters that `Name` allows."""
     return re.sub(r"[^A-Za-z0-9_.+-]+", "-", output.stem)[:64]
 
 
 def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
-    """Write the network, with what it is and how good it is, whole or not at all. Raises OutputError."""
+    """Atomically write the model with its metadata and scores; raises OutputError."""
     metadata = ModelMetadata(
         name=model_name(output),
         labels=adapted.labels,
@@ -112,7 +112,7 @@ def _grafted(adapted: Adapted, metadata: ModelMetadata) -> onnx.ModelProto:
 
 
 def by_frames(temperatures: Mapping[int, float]) -> Tensor:
-    """Return a temperature for each number of frames from 1 to the last calibrated length, interpolated."""
+    """Interpolate a temperature for each number of frames from 1 to the last calibrated length."""
     lengths = sorted(temperatures)
     values = [temperatures[length] for length in lengths]
     return torch.from_numpy(np.interp(np.arange(1, lengths[-1] + 1), lengths, values).astype(np.float32))

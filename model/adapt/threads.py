@@ -1,4 +1,4 @@
-"""How many threads PyTorch computes on."""
+"""Limits the threads of PyTorch."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ import torch
 
 @contextmanager
 def one_torch_thread() -> Iterator[None]:
-    """Let PyTorch compute on one thread, as long as this lasts."""
+    """Make PyTorch compute on one thread inside this context."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

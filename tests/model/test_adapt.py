@@ -225,7 +225,7 @@ def test_an_existing_file_is_not_overwritten(adapted_file: Path, capsys: pytest.
     before = adapted_file.read_bytes()
     lab = adapted_file.with_name("lab")
     assert cli.main(["train", "--extra", str(lab), "--output", str(adapted_file)]) == 2
-    assert "is never written over" in capsys.readouterr().err
+    assert "is never overwritten" in capsys.readouterr().err
     assert adapted_file.read_bytes() == before
     assert sorted(path.name for path in adapted_file.parent.iterdir()) == ["lab", "lab.onnx"]
 
