@@ -25,7 +25,7 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.daemon.feel import FeelMeter
-from touchd.daemon.timing import Age
+from touchd.daemon.staleness import Staleness
 from touchd.daemon.tracker.tracker import (
     SETTLED_FRAMES,
     Onset,
@@ -130,18 +130,18 @@ class Pipeline:
         # At the end of a touch its last frame is older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker = TouchTracker(settings.touch, self._no_touch)
+        self._tracker = TouchTracker(settings.touch, self._p_no_touch if NO_TOUCH in model.labels else None)
         self._ring = Ring(_history_frames(settings), first_index)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
         self._touch: Touch | None = None
-        self._age = Age()
+        self._staleness = Staleness()
         self._monitor = monitor or PadMonitor(pad)
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)
         for grid_frame in laid:
-            self._age.update(grid_frame)
+            self._staleness.update(grid_frame)
             self._advance(grid_frame)
         restarted = any(grid_frame.restarted for grid_frame in laid)
         self._report(self._monitor.on_frame(frame, restarted=restarted))
@@ -150,7 +150,7 @@ class Pipeline:
         """Note that the sensor came or went; when it goes, the touch ends and rest is calibrated anew."""
         if state.state == "down":
             self._stop("sensor")
-            self._age.forget()
+            self._staleness.forget()
         self._report(self._monitor.on_sensor(state))
 
     def flush(self) -> None:
@@ -179,10 +179,8 @@ class Pipeline:
             self._feed(self._touch)
             self._answer_what_is_due(self._touch, frame)
 
-    def _no_touch(self, window: NDArray[np.float32]) -> float:
-        """Return the probability that nothing touches the pad in these frames."""
-        if NO_TOUCH not in self._model.labels:
-            return 0.0
+    def _p_no_touch(self, window: NDArray[np.float32]) -> float:
+        """Return the model's probability that nothing touches the pad in these frames."""
         return float(self._model.probabilities(window)[self._model.labels.index(NO_TOUCH)])
 
     def _stop(self, reason: EndReason) -> None:
@@ -299,7 +297,7 @@ class Pipeline:
         """Decide on the model's output. window: its length, and the touch's length at its end."""
         frames, length = window
         last = touch.first_index + length - 1
-        age_s = self._age.of(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
+        age_s = self._staleness.age_s(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
         answer = touch.decision.answer(stage, probabilities, may_tell=age_s <= self._stale_s)
         if stage == "ongoing" and not answer.told:
             return

@@ -32,7 +32,7 @@ from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.daemon.setup.destinations import encoder_for, link_to_robot
 from touchd.daemon.sinks import LinesSink, LogSink
-from touchd.daemon.timing import Age
+from touchd.daemon.staleness import Staleness
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
@@ -390,13 +390,13 @@ def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None
 
 
 def test_a_lasting_delay_is_forgotten_within_fifty_times_its_length() -> None:
-    age = Age()
+    staleness = Staleness()
 
     def played(first_s: float, last_s: float, late_s: float) -> float:
         for pad_s in np.arange(first_s, last_s, 1 / 54):
             frame = GridFrame(0, 1000.0 * pad_s, pad_s + late_s, np.zeros((8, 8), np.float32), False, False)
-            age.update(frame)
-        return age.of(frame, frame.host_s)
+            staleness.update(frame)
+        return staleness.age_s(frame, frame.host_s)
 
     assert played(0.0, 2.0, 0.0) == pytest.approx(0.0, abs=1e-6)
     assert played(2.0, 7.0, 1.0) == pytest.approx(0.9, abs=0.01)

@@ -1,17 +1,18 @@
-"""Uses the pad's clock to tell how old frames are."""
+"""How old frames are, by the pad's clock: an answer about old frames is not told."""
 
 from touchd.drivers.pad.grid import GridFrame
 
-# A frame that arrives later than the one before by more than this, by the pad's clock, was held up.
+# A frame whose lag grows by more than this was held up on its way; a smaller growth is drift of the pad's
+# clock.
 HELD_UP_S = 0.1
-# Share by which a lasting delay is forgiven.
+# A lasting lag is forgiven at 2 % of the time that passes, so within fifty times its length.
 FORGIVEN_SHARE = 0.02
 
 
-class Age:
-    """Age of frames: their delay beyond the current offset between the pad's clock and the host's.
+class Staleness:
+    """Follows the offset between the pad's clock and the host's; a frame's lag beyond it is its age.
 
-    A pad that plays slowly, or whose clock is slightly off, drifts without a jump and is followed.
+    The clock of a pad that plays slowly, or runs slightly off, drifts without a jump and is followed.
     """
 
     def __init__(self) -> None:
@@ -22,7 +23,7 @@ class Age:
 
     def update(self, frame: GridFrame) -> None:
         if frame.sensor_ms < self._sensor_ms:
-            # The pad's clock started anew. Frames that were held up come late, but in order.
+            # The pad's clock restarted: frames that are held up arrive late, but in order.
             self.forget()
         self._sensor_ms = frame.sensor_ms
         lag_s = frame.host_s - frame.sensor_ms / 1000.0
@@ -36,11 +37,11 @@ class Age:
         self._offset_s = min(lag_s, self._offset_s + FORGIVEN_SHARE * min(passed_s, HELD_UP_S))
 
     def forget(self) -> None:
-        """The next frames are another pad's, or its clock restarted."""
+        """Follow another clock: the next frames are another pad's, or its clock restarted."""
         self._offset_s = None
 
-    def of(self, frame: GridFrame, now_s: float) -> float:
-        """Return a frame's age in seconds at a time of the host's."""
+    def age_s(self, frame: GridFrame, now_s: float) -> float:
+        """Return how old a frame is at a time of the host's."""
         if self._offset_s is None:
             return 0.0
         return max(0.0, now_s - self._offset_s - frame.sensor_ms / 1000.0)
