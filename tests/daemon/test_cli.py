@@ -166,7 +166,7 @@ def test_an_internal_error_is_one_line_and_exit_1(
             "scene: {gestures: [pat], actions: [{gestures: [rub], do: [{say: x}]}]}",
             "scene.actions: rub is never told, as scene.gestures leaves it out",
         ),
-        ("words: {tikle: {name: a, phrase: b}}", "words: tikle is nothing that is told; name one of"),
+        ("words: {tikle: {name: a, phrase: b}}", "words.tikle: unknown gesture; known: "),
         ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
         ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),
