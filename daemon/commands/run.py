@@ -37,6 +37,7 @@ class Signals:
     def __init__(self, *, has_terminal: bool) -> None:
         self._has_terminal = has_terminal
         self._is_hung_up = False
+        self._has_said_so = False
         self._must_stop = False
 
     def listen(self) -> None:
@@ -57,14 +58,13 @@ class Signals:
 
     def must_stop(self) -> bool:
         """Return whether the daemon must end; call it from the loop."""
-        if self._is_hung_up:
-            self._is_hung_up = False
+        if self._is_hung_up and not self._has_said_so:
+            self._has_said_so = True
             log.warning("SIGHUP is ignored; to apply new settings, restart: sudo systemctl restart touchd")
         return self._must_stop
 
     def _hang_up(self, *_: object) -> None:
         self._is_hung_up = True
-        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
 def parser() -> argparse.ArgumentParser:
