@@ -12,6 +12,7 @@ from rich.text import Text
 from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
+from touchd.daemon.doctor.hand import can_ask
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.numbers import within
 
@@ -25,7 +26,8 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd doctor",
         description="Checks the pad, the model, the robot and the service, and says what to do. Leave the "
-        "pad alone meanwhile. Exit code 0: nothing to do; 1: something to do; 2: wrong options.",
+        "pad alone until it asks for a hand, which it does in a terminal. Exit code 0: nothing to do; "
+        "1: something to do; 2: wrong options.",
     )
     add_settings(parser)
     parser.add_argument(
@@ -34,7 +36,6 @@ def parser() -> argparse.ArgumentParser:
         default=LISTEN_S,
         help="how long to listen to the pad (%(default)g)",
     )
-    parser.add_argument("--press", action="store_true", help="ask for a press, to check the orientation")
     parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
     return parser
 
@@ -47,7 +48,7 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(width=text_width(), highlight=False, quiet=options.json)
     checks = []
     for check in examine(
-        settings, options.seconds, lambda line: talk.print(line, style="cyan"), options.press
+        settings, options.seconds, lambda line: talk.print(line, style="cyan"), talk if can_ask() else None
     ):
         console.print(_line(check))
         checks.append(check)

@@ -4,48 +4,46 @@ import argparse
 import json
 import shlex
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 from serial.tools.list_ports import comports
 
 from touchd.daemon.config import DEFAULT_PORT, ConfigError, load
-from touchd.daemon.doctor.line import USUAL_BAUDS
-from touchd.daemon.doctor.listening import listen
+from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
+from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot
 from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.numbers import within
-from touchd.drivers.pad.diagnosis import (
-    RECENT_BYTES,
-    as_yaml,
-    caution,
-    diagnose,
-    has_single_bits,
-    is_certain,
-    propose,
-)
 from touchd.drivers.pad.format import PRESETS, PadFormat
-from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port, read_waiting
+from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.settings import RobotError, RobotSettings, read_login
+from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud, listen
+from touchd.drivers.search.search import as_yaml, search
 from touchd.drivers.whole_file import whole_file
 
-# Opening the port restarts an Arduino, whose boot loader takes two seconds.
-FIRST_BYTE_S = 3.0
-LISTEN_S = 1.0
+LISTEN_S = 8.0
 ANSWER_S = 0.5
 
-Found = tuple[str, int, PadFormat]
-"""A port, its baud rate, and the pad there."""
+
+class Found(NamedTuple):
+    """A port, its baud rate, and the pad there; None if something sends that is not understood."""
+
+    port: str
+    baud: int
+    described: PadFormat | None
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd init",
-        description="Looks for a pad on this computer's ports, tries the robot, and writes a configuration.",
+        description="Looks for a pad on this computer's ports, tries the robot, and writes a configuration. "
+        "In a terminal it asks you to press the pad; otherwise somebody has to press it while it listens for "
+        f"{LISTEN_S:g} s. Exit code 0: pad and robot answered; 1: not; 2: wrong options.",
     )
     parser.add_argument("file", nargs="?", type=Path, default=Path("touchd.yaml"), help="(%(default)s)")
     parser.add_argument("--port", help="the pad's port or address, instead of looking for it")
@@ -68,7 +66,10 @@ def main(arguments: Sequence[str]) -> int:
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
     found = _find(console, ports, bauds)
-    port, baud, described = found or (options.port or DEFAULT_PORT, bauds[0], None)
+    if found is not None and found.described is None:
+        console.print("no configuration was written: docs/pads.md says how to describe a pad", style="bold")
+        return 1
+    port, baud, described = found or Found(options.port or DEFAULT_PORT, bauds[0], None)
     robot = _ask_robot(console) if options.robot is None else options.robot
     robot = None if robot in ("", "none") else robot
     described_as = as_yaml(described or PRESETS["fabric-grid"])
@@ -82,8 +83,6 @@ def main(arguments: Sequence[str]) -> int:
     settings = load(options.file)
     later = f"none found; once it can be opened, {own_name()} doctor -c {file} says what to set"
     console.print(f"pad: {described}, at {port}" if described else f"pad: {later}")
-    if described and (check_it := caution(described)):
-        console.print(f"{file}: {check_it}", style="yellow")
     is_well = described is not None
     if robot:
         check = check_robot(settings)
@@ -106,74 +105,68 @@ def _ports() -> list[str]:
 
 
 def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found | None:
-    """Return the first port with a pad. Only where no pad sends by itself are silent ports asked."""
+    """Return the first port with a pad, or else with something that sends; None if nothing does.
+
+    Only where no pad sends by itself are silent ports polled.
+    """
+    unknown: Found | None = None
     silent: list[str] = []
     for port in ports:
-        if found := _listen(console, port, bauds, silent.append):
+        found = _listen(console, port, bauds)
+        if found is None:
+            silent.append(port)
+        elif found.described is not None:
             return found
-    return next(filter(None, (_listen(console, port, bauds) for port in silent)), None)
+        unknown = unknown or found
+    return unknown or next(filter(None, (_poll(port, bauds[0]) for port in silent)), None)
 
 
-def _listen(
-    console: Console, port: str, bauds: Sequence[int], on_silence: Callable[[str], None] | None = None
-) -> Found | None:
-    """Return what was heard at a port, None without a pad.
+def _listen(console: Console, port: str, bauds: Sequence[int]) -> Found | None:
+    """Return what sends at a port; None if nothing does."""
+    tried: list[int] = []
 
-    on_silence: takes the port when it is silent, instead of asking there.
-    """
-    first_byte_s = FIRST_BYTE_S
-    guesses: list[tuple[bool, int, PadFormat]] = []
+    def trying(baud: int) -> None:
+        tried.append(baud)
+        console.print(f"listening to {port}{at_baud(port, baud)} ...")
+
     try:
-        # The last is the slowest, which every adapter can do.
-        with open_port(port, bauds[-1]) as opened:
-            for baud in bauds if "://" not in port else bauds[:1]:
-                console.print(f"listening to {port}{at_baud(port, baud)} ...")
-                try:
-                    opened.baudrate = baud
-                except (OSError, ValueError):
-                    continue
-                opened.reset_input_buffer()
-                data = _heard(opened, first_byte_s)
-                # A pad that is silent at one baud rate is silent at all, but may answer a query.
-                if not data and on_silence is not None:
-                    on_silence(port)
-                    return None
-                described = propose(data) if data else _answering(opened)
-                if described is not None and data and not is_certain(described):
-                    guesses.append((has_single_bits(data), baud, described))
-                elif described is not None:
-                    if data and not parser_of(described).feed(data, 0.0):
-                        console.print(diagnose(data, described)[1], style="yellow")
-                    return port, baud, described
-                first_byte_s = LISTEN_S if data else 0.0
+        with open_port(port, min(bauds)) as opened:
+            baud = likeliest_baud(opened, bauds if "://" not in port else bauds[:1], trying)
+            if baud is None:
+                return None
+            described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried)
+            return Found(port, baud, described)
     except (SensorError, OSError) as error:
         console.print(str(error), style="yellow")
-    if not guesses:
         return None
-    _, baud, described = max(guesses, key=lambda guess: guess[:2])
-    if len(guesses) > 1:
-        others = ", ".join(str(rate) for _, rate, _ in guesses if rate != baud)
-        console.print(f"{baud} baud is a guess; it may be {others} too: --baud sets it", style="yellow")
-    return port, baud, described
 
 
-def _heard(opened: Line, first_byte_s: float) -> bytes:
-    data = b""
-    silent = parser_of(PRESETS["fabric-grid"])
-    until_s = time.monotonic() + first_byte_s
-    while time.monotonic() < until_s and len(data) < RECENT_BYTES:
-        came = read_waiting(opened, silent)
-        until_s = time.monotonic() + LISTEN_S if came and not data else until_s
-        data += came
-    return data
+def _describe(console: Console, opened: Line, where: str, tried: Sequence[int]) -> PadFormat | None:
+    """Return the proven description of what sends, or say what it looks like and what is missing."""
+    if can_ask():
+        finding = find_with_a_hand(console, opened)
+    else:
+        console.print(f"press the pad: listening for {LISTEN_S:g} s ...")
+        finding = search(listen(opened, LISTEN_S))
+    if finding.proposed is None:
+        rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
+        console.print(f"{where}: {finding}{rates}", style="yellow")
+        return None
+    if can_ask():
+        return turned_with_a_hand(console, opened, finding.proposed)
+    return finding.proposed
 
 
-def _answering(opened: Line) -> PadFormat | None:
-    """Return the preset whose query the pad answers, if any."""
-    for described in (preset for preset in PRESETS.values() if preset.poll):
-        heard = listen(opened, parser_of(described), ANSWER_S, start_s=ANSWER_S)
-        if len(heard.frames) > 1 and not heard.damaged:
-            return described
+def _poll(port: str, baud: int) -> Found | None:
+    """Return the pad at a port that answers a preset's query, if any."""
+    try:
+        with open_port(port, baud) as opened:
+            for described in (preset for preset in PRESETS.values() if preset.poll):
+                heard = listen_to_frames(opened, parser_of(described), ANSWER_S, start_s=ANSWER_S)
+                if len(heard.frames) > 1 and not heard.damaged:
+                    return Found(port, baud, described)
+    except (SensorError, OSError):
+        pass
     return None
 
 

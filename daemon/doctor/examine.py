@@ -3,10 +3,12 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
+from rich.console import Console
 
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
+from touchd.daemon.doctor.hand import find_with_a_hand
+from touchd.daemon.doctor.line import check_damage, check_format, check_opening, check_protocol, check_rate
 from touchd.daemon.doctor.listening import listen
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
 from touchd.daemon.doctor.pad import (
@@ -26,19 +28,19 @@ LEAST_FRAMES = 10
 Say = Callable[[str], None]
 
 
-def examine(settings: Settings, seconds: float, say: Say, with_press: bool = False) -> Iterator[Check]:
+def examine(settings: Settings, seconds: float, say: Say, talk: Console | None = None) -> Iterator[Check]:
     """Yield each check as soon as it is made.
 
-    seconds: how long to listen to the pad. say: shows a line to the user. with_press: ask for a press on a
-    corner to find the orientation.
+    seconds: how long to listen to the pad. say: shows a line to the user. talk: a terminal at which somebody
+    can be asked to press the pad, if there is one.
     """
-    yield from _examine_pad(settings, seconds, say, with_press)
+    yield from _examine_pad(settings, seconds, say, talk)
     yield check_model(settings)
     yield check_robot(settings)
     yield check_service()
 
 
-def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool) -> Iterator[Check]:
+def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | None) -> Iterator[Check]:
     sensor = settings.sensor
     check, opened = check_opening(sensor)
     yield check
@@ -48,7 +50,8 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool)
     with opened:
         say(f"Leave the pad alone for {seconds:g} s ...")
         heard = listen(opened, parser_of(sensor.described), seconds)
-        yield check_protocol(heard, sensor, opened)
+        find = (lambda: find_with_a_hand(talk, opened)) if talk else None
+        yield check_protocol(heard, sensor, opened, find)
         if len(heard.frames) < LEAST_FRAMES:
             yield Check("pad", "not checked", "no frames come")
             return
@@ -62,8 +65,9 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, with_press: bool)
         else:
             yield Check("rest", "not checked", "rest and noise cannot be told from a touch")
         yield from check_taxels(heard)
-        if not with_press:
-            yield Check("orientation", "not checked", "touchd doctor --press asks for a corner, and tells")
+        yield from check_format(heard.chunks, sensor)
+        if talk is None:
+            yield Check("orientation", "not checked", "in a terminal touchd doctor asks for a corner")
             return
         rest = np.median(heard.counts(), axis=0)
         say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")

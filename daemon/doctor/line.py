@@ -1,6 +1,7 @@
 """Checks of the pad's line: port, protocol, damage and frame rate."""
 
 import os
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from serial.tools.list_ports import comports
@@ -10,14 +11,15 @@ from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Heard, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.pad.diagnosis import as_yaml, caution, diagnose, is_certain, propose
+from touchd.drivers.pad.arrived import RECENT_BYTES, is_text, why_no_frame
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.monitor import MANY_SHARE
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search.listen import USUAL_BAUDS
+from touchd.drivers.search.search import Chunk, Finding, as_yaml, search
 
-# Usual baud rates, the lab's Mega and Teensy builds first.
-USUAL_BAUDS = (512_000, 115_200, 1_000_000, 500_000, 250_000, 57_600, 9_600)
 TRY_BAUD_S = 0.5
 # The ring lays any rate from the first on at the model's 54 Hz; between the others answers are best.
 SLOWEST_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
@@ -33,12 +35,8 @@ ADVICE_FOR_PORT = {
     "unusable": "name the pad's port in sensor.port or with --port",
 }
 ADVICE_FOR_BYTES = {
-    "format": "set sensor.format to what it looks like",
-    "text": "flash the program that sends frames, or set sensor.port: this may be another board",
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
-    "damage": "try a shorter cable, another USB port, no hub; if firm presses do it, full_scale or checksum",
-    "noise": "is it the pad's port? set sensor.baud to its firmware's: 512000 on a Mega, 115200 on a Teensy; "
-    "touchd init tries all rates with any format",
+    "damage": "try a shorter cable, another USB port, no hub",
 }
 
 
@@ -60,14 +58,20 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
     return Check("port", "ok", f"{sensor.port}{device}, found and permitted"), opened
 
 
-def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
-    """Report whether frames were decoded; if not, try other baud rates and diagnose the bytes."""
-    expected = str(sensor.described)
+def check_protocol(
+    heard: Heard, sensor: SensorSettings, opened: Line, find: Callable[[], Finding] | None = None
+) -> Check:
+    """Report whether frames were decoded; if not, try other baud rates, then search for another format.
+
+    find: asks for a hand on the pad; without it, what was heard is searched.
+    """
+    described = sensor.described
     if heard.frames:
-        return Check("protocol", "ok", f"{expected}{at_baud(sensor.port, sensor.baud)}, as configured")
+        return Check("protocol", "ok", f"{described}{at_baud(sensor.port, sensor.baud)}, as configured")
     if heard.broke_off:
         return Check("protocol", "to do", heard.broke_off, "try another cable")
-    if not heard.recent:
+    data = b"".join(chunk.data for chunk in heard.chunks)
+    if not data:
         return Check(
             "protocol",
             "to do",
@@ -75,22 +79,44 @@ def check_protocol(heard: Heard, sensor: SensorSettings, opened: Line) -> Check:
             "is it the pad's port? press the reset button of its board; flash its firmware; a pad that only "
             "answers needs sensor.format with a poll",
         )
-    kind, looks = diagnose(heard.recent, sensor.described)
-    proposed = propose(heard.recent) if kind == "format" else None
-    may_be_the_rate = not is_certain(proposed) if proposed else kind == "noise"
-    if may_be_the_rate and (baud := _other_baud(sensor, opened)):
-        return Check("protocol", "to do", f"{expected}, but at {baud} baud", f"set sensor.baud: {baud}")
-    advice = ADVICE_FOR_BYTES[kind]
-    if proposed is not None:
-        # What the bytes cannot show, how the pad lies, is the user's.
-        wrong = [
-            name
-            for name in ("rows", "columns", "crop", "invert")
-            if getattr(sensor, name) not in (None, getattr(proposed, name))
-        ]
-        parts = [f"set under sensor: {as_yaml(proposed)}", wrong and f"delete {', '.join(wrong)} there"]
-        advice = "; ".join(part for part in (*parts, caution(proposed)) if part)
-    return Check("protocol", "to do", looks, advice)
+    kind, looks = why_no_frame(data[-RECENT_BYTES:], described)
+    if kind != "format":
+        return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
+    if not is_text(data) and (baud := _other_baud(sensor, opened)):
+        return Check("protocol", "to do", f"{described}, but at {baud} baud", f"set sensor.baud: {baud}")
+    finding = find() if find else search(heard.chunks)
+    if finding.proposed is not None:
+        return Check("protocol", "to do", looks, _advice_to_set(finding.proposed, sensor))
+    tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {_listed(USUAL_BAUDS)}"
+    return Check("protocol", "to do", f"no frame of {described} in {finding.saw}", f"{finding.advice}{tried}")
+
+
+def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Check]:
+    """Report what `init` would propose for a pad that is read, if that is another pad."""
+    proposed, described = search(chunks).proposed, sensor.described
+    if proposed is not None and _grid(proposed) != _grid(described):
+        found = f"what comes looks like {as_yaml(proposed)}, not like {described}"
+        yield Check("format", "warning", found, _advice_to_set(proposed, sensor))
+
+
+def _grid(described: PadFormat) -> tuple[object, ...]:
+    cell = (described.cell, described.order) if described.framing == "binary" else ()
+    return (described.framing, described.rows, described.columns, described.invert, *cell)
+
+
+def _advice_to_set(proposed: PadFormat, sensor: SensorSettings) -> str:
+    # What the bytes cannot show, how the pad lies, is the user's.
+    wrong = [
+        name
+        for name in ("rows", "columns", "crop", "invert")
+        if getattr(sensor, name) not in (None, getattr(proposed, name))
+    ]
+    delete = f"; delete {', '.join(wrong)} there" if wrong else ""
+    return f"set under sensor: {as_yaml(proposed)}{delete}"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, sorted(numbers)))
 
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:

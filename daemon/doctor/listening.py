@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
-from touchd.drivers.pad.diagnosis import RECENT_BYTES
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, read_waiting
+from touchd.drivers.search.search import MOST_BYTES, Chunk
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
@@ -22,14 +22,14 @@ LONGEST_STEP_MS = 1000
 class Heard:
     """What was received.
 
-    frames: in order. damaged: frames refused as damaged after the first intact one. recent: the last
-    bytes that gave no frame. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went
-    away, "" if it did not.
+    frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
+    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went away,
+    "" if it did not.
     """
 
     frames: tuple[Frame, ...]
     damaged: int
-    recent: bytes
+    chunks: tuple[Chunk, ...]
     ended_s: float
     broke_off: str
 
@@ -51,7 +51,8 @@ def listen(
     Takes at most start_s + seconds.
     """
     frames: list[Frame] = []
-    recent, broke_off = b"", ""
+    chunks: list[Chunk] = []
+    size, broke_off = 0, ""
     damaged_before, passed_ms = 0, 0
     now_s = time.monotonic()
     until_s = now_s + start_s
@@ -64,7 +65,10 @@ def listen(
             break
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
-        recent = b"" if arrived else (recent + data)[-RECENT_BYTES:]
+        chunks += [Chunk(data, now_s)] if data else []
+        size += len(data)
+        while size > MOST_BYTES:
+            size -= len(chunks.pop(0).data)
         if arrived and not frames:
             until_s = now_s + seconds
             damaged_before = parser.counts.bad
@@ -75,4 +79,4 @@ def listen(
             frames.append(frame)
             is_enough |= enough(frame)
     damaged = parser.counts.bad - damaged_before if frames else 0
-    return Heard(tuple(frames), damaged, recent, now_s, broke_off)
+    return Heard(tuple(frames), damaged, tuple(chunks), now_s, broke_off)

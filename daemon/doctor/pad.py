@@ -107,7 +107,7 @@ def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
     if heard.broke_off:
         return Check("orientation", "to do", heard.broke_off, "try another cable")
     if not heard.frames or not is_pressed(heard.frames[-1], rest):
-        return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor --press again")
+        return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor again")
     pressure = heard.frames[-1].pressure - rest
     row, column = np.unravel_index(int(pressure.argmax()), pressure.shape)
     found = f"the top left corner is felt at row {row + 1} column {column + 1}"

@@ -167,7 +167,7 @@ class Sensor:
             why = f"frames of {described} come with every byte FF doubled, as telnet does; set its raw mode"
             self._report_down("telnet", f"{self.where}: {why}")
         else:
-            why = f"bytes come but no frame of {described}; touchd doctor says what they look like"
+            why = f"no frame of {described} in {looks_like(recent)}; touchd doctor says what to set"
             self._report_down("no frames", f"{self.where}: {why}")
 
     def _report_down(self, cause: str, reason: str) -> None:

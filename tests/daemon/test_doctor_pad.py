@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs.doctor_rig import SETTINGS, heard, pad_of, resting, the
+from rigs.doctor_rig import SETTINGS, heard, pad_of, resting
 
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.doctor.examine import examine
+from touchd.daemon.doctor.listening import listen
 from touchd.daemon.doctor.pad import (
     check_noise,
     check_orientation,
@@ -17,6 +16,8 @@ from touchd.daemon.doctor.pad import (
     is_pressed,
 )
 from touchd.drivers.fakes.hand import simulate
+from touchd.drivers.pad.port import open_port
+from touchd.drivers.pad.protocol import parser_of
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
@@ -91,12 +92,11 @@ def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdic
 def test_not_pressing_the_corner_is_no_fault() -> None:
     counts = resting(20.0)
     counts[100:, 0, 0] += 300
-    asked: list[str] = []
-    with pad_of(counts, speed=4.0) as port:
-        settings = Settings(sensor=SensorSettings(port=port.path))
-        check = the("orientation", examine(settings, 1.2, asked.append, with_press=True))
-    assert check.verdict == "ok"
-    assert "top left corner" in asked[1]
+    with pad_of(counts, speed=4.0) as port, open_port(port.path, 512_000) as opened:
+        parser = parser_of(SETTINGS.sensor.described)
+        rest = np.median(counts[:100], axis=0)
+        found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
+    assert check_orientation(found, rest).verdict == "ok"
     untouched = heard(resting(1.0))
     rest = np.median(untouched.counts(), axis=0)
     assert check_orientation(untouched, rest).verdict == "not checked"

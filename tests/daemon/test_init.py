@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.doctor_rig import pad_at_baud, pad_read_too_fast
+from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.programs import TOUCHD, Program
 from rigs.robots import Robot
@@ -25,6 +25,7 @@ from touchd.daemon.events import SensorEvent, decode
 from touchd.daemon.setup.destinations import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.recording import Stream, ideal_clock_ms
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
@@ -48,52 +49,37 @@ class Found:
         self.device = device
 
 
-def test_the_pads_port_and_slow_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    pad = pad_at_baud(STREAM.counts, termios.B57600)
+def test_the_pads_port_is_found_among_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
-    monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
-    with pad:
+    with FakePort(STREAM, ENCODE, loop=True) as pad:
+        monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
         assert write() == 0
     settings = load(FILE)
     assert settings.sensor.described == SensorSettings().described
-    assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 57_600)
+    assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 115_200)
     with pytest.raises(ConfigError, match="is there already"):
         write()
 
 
-def test_an_unknown_pad_is_found_at_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    own = PadFormat(header="aa55", rows=8, columns=8, cell="u8", full_scale=255)
+def test_a_pad_is_found_at_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
-    rest = np.random.default_rng(0).integers(0, 24, (4000, 8, 8)).astype(np.uint16)
-    with pad_read_too_fast(rest, termios.B57600, own) as pad:
+    pad = pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0)
+    with pad:
         assert write("--port", pad.path) == 0
-    sensor = load(FILE).sensor
-    assert (sensor.baud, str(sensor.described)) == (57_600, str(own))
+    assert load(FILE).sensor.baud == 57_600
 
 
-def test_silent_devices_are_sent_nothing_where_a_pad_sends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(init, "FIRST_BYTE_S", 0.3)
-    monkeypatch.setattr(init, "DEFAULT_PORT", "none")
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    os.set_blocking(master, False)
-    with FakePort(STREAM, ENCODE, loop=True) as pad:
-        monkeypatch.setattr(init, "comports", lambda: [Found(os.ttyname(slave)), Found(pad.path)])
-        monkeypatch.setattr(init, "sorted", list, raising=False)
-        assert write() == 0
-    with pytest.raises(BlockingIOError):
-        os.read(master, 64)
-    os.close(slave)
-    os.close(master)
-    assert load(FILE).sensor.port == pad.path
-
-
-def test_a_standing_clock_is_told_and_no_pad_invented(capsys: pytest.CaptureFixture[str]) -> None:
-    with FakePort(STREAM, lambda counts, _: ENCODE(counts, 7), loop=True) as port:
-        write("--port", port.path, "--baud", "115200")
-    assert "frames of fabric-grid 10x10 arrive, but their clock stands still" in capsys.readouterr().err
-    assert load(FILE).sensor.described == PRESETS["fabric-grid"]
+def test_what_nobody_presses_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
+    printed = PadFormat(framing="text", rows=8, columns=8)
+    still = Stream(rest, ideal_clock_ms(len(rest)), ())
+    with FakePort(still, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
+        assert write("--port", pad.path) == 1
+    said = capsys.readouterr().err
+    assert "bytes/s of text, such as" in said
+    assert "press it while I listen" in said
+    assert not FILE.exists()
 
 
 def test_no_address_can_break_the_file() -> None:
@@ -121,8 +107,7 @@ def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     assert os.listdir() == []
 
 
-def test_a_pad_that_only_answers_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(init, "FIRST_BYTE_S", 0.3)
+def test_a_pad_that_only_answers_is_found() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
     described = PRESETS["fsr-array"]
@@ -141,11 +126,21 @@ def test_the_file_is_written_even_without_a_pad() -> None:
     assert load(FILE).sensor.described == SensorSettings().described
 
 
+def with_a_hand(terminal: Terminal) -> None:
+    """Answer what init asks of the hand, which the recording moves."""
+    terminal.until("Leave the pad alone")
+    terminal.until("Press firmly in the middle")
+    terminal.until("Touch the corner that should be top left")
+    terminal.until("Does the picture follow it? [Y/n]")
+    terminal.answer("y")
+
+
 def test_the_end_of_input_means_no_robot() -> None:
     with (
         FakePort(STREAM, ENCODE, loop=True) as port,
         Terminal("init", "--port", port.path, "--baud", "115200") as terminal,
     ):
+        with_a_hand(terminal)
         terminal.until("(Enter: no robot): ")
         terminal.answer("\x04", " doctor -c")
     assert load(FILE).robot is None
@@ -156,6 +151,7 @@ def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
+            with_a_hand(terminal)
             terminal.until("The robot's address")
             terminal.answer("nao.local", "is not an address such as tcp://nao.local:9559")
             terminal.until("The robot's address")

@@ -39,7 +39,11 @@ def pad_of(counts: Counts, encode: Encode = encode_fabric_grid, **options: Any) 
 
 
 def pad_at_baud(
-    counts: Counts, speed: int, encode_right: Encode = encode_fabric_grid, encode_wrong: Encode = noise
+    counts: Counts,
+    speed: int,
+    encode_right: Encode = encode_fabric_grid,
+    encode_wrong: Encode = noise,
+    pace: float = 4.0,
 ) -> FakePort:
     """A pad that sends noise unless its line has this speed of termios."""
 
@@ -49,17 +53,17 @@ def pad_at_baud(
         os.close(line)
         return (encode_right if is_right else encode_wrong)(counts, sensor_ms)
 
-    port = pad_of(counts, encode, speed=4.0, loop=True)
+    port = pad_of(counts, encode, speed=pace, loop=True)
     return port
 
 
-def pad_read_too_fast(counts: Counts, speed: int, described: PadFormat) -> FakePort:
+def pad_read_too_fast(counts: Counts, speed: int, described: PadFormat, pace: float = 4.0) -> FakePort:
     """A pad whose bytes are read at twice its baud rate unless its line has this speed of termios."""
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:
         return encode_frame(described, counts, sensor_ms)
 
-    return pad_at_baud(counts, speed, encode, lambda *sent: read_too_fast(encode(*sent), 2))
+    return pad_at_baud(counts, speed, encode, lambda *sent: read_too_fast(encode(*sent), 2), pace)
 
 
 def heard(

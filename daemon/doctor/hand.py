@@ -1,0 +1,112 @@
+"""Asks the person at the terminal for a hand on the pad, and shows the pad while it presses."""
+
+import select
+import sys
+import time
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.live import Live
+
+from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
+from touchd.daemon.terminal.palette import palette_for
+from touchd.drivers.frame import COLUMNS, ROWS, Counts
+from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.port import Line, read_waiting
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search.listen import listen
+from touchd.drivers.search.search import Finding, search
+
+REST_S = 2.0
+PRESS_S = 40.0
+LOOK_EVERY_S = 3.0
+CORNER_S = 20.0
+PRESSED_COUNTS = 40
+PICTURE_SCALE = 2
+SHOW_EVERY_S = 0.08
+
+# The corner at which a touch of the top left one is found, (is below, is to the right), and the two ways to
+# bring it there: a turn, and a turn with a mirror.
+TURNS = {
+    (False, False): ((0, False), (90, True)),
+    (False, True): ((270, False), (0, True)),
+    (True, True): ((180, False), (270, True)),
+    (True, False): ((90, False), (180, True)),
+}
+
+
+def can_ask() -> bool:
+    """Whether somebody sits at a terminal."""
+    return sys.stdin.isatty()
+
+
+def find_with_a_hand(console: Console, opened: Line) -> Finding:
+    """Ask for rest and for presses until the pad's description is proven, or for PRESS_S."""
+    console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
+    chunks = listen(opened, REST_S)
+    console.print(
+        "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
+    )
+    until_s = time.monotonic() + PRESS_S
+    finding = search(chunks)
+    while finding.proposed is None and time.monotonic() < until_s:
+        chunks += listen(opened, LOOK_EVERY_S)
+        finding = search(chunks)
+    return finding
+
+
+def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> PadFormat:
+    """Ask for the top left corner and whether the picture follows; return the description turned so."""
+    console.print("Touch the corner that should be top left, and hold it ...", style="cyan")
+    corner = _touched_corner(opened, described)
+    if corner is None:
+        console.print("no corner was touched: sensor.turn and sensor.mirror are not set", style="yellow")
+        return described
+    choices = [replace(described, turn=turn, mirror=mirror) for turn, mirror in TURNS[corner]]
+    for choice in choices:
+        if _follows(console, opened, choice):
+            return choice
+    console.print("neither fits: set sensor.turn and sensor.mirror in the file", style="yellow")
+    return described
+
+
+def _touched_corner(opened: Line, described: PadFormat) -> tuple[bool, bool] | None:
+    """Return in which corner of the pad, as it is described, a hand presses (is below, is to the right)."""
+    parser = parser_of(described)
+    rest: list[Counts] = []
+    held = 0
+    until_s = time.monotonic() + CORNER_S
+    while time.monotonic() < until_s:
+        for frame in parser.feed(read_waiting(opened, parser), time.monotonic()):
+            rest = [*rest[-500:], frame.pressure]
+            above = frame.pressure - np.percentile(np.array(rest), 20, axis=0)
+            held = held + 1 if len(rest) > 10 and above.max() > PRESSED_COUNTS else 0
+            if held > 10:
+                return _corner_of(above)
+    return None
+
+
+def _corner_of(above: NDArray[np.float64]) -> tuple[bool, bool]:
+    row, column = np.unravel_index(int(above.argmax()), above.shape)
+    return bool(row >= ROWS // 2), bool(column >= COLUMNS // 2)
+
+
+def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
+    """Show the pad until the question is answered."""
+    parser = parser_of(described)
+    palette = palette_for(console)
+    rest: NDArray[np.float64] | None = None
+    shown_s = 0.0
+    console.print("Move your hand on the pad. Does the picture follow it? [Y/n] ", style="cyan")
+    with Live(console=console, auto_refresh=False, transient=True) as live:
+        while not select.select([sys.stdin], [], [], 0)[0]:
+            for frame in parser.feed(read_waiting(opened, parser), time.monotonic()):
+                now = frame.pressure.astype(np.float64)
+                rest = now if rest is None else np.minimum(rest + 0.05, now)
+                if time.monotonic() - shown_s > SHOW_EVERY_S:
+                    shown_s = time.monotonic()
+                    levels = level_of(now - rest)
+                    live.update(as_text(pad_picture(levels, PICTURE_SCALE, palette)), refresh=True)
+    return not sys.stdin.readline().strip().lower().startswith("n")

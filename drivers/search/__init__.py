@@ -1,0 +1,1 @@
+"""From unknown bytes to the description of a pad, with a proof; used by `init` and `doctor`."""

@@ -1,0 +1,286 @@
+"""What grids the bytes of binary frames may form.
+
+Frames of one length have at least one byte that never changes, at one distance: the header. Where the cells
+begin, what they are and which grid they form is what neighbours that move together say.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from touchd.drivers.pad.binary import BinaryFrames
+from touchd.drivers.pad.format import CELL_BITS, CELL_TOP, PLAIN_CELLS, U12_BITS, PadFormat
+from touchd.drivers.search.coupling import Movement, Numbers, sides
+from touchd.drivers.search.text import LEAST_FRAMES, Guess
+
+Bytes = NDArray[np.uint8]
+Order = Literal["little", "big"]
+
+LONGEST_FRAME = 17_000
+LEAST_CELLS = 16
+# Bytes of a frame beside its cells.
+MOST_AROUND = 32
+LONGEST_HEADER = 8
+GRAMS = (1, 2, 3, 4)
+# Share of the bytes that lie between two equal grams at one distance, for it to be a frame's length.
+COVERED = 0.6
+MOST_ANCHORS = 3
+MOST_LENGTHS = 64
+STEADY_SHARE = 0.985
+# Bytes that are looked at to find the length.
+LENGTH_BYTES = 400_000
+# A header may be met among the cells in as many frames, but not in every one of them.
+STRAY = 1.5
+CHECKSUMS = ("values", "sum8", "xor8")
+ORDERS: tuple[Order, ...] = ("little", "big")
+CLOCK_TOLERANCE = 0.1
+# Without this share of a number's own movement shared with the next, nothing is a grid.
+LEAST_LAG = 0.05
+KINDS: tuple[tuple[str, Order], ...] = (
+    ("u8", "little"),
+    *((kind, order) for kind in ("u16", "i16", "u12", "f32") for order in ORDERS),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Frames of one length, (frames, bytes), from any byte on.
+
+    steady: which bytes never change. marks: which of those tell frames apart, as such bytes are hardly met
+    elsewhere.
+    """
+
+    data: Bytes
+    steady: NDArray[np.bool_]
+    marks: NDArray[np.bool_]
+    counts: dict[bytes, int] = field(default_factory=dict)
+
+    @cached_property
+    def _bytes(self) -> bytes:
+        return self.data.tobytes()
+
+    def tells(self, header: bytes) -> bool:
+        """Whether these bytes come once a frame and hardly ever else."""
+        if header not in self.counts:
+            self.counts[header] = self._bytes.count(header)
+        return self.counts[header] <= STRAY * len(self.data)
+
+    @property
+    def length(self) -> int:
+        return int(self.data.shape[1])
+
+
+def guesses(data: bytes) -> Iterator[Guess]:
+    """Yield the grids that binary frames may form."""
+    for length in _lengths(data):
+        frames = _frames_of(data, length)
+        if frames is not None:
+            found = False
+            for guess in _of_length(frames):
+                found = True
+                yield guess
+            if found:
+                return
+
+
+def has_frames(data: bytes) -> bool:
+    """Whether bytes of one place in frames of one length never change, and mark them."""
+    return any(_frames_of(data, length) is not None for length in _lengths(data))
+
+
+def _lengths(data: bytes) -> list[int]:
+    """Return likely lengths of a frame: distances at which the same bytes come again and again."""
+    part = np.frombuffer(data[-LENGTH_BYTES:], np.uint8).astype(np.uint32)
+    found: dict[int, float] = {}
+    for size in GRAMS:
+        if len(part) < 4 * size:
+            break
+        codes = sum(part[at : len(part) - size + 1 + at] << np.uint32(8 * at) for at in range(size))
+        places = np.argsort(codes, kind="stable")
+        again = codes[places][1:] == codes[places][:-1]
+        distances = np.diff(places)[again]
+        counts = np.bincount(distances[distances <= LONGEST_FRAME], minlength=1)
+        for length in np.flatnonzero(
+            counts[LEAST_CELLS:] * np.arange(LEAST_CELLS, len(counts)) > COVERED * len(part)
+        ):
+            at = int(length) + LEAST_CELLS
+            found[at] = max(found.get(at, 0.0), counts[at] * at / len(part))
+    # A multiple of a frame's length comes after it.
+    return sorted(sorted(found, key=lambda length: -found[length])[:MOST_LENGTHS])
+
+
+def _frames_of(data: bytes, length: int) -> Frames | None:
+    """Return the frames of a length, if a byte of each never changes; the first bytes may be anything."""
+    for skipped in (0.0, 0.25, 0.5):
+        first = int(skipped * len(data))
+        count = (len(data) - first) // length
+        if count < LEAST_FRAMES:
+            return None
+        first = len(data) - count * length
+        table = np.frombuffer(data[first:], np.uint8).reshape(count, length)
+        usual = table[count // 2]
+        steady = (table == usual).mean(axis=0) >= STEADY_SHARE
+        marks = _marks(data[first:], usual, steady, count)
+        if marks.any():
+            return Frames(table, steady, marks)
+    return None
+
+
+def _marks(data: bytes, usual: Bytes, steady: NDArray[np.bool_], frames: int) -> NDArray[np.bool_]:
+    """Return which steady bytes, alone or with their neighbours, come once a frame and hardly ever else."""
+    marks = np.zeros(len(usual), np.bool_)
+    around, length = np.append(usual, usual), len(usual)
+    counts: dict[bytes, int] = {}
+    for size in GRAMS:
+        for at in np.flatnonzero(steady):
+            places = np.arange(at, at + size) % length
+            if not steady[places].all() or marks[places].all():
+                continue
+            gram = around[at : at + size].tobytes()
+            if gram not in counts:
+                counts[gram] = data.count(gram)
+            marks[places] |= counts[gram] <= STRAY * frames
+    return marks
+
+
+def _of_length(frames: Frames) -> Iterator[Guess]:
+    for anchor, run in _runs(frames.marks)[:MOST_ANCHORS]:
+        # The cells may begin in what is steady, and end in it.
+        more = min(run, MOST_AROUND)
+        begun = np.hstack([frames.data[:-1, anchor:], frames.data[1:, :anchor]])
+        table = np.hstack([begun[:-1], begun[1:, :more]])
+        for kind, order in KINDS:
+            bits = CELL_BITS[kind]
+            for offset in range({8: 1, 12: 3, 16: 2, 32: 4}[bits]):
+                numbers = _decoded(table[:, offset:], kind, order)
+                if numbers is not None:
+                    yield from _of_kind(frames, numbers, (kind, order), (anchor, run, offset))
+
+
+def _of_kind(
+    frames: Frames, numbers: Numbers, kind: tuple[str, Order], place: tuple[int, int, int]
+) -> Iterator[Guess]:
+    """Yield the grids of one kind of cell. place: where the table and its numbers begin in a frame."""
+    anchor, run, offset = place
+    movement = Movement(numbers)
+    if not movement.is_pressed or movement.lag(1) < LEAST_LAG:
+        return
+    bits, length = CELL_BITS[kind[0]], frames.length
+    fields: dict[str, Any] = {"cell": kind[0], "order": kind[1] if bits > 8 else "little"}
+    for around in range(1, min(MOST_AROUND, length - 1) + 1):
+        # An odd number of packed cells ends with half a byte.
+        if (length - around) * 8 % bits not in ((0, 4) if bits == 12 else (0,)):
+            continue
+        cells = (length - around) * 8 // bits
+        for rows, columns in sides(cells):
+            for start in range(offset, around + run, -(-bits // 8) if bits != 12 else 3):
+                at = (start - offset) * 8 // bits
+                if at + cells > numbers.shape[1] or movement.counters[at : at + cells].any():
+                    continue
+                if kind[0] == "i16" and numbers[:, at : at + cells].min() >= 0:
+                    continue
+                fold = movement.fold(at, rows, columns)
+                if fold.score < LEAST_LAG:
+                    continue
+                begin = (anchor + start) % length
+                described = _described(frames, begin, around, fields | {"rows": rows, "columns": columns})
+                if described is not None:
+                    yield Guess(described, numbers[:, at : at + cells], fold, movement.misfits(at, cells))
+
+
+def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first byte and the length of each run of marks, the longest first; a frame has no end."""
+    if marks.all():
+        return [(0, len(marks))]
+    turn = int(np.argmin(marks))
+    rolled = np.concatenate([[False], np.roll(marks, -turn), [False]]).astype(np.int8)
+    edges = np.diff(rolled)
+    starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    runs = [((int(one) + turn) % len(marks), int(two - one)) for one, two in zip(starts, stops, strict=True)]
+    return sorted(runs, key=lambda run: -run[1])
+
+
+def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
+    """Return (frames, numbers) as one kind of cell; None where they can hardly be such."""
+    bits = CELL_BITS[kind]
+    width = table.shape[1] * 8 // bits
+    if kind == "u12":
+        used = table[:, : -(-width * 12 // 8)]
+        loose = np.unpackbits(used, axis=1, bitorder=order)[:, : width * 12]
+        placed = loose.reshape(len(table), width, 12).astype(np.uint16) << U12_BITS[order]
+        packed: Numbers = placed.sum(axis=2, dtype=np.uint16).astype(np.float64)
+        return packed
+    used = np.ascontiguousarray(table[:, : width * bits // 8])
+    sent = used.view(PLAIN_CELLS[kind, order])
+    if kind == "f32":
+        plausible = np.isfinite(sent) & (np.abs(sent) < 1e9) & ((sent == 0) | (np.abs(sent) > 1e-9))
+        return np.where(plausible, sent, 0).astype(np.float64) if plausible.mean() > 0.5 else None
+    if kind == "i16" and not (sent < 0).any():
+        return None
+    if bits == 16 and not _lower_is_busier(used.view(PLAIN_CELLS["u16", order])):
+        return None
+    return sent.astype(np.float64)
+
+
+def _lower_is_busier(sent: NDArray[Any]) -> bool:
+    """Whether the lower byte changes more often than the upper one; in the other order it is the reverse."""
+    changed = sent[1:] ^ sent[:-1]
+    return bool(np.count_nonzero(changed & 0xFF) >= np.count_nonzero(changed >> 8))
+
+
+def _described(frames: Frames, start: int, around: int, fields: dict[str, Any]) -> PadFormat | None:
+    """Return the description of cells that begin at a byte of the table, with what surrounds them."""
+    length = frames.length
+    stop = start + length - around
+    places = np.arange(stop, stop + around) % length
+    steady = frames.steady[places]
+    marks = frames.marks[places]
+    first = int(np.argmax(marks))
+    size = int(np.argmin(np.append(steady[first:], False)))
+    header = np.median(frames.data[:, places[first : first + size]], axis=0).astype(np.uint8).tobytes()
+    if first + size < around:
+        # Zeros before bytes that count are the upper bytes of a counter.
+        header = header.rstrip(b"\0") or header[:1]
+    header = header[:LONGEST_HEADER]
+    if not frames.tells(header):
+        return None
+    skip, tail = around - first - len(header), first
+    top = CELL_TOP.get(fields["cell"], 1)
+    return PadFormat(header=header.hex(), skip=skip, tail=tail, full_scale=top, **fields)
+
+
+def complete(described: PadFormat, data: bytes, times_s: Numbers) -> PadFormat:
+    """Return a description with the clock and the checksum that are among the bytes it skips."""
+    reader = BinaryFrames(described)
+    size, header = described.frame_bytes, described.first_bytes
+    starts, at = [], data.find(header)
+    while at >= 0 and at + size <= len(data):
+        if data[at + size : at + size + len(header)] == header:
+            starts.append(at)
+            at = data.find(header, at + size)
+        else:
+            at = data.find(header, at + 1)
+    if len(starts) < LEAST_FRAMES:
+        return described
+    windows = [data[at : at + size] for at in starts]
+    if described.skip >= 4:
+        counts = np.array([reader.time_in(window) for window in windows], dtype=np.int64)
+        passed_s = float(times_s[starts[-1]] - times_s[starts[0]])
+        steps = np.diff(counts) % 2**32
+        is_ms = abs(int(steps.sum()) / max(1000 * passed_s, 1e-9) - 1) < CLOCK_TOLERANCE
+        if is_ms and (steps > 0).mean() > STEADY_SHARE:
+            described = replace(described, clock=True, skip=described.skip - 4)
+    if described.tail == 1 and described.cell != "f32":
+        for checksum in CHECKSUMS:
+            summed = replace(described, tail=0, checksum=checksum)
+            checks = BinaryFrames(summed)
+            right = [checks.damage_in(window) is None for window in windows]
+            varied = len({window[-1] for window in windows}) > 2
+            if varied and np.mean(right) > STEADY_SHARE:
+                return summed
+    return described

@@ -1,0 +1,250 @@
+"""How numbers move together: which grid they form, and whether a hand moves them.
+
+A hand presses cells that lie beside each other. So, while it presses, the right grid is the one in which
+neighbours move together most, and it is a pad only if they do so far more than the same cells shuffled.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE
+
+Numbers = NDArray[np.float64]
+
+# Frames that are compared; more bring nothing but time.
+MOST_FRAMES = 360
+# Stretches of the time in which something moves; a difference between two grids has to show in most of them.
+STRETCHES = 12
+# A better grid gains in nearly all of them, and at least what so few pairs of cells bring.
+MOSTLY_WON = 8.0
+PAIRS_WON = 1.5
+SHUFFLES = 100
+# Standard deviations by which neighbours must exceed shuffled cells, in total and along each side.
+SURE_Z, SURE_Z_A_SIDE = 6.0, 3.5
+# Within as many, a movement is noise; noise drifts along the wires, too.
+QUIET_NOISES = 4.0
+# The 30th percentile of a normal distribution's deviations: half a pad's time may be pressed.
+NORMAL_30 = 0.385
+# Below, the movement is the pad's noise.
+PRESSED_NOISES = 8.0
+# A cell is hardly so much noisier than most.
+WILD_NOISES = 20.0
+# The middle is a seam if cells move together across it by less than this share of the usual, and both its
+# rows move by this share of the mean.
+SEAM_SHARE, BUSY_SHARE = 0.3, 0.25
+# A hand has to reach this share of the cells, and half of the rows and columns.
+REACHED = 0.3
+# A later frame that resembles a frame by so much more than the next one does: frames of two kinds by turns.
+TURNS_SHARE = 0.8
+MOST_TURNS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Fold:
+    """A grid laid over numbers from `start` on. by_stretch: how much its neighbours move together."""
+
+    start: int
+    rows: int
+    columns: int
+    by_stretch: Numbers
+
+    @property
+    def score(self) -> float:
+        return float(self.by_stretch.mean())
+
+    @property
+    def cells(self) -> int:
+        return self.rows * self.columns
+
+    def beats(self, other: "Fold") -> bool:
+        """Whether this grid explains the movement better than another one of the same frames, surely."""
+        gain = self.by_stretch - other.by_stretch
+        lost = -float(np.minimum(gain, 0).sum())
+        won = float(np.maximum(gain, 0).sum())
+        least = len(gain) * abs(self.score) * PAIRS_WON / self.cells
+        return won - lost > least and won > MOSTLY_WON * lost
+
+
+def sides(cells: int) -> list[tuple[int, int]]:
+    """Return the grids that these many cells can form, as (rows, columns)."""
+    return [
+        (rows, cells // rows)
+        for rows in range(SHORTEST_SIDE, LONGEST_SIDE + 1)
+        if cells % rows == 0 and SHORTEST_SIDE <= cells // rows <= LONGEST_SIDE
+    ]
+
+
+def is_counter(numbers: Numbers) -> NDArray[np.bool_]:
+    """Whether each of (frames, numbers) only counts: a clock, a sequence number, or a byte of one."""
+    steps = np.diff(numbers, axis=0)
+    rises, falls = (steps > 0).mean(axis=0), (steps < 0).mean(axis=0)
+    parts = np.array_split(steps, 6)
+    everywhere = np.all([(part > 0).any(axis=0) for part in parts if len(part)], axis=0)
+    counts: NDArray[np.bool_] = (rises > 0.85) | (everywhere & (falls == 0))
+    return counts
+
+
+class Movement:
+    """How (frames, numbers) move about their rest, on a scale on which noise is small and firm is not huge.
+
+    Numbers that only count are left out, and so is what all numbers have in common.
+    """
+
+    def __init__(self, numbers: Numbers, counters: NDArray[np.bool_] | None = None) -> None:
+        counts = is_counter(numbers) if counters is None else counters
+        chosen = numbers[:: -(-len(numbers) // MOST_FRAMES)]
+        off = chosen - np.median(chosen, axis=0)
+        off[:, counts] = 0.0
+        self.wild = _is_wild(off)
+        off[:, self.wild] = 0.0
+        self.noise = _noise_of(off)
+        self.largest = float(np.abs(off).max(initial=0.0))
+        # A pad whose largest value means no pressure moves down.
+        self.falls = bool(_skew(off) < 0)
+        moved = _beyond_noise(off, self.noise)
+        # Numbers that a hand moves.
+        self.pressed = (moved != 0).any(axis=0)
+        moved -= moved.mean(axis=1, keepdims=True)
+        moved[:, counts] = 0.0
+        self.moved: NDArray[np.float32] = moved.astype(np.float32)
+        self.counters = counts
+        self.alive = (off != 0).any(axis=0)
+        energy = np.square(moved).sum(axis=1)
+        busy = np.flatnonzero(energy > 0.25 * energy.mean())
+        # Where less moves, every grid scores 0.
+        self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
+        self._total = np.square(self.moved).sum(axis=1)
+        self._sums: dict[int, Numbers] = {}
+        self._steps: dict[int, Numbers] = {}
+
+    @property
+    def is_pressed(self) -> bool:
+        """Whether anything moved by more than noise."""
+        return self.largest > PRESSED_NOISES * self.noise and len(self._stretches) > 0
+
+    def fold(self, start: int, rows: int, columns: int) -> Fold:
+        """Return how much neighbours move together in a grid from number `start` on, of 1 at most."""
+        if not self._stretches:
+            return Fold(start, rows, columns, np.zeros(STRETCHES))
+        stop = start + rows * columns
+        beside, wraps = self._between(1), self._products(1)
+        along = beside[:, stop - 1] - beside[:, start]
+        along = along - wraps[:, start + columns - 1 : stop - 1 : columns].sum(axis=1)
+        below = self._between(columns)
+        across = below[:, stop - columns] - below[:, start]
+        total = np.array([self._total[part].sum() for part in self._stretches])
+        return Fold(start, rows, columns, (along + across) / np.maximum(2 * total, 1e-9))
+
+    def misfits(self, start: int, cells: int) -> int:
+        """Return how many numbers a hand moves outside these cells, and how many jump inside."""
+        stop = start + cells
+        outside = self.pressed.sum() - self.pressed[start:stop].sum()
+        return int(outside + self.wild[start:stop].sum())
+
+    def lag(self, distance: int) -> float:
+        """Return how much numbers at a distance move together."""
+        return float(self._products(distance).sum()) / max(float(self._total.sum()), 1e-9)
+
+    def _products(self, distance: int) -> Numbers:
+        """Return the product of each number and the one at a distance, (stretches, numbers)."""
+        if distance not in self._steps:
+            both = self.moved[:, :-distance] * self.moved[:, distance:]
+            found = np.array([both[part].sum(axis=0, dtype=np.float64) for part in self._stretches])
+            self._steps[distance] = np.pad(found, ((0, 0), (0, distance)))
+        return self._steps[distance]
+
+    def _between(self, distance: int) -> Numbers:
+        if distance not in self._sums:
+            self._sums[distance] = np.pad(np.cumsum(self._products(distance), axis=1), ((0, 0), (1, 0)))
+        return self._sums[distance]
+
+
+def objection(numbers: Numbers, rows: int, columns: int) -> str:
+    """Say why (frames, cells) are no pad of this grid that somebody presses; "" if they are proven to be."""
+    movement = Movement(numbers, np.zeros(numbers.shape[1], np.bool_))
+    if not movement.is_pressed:
+        return "nothing presses the pad: press it while I listen"
+    reached = movement.pressed.reshape(rows, columns)
+    if reached.mean() < REACHED or min(reached.any(axis=0).mean(), reached.any(axis=1).mean()) < 0.5:
+        return "a hand reached too little of the pad: press all over it while I listen"
+    moved = movement.moved
+    cells = np.arange(rows * columns).reshape(rows, columns)
+    together = moved.T @ moved
+    beside = (cells[:, :-1].ravel(), cells[:, 1:].ravel())
+    below = (cells[:-1].ravel(), cells[1:].ravel())
+    rng = np.random.default_rng(0)
+    shuffled = [rng.permutation(cells.size) for _ in range(SHUFFLES)]
+
+    def deviations(one: NDArray[np.int_], other: NDArray[np.int_]) -> float:
+        by_chance = np.array([together[order[one], order[other]].sum() for order in shuffled])
+        return float((together[one, other].sum() - by_chance.mean()) / max(by_chance.std(), 1e-9))
+
+    both = np.concatenate([beside[0], below[0]]), np.concatenate([beside[1], below[1]])
+    if deviations(*both) < SURE_Z or min(deviations(*beside), deviations(*below)) < SURE_Z_A_SIDE:
+        return "neighbouring cells do not move together: press one place at a time while I listen"
+    if _has_seam(together, cells) or _has_seam(together, cells.T):
+        return "its halves move apart: two pads in one frame? press across the middle, too"
+    if _takes_turns(numbers):
+        return "frames of several kinds come by turns: two pads on one line, or a part of a frame each"
+    return ""
+
+
+def _is_wild(off: Numbers) -> NDArray[np.bool_]:
+    """Whether each number jumps from frame to frame far more than most, as a clock's low byte does."""
+    of_each = np.median(np.abs(np.diff(off, axis=0)), axis=0)
+    alive = of_each[of_each > 0]
+    usual = np.median(alive) if 4 * len(alive) > off.shape[1] else np.inf
+    wild: NDArray[np.bool_] = of_each > WILD_NOISES * usual
+    return wild
+
+
+def _beyond_noise(off: Numbers, noise: float) -> Numbers:
+    """Return movements beyond noise, firm ones compressed."""
+    beyond = np.maximum(np.abs(off) - QUIET_NOISES * noise, 0)
+    moved: Numbers = np.arcsinh(beyond / (QUIET_NOISES * noise)) * np.sign(off)
+    return moved
+
+
+def _noise_of(off: Numbers) -> float:
+    """Return how far a number strays at rest: from frame to frame, or slowly."""
+    steps = np.abs(np.diff(off, axis=0))
+    of_each = np.maximum(np.median(steps, axis=0), np.quantile(np.abs(off), 0.3, axis=0) / NORMAL_30)
+    alive = of_each[of_each > 0]
+    usual = float(np.median(alive)) if 4 * len(alive) > off.shape[1] else 0.0
+    positive = steps[steps > 0]
+    smallest = float(positive.min()) if positive.size else 1.0
+    return max(usual, smallest, 1e-4 * float(np.abs(off).max(initial=0.0)))
+
+
+def _skew(off: Numbers) -> float:
+    scaled = off / max(float(np.abs(off).max(initial=0.0)), 1e-9)
+    return float(np.power(scaled, 3).sum())
+
+
+def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
+    """Whether the two rows at the middle both move, but not together, while other rows do."""
+    own = np.array([together[row, row].sum() for row in cells])
+    shared = np.array([together[cells[i], cells[i + 1]].sum() for i in range(len(cells) - 1)])
+    is_busy = np.minimum(own[:-1], own[1:]) > BUSY_SHARE * own.mean()
+    middle = len(cells) // 2 - 1
+    if len(cells) % 2 or not is_busy[middle] or is_busy.sum() < 3:
+        return False
+    share = shared / np.sqrt(np.maximum(own[:-1] * own[1:], 1e-9))
+    return bool(share[middle] < SEAM_SHARE * np.median(share[is_busy]))
+
+
+def _takes_turns(numbers: Numbers) -> bool:
+    """Whether a later frame resembles a frame more than the next one does."""
+    off = numbers - np.median(numbers, axis=0)
+    moved = _beyond_noise(off, _noise_of(off))
+    energy = np.square(moved).sum(axis=1)
+    most = min(MOST_TURNS, len(moved) // 3)
+    change = [
+        float(
+            np.square(moved[step:] - moved[:-step]).sum() / max((energy[step:] + energy[:-step]).sum(), 1e-9)
+        )
+        for step in range(1, most)
+    ]
+    return bool(change and min(change[1:], default=1.0) < TURNS_SHARE * change[0])

@@ -1,0 +1,231 @@
+"""Finds the description of a pad in its bytes, and proves it; or says what arrived and what is missing."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from heapq import nsmallest
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from touchd.drivers.pad.arrived import is_text, looks_like
+from touchd.drivers.pad.format import CELL_TOP, PRESETS, PadFormat, layout_of
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search import binary, text
+from touchd.drivers.search.coupling import Movement, Numbers, objection
+from touchd.drivers.search.text import Guess
+
+# More bytes than a search looks at, and more than any pad sends in a second.
+MOST_BYTES = 1_000_000
+EXPLAINED = 0.98
+SLOWEST_HZ, FASTEST_HZ = 9.5, 525.0
+# Frames come evenly if no part of the time has fewer or more than its share by this factor.
+PARTS = 8
+UNEVEN = 2.0
+FULL_SCALES = (1023, 4095, 65535)
+MOSTLY = 0.9
+NO_FRAMES_IN_TEXT = (
+    "no steady frames of 16 numbers or more, 10 to 500 a second; print each frame in a line, or end it with "
+    "an empty line"
+)
+NO_FRAMES_IN_BYTES = (
+    "no frames of one length: a wrong baud rate, no header, or nothing presses the pad while I listen"
+)
+MOST_RANKED = 40
+# A grid that leaves out numbers that a hand moves has to be so much better than one that does not.
+MISFIT_GAIN = 1.15
+# A right checksum decides between grids of nearly the same score.
+NEAR = 0.85
+
+
+class Chunk(NamedTuple):
+    """Bytes, and when they arrived (monotonic seconds)."""
+
+    data: bytes
+    host_s: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a search found.
+
+    proposed: the description, if it is proven. likely: at most two that it may be, the best first. missing:
+    what stands against a proposal, "" if nothing. saw: what arrived, in words.
+    """
+
+    proposed: PadFormat | None
+    likely: tuple[PadFormat, ...]
+    missing: str
+    saw: str
+
+    def __str__(self) -> str:
+        return "; ".join(part for part in (self.saw, self.advice) if part)
+
+    @property
+    def advice(self) -> str:
+        """What it may be, and what is missing."""
+        likely = " or ".join(as_yaml(each) for each in self.likely)
+        return "; ".join(part for part in (likely and f"perhaps {likely}", self.missing) if part)
+
+
+def search(chunks: Sequence[Chunk]) -> Finding:
+    """Return what the bytes of an unknown pad are."""
+    kept = _latest(chunks)
+    data = b"".join(chunk.data for chunk in kept)
+    if not data:
+        return Finding(None, (), "is it the pad's port, and does the pad run?", "nothing arrives")
+    sizes = [len(chunk.data) for chunk in kept]
+    times_s = np.repeat([chunk.host_s for chunk in kept], sizes)
+    seconds = max(kept[-1].host_s - kept[0].host_s, 1e-3)
+    printed = is_text(data)
+    saw = f"{len(data) / seconds:.0f} bytes/s of {looks_like(data)}"
+
+    def nothing(missing: str, likely: Sequence[Guess] = ()) -> Finding:
+        return Finding(None, tuple(_finished(each) for each in likely), missing, saw)
+
+    found = text.guesses(data) if printed else binary.guesses(data)
+    plausible = (each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ)
+    ranked = nsmallest(MOST_RANKED, plausible, key=_rank)
+    if not ranked:
+        return nothing(NO_FRAMES_IN_TEXT if printed else NO_FRAMES_IN_BYTES)
+    # What a hand moves is a cell, unless a grid without it is surely better.
+    best = min((each for each in ranked if not ranked[0].fold.beats(each.fold)), key=_misfits)
+    wanting = objection(best.values, best.described.rows, best.described.columns)
+    if not printed:
+        ranked = _confirmed(ranked, data, times_s)
+        best = ranked[0] if best not in ranked else best
+    ties = [each for each in ranked if not (_is_same(best, each) or _outdoes(best, each))]
+    if wanting:
+        return nothing(wanting, [best, *ties[:1]])
+    if ties:
+        return nothing("both explain what came equally well", [best, ties[0]])
+    described = _finished(best) if printed else binary.complete(_finished(best), data, times_s)
+    if missing := _unexplained(described, best, kept):
+        return nothing(missing, [best])
+    return Finding(_as_preset(described), (described,), "", saw)
+
+
+def _latest(chunks: Sequence[Chunk]) -> list[Chunk]:
+    kept: list[Chunk] = []
+    size = 0
+    for chunk in reversed(chunks):
+        size += len(chunk.data)
+        if size > MOST_BYTES:
+            break
+        kept.append(chunk)
+    return kept[::-1]
+
+
+def _rank(guess: Guess) -> tuple[float, int]:
+    return -round(guess.fold.score, 4), guess.described.skip + guess.described.tail
+
+
+def _outdoes(best: Guess, other: Guess) -> bool:
+    """Whether a guess is surely better than another one; much better if it leaves out what a hand moves."""
+    if other.misfits < best.misfits:
+        return best.fold.score > MISFIT_GAIN * other.fold.score
+    return best.fold.beats(other.fold) or other.misfits > best.misfits
+
+
+def _confirmed(ranked: Sequence[Guess], data: bytes, times_s: Numbers) -> list[Guess]:
+    """Return those of nearly equal guesses that a checksum among the skipped bytes confirms; else all."""
+    near = [guess for guess in ranked if guess.fold.score > NEAR * ranked[0].fold.score]
+    summed = [guess for guess in near if binary.complete(_finished(guess), data, times_s).checksum != "none"]
+    return summed or list(ranked)
+
+
+def _misfits(guess: Guess) -> int:
+    return guess.misfits
+
+
+def _is_same(best: Guess, other: Guess) -> bool:
+    """Whether two guesses differ in nothing that a hand could move: rows that never change, equal values."""
+    one, two = best.values, other.values
+    if best.described == other.described:
+        return True
+    if best.described.columns != other.described.columns and one.shape == two.shape:
+        return False
+    if one.shape == two.shape:
+        return bool(np.array_equal(one, two))
+    larger, smaller = (one, two) if one.shape[1] > two.shape[1] else (two, one)
+    still = (larger == larger[0]).all(axis=0)
+    return bool(best.described.columns == other.described.columns and (~still).sum() <= smaller.shape[1])
+
+
+def _finished(guess: Guess) -> PadFormat:
+    """Return a description with range and direction."""
+    described, values = guess.described, guess.values
+    largest = float(values.max())
+    is_whole = bool((values == np.round(values)).all())
+    top = CELL_TOP.get(described.cell) if described.framing == "binary" else None
+    scale: float
+    if described.framing == "binary" and described.cell in ("u8", "u12"):
+        scale = CELL_TOP[described.cell]
+    elif is_whole:
+        scale = next((each for each in FULL_SCALES if largest <= each), largest)
+        scale = min(scale, top) if top else scale
+    else:
+        scale = float(f"{math.ceil(largest * 1e3) / 1e3:.6g}") if largest > 0 else 1.0
+    return replace(described, full_scale=scale, invert=Movement(values, None).falls)
+
+
+def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) -> str:
+    """Say what the description leaves unexplained when the daemon's own parser reads all that arrived."""
+    parser = parser_of(described)
+    layout = layout_of(described)
+    expected = {
+        layout.pressure(np.clip(values, 0, described.full_scale)).tobytes() for values in guess.values
+    }
+    as_expected = 0
+    first_s, last_s = chunks[0].host_s, chunks[-1].host_s
+    came_s: list[float] = []
+    for chunk in chunks:
+        before = parser.counts.frames + parser.counts.duplicates + parser.counts.bad_time
+        for frame in parser.feed(chunk.data, chunk.host_s):
+            as_expected += frame.pressure.tobytes() in expected
+        after = parser.counts.frames + parser.counts.duplicates + parser.counts.bad_time
+        came_s += [chunk.host_s] * (after - before)
+    if len(came_s) < text.LEAST_FRAMES:
+        return "too few frames come"
+    # A clock that is not one may hold frames back; what comes must be the cells that were found.
+    if as_expected < MOSTLY * min(parser.counts.frames, len(guess.values)):
+        return "other bytes look like the header of its frames"
+    refused = parser.counts.bad_framing + parser.counts.bad_checksum + parser.counts.bad_value
+    share = len(came_s) / (len(came_s) + max(refused - 1, 0))
+    if described.framing == "binary":
+        sent = sum(len(chunk.data) for chunk in chunks)
+        share = min(share, (len(came_s) + 2) * described.frame_bytes / sent)
+    if share < EXPLAINED:
+        return f"that explains {100 * share:.0f} % of what came, not {100 * EXPLAINED:.0f} %"
+    rate_hz = len(came_s) / max(last_s - first_s, 1e-3)
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        return f"{rate_hz:.1f} frames/s; 10 to 500 are needed"
+    parts, _ = np.histogram(came_s, PARTS, (first_s, last_s))
+    if parts.max() > UNEVEN * np.median(parts) or UNEVEN * parts.min() < np.median(parts):
+        return "frames do not come at a steady rate"
+    return ""
+
+
+def _as_preset(described: PadFormat) -> PadFormat:
+    """Return the preset with the same line, grid and direction; a text only if the preset knows a border."""
+    for preset in PRESETS.values():
+        is_text_without_border = preset.framing == "text" and not preset.crop
+        same = (preset.line, preset.rows, preset.columns, preset.invert)
+        is_same = same == (described.line, described.rows, described.columns, described.invert)
+        if is_same and not is_text_without_border:
+            return preset
+    return described
+
+
+def as_yaml(described: PadFormat) -> str:
+    """Return a description as it stands in the configuration, on one line."""
+    for name, preset in PRESETS.items():
+        if preset == described:
+            return f"format: {name}"
+    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
+    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
+    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
+    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"

@@ -1,0 +1,170 @@
+"""What grids the numbers of a text may form."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.drivers.pad.format import LONGEST_SIDE, PadFormat
+from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
+from touchd.drivers.search.coupling import Fold, Movement, Numbers, sides
+
+LEAST_FRAMES = 8
+LEAST_NUMBERS = 16
+Flags = NDArray[np.bool_]
+# Leading and trailing numbers of a line that may not be cells.
+MOST_SKIP, MOST_TAIL = 4, 2
+MOSTLY = 0.9
+MOST_ENDS = 3
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line's numbers, the number of its label, and its text."""
+
+    numbers: Sequence[float]
+    label: int | None
+    text: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Guess:
+    """A description that may be right, what it reads, and how well its neighbours move together.
+
+    misfits: numbers that a hand moves but that are none of its cells, and cells that jump without one.
+    """
+
+    described: PadFormat
+    values: Numbers
+    fold: Fold
+    misfits: int
+
+
+def guesses(data: bytes) -> Iterator[Guess]:
+    """Yield the grids that the numbers of a text may form, each with the best score of its kind."""
+    text = data[: ended_at(data)]
+    lines = [Line(*numbers_in(line), line) for line in lines_in(text)][1:] if text else []
+    weight: Counter[int] = Counter()
+    for line in lines:
+        weight[len(line.numbers)] += len(line.numbers)
+    total = sum(weight.values())
+    for width, numbers in weight.most_common(2):
+        if width == 0 or numbers < total / 2:
+            continue
+        if width >= LEAST_NUMBERS:
+            yield from _in_one_line([line.numbers for line in lines if len(line.numbers) == width])
+        if width <= LONGEST_SIDE + MOST_SKIP + MOST_TAIL:
+            yield from _in_several_lines(lines, width)
+
+
+def _in_one_line(frames: Sequence[Sequence[float]]) -> Iterator[Guess]:
+    numbers = np.array(frames)
+    if len(numbers) < LEAST_FRAMES:
+        return
+    movement = Movement(numbers)
+    width = numbers.shape[1]
+    last_counter = int(np.flatnonzero(movement.counters[:MOST_SKIP]).max(initial=-1))
+    for skip in range(last_counter + 1, MOST_SKIP + 1):
+        for tail in range(MOST_TAIL + 1):
+            for rows, columns in sides(width - skip - tail):
+                described = PadFormat(framing="text", rows=rows, columns=columns, skip=skip, tail=tail)
+                values = numbers[:, skip : width - tail]
+                misfits = movement.misfits(skip, rows * columns)
+                yield Guess(described, values, movement.fold(skip, rows, columns), misfits)
+
+
+def _in_several_lines(lines: Sequence[Line], width: int) -> Iterator[Guess]:
+    found = _frames_of(lines, width)
+    if found is None:
+        return
+    frames, least_skip, end = found
+    numbers = np.array(frames)
+    whole = Movement(numbers.reshape(len(numbers), -1))
+    flat = whole.moved.reshape(len(whole.moved), *numbers.shape[1:])
+    total = float(np.square(flat).sum())
+    still = ~whole.alive.reshape(numbers.shape[1:])
+    pressed = whole.pressed.reshape(numbers.shape[1:])
+    counts = whole.counters.reshape(numbers.shape[1:])
+    for skip in range(least_skip, MOST_SKIP + 1):
+        for tail in range(MOST_TAIL + 1):
+            stop = width - tail
+            columns = stop - skip
+            if columns < 1 or _leads(numbers, still, counts, skip, stop):
+                continue
+            cells = numbers[:, :, skip:stop].reshape(len(numbers), -1)
+            movement = Movement(cells, np.zeros(cells.shape[1], np.bool_))
+            # Cells that are left out must not make a grid look better.
+            share = float(np.square(flat[:, :, skip:stop]).sum()) / max(total, 1e-9)
+            grids = sides(cells.shape[1])
+            natural = (numbers.shape[1], columns)
+            for rows, each in [natural] if natural in grids else grids:
+                described = PadFormat(
+                    framing="text", rows=rows, columns=each, skip=skip, tail=tail, end=end.decode("latin-1")
+                )
+                fold = movement.fold(0, rows, each)
+                fold = Fold(skip, rows, each, fold.by_stretch * share)
+                yield Guess(described, cells, fold, int(pressed.sum() - pressed[:, skip:stop].sum()))
+
+
+def _leads(numbers: Numbers, still: Flags, counts: Flags, skip: int, stop: int) -> bool:
+    """Whether the first or last column is no cell: it counts, or never changes but differs in each line, or
+    never changes while nearly all others do."""
+    first = numbers[0]
+    others_live = (~still).mean() > MOSTLY - 1 / max(still.shape[1], 2)
+    for column in {skip, stop - 1}:
+        if counts[:, column].all():
+            return True
+        is_still = bool(still[:, column].all())
+        if is_still and (len(set(first[:, column])) > 1 or others_live) and len(first) > 1:
+            return True
+    return False
+
+
+def _frames_of(lines: Sequence[Line], width: int) -> tuple[list[list[Sequence[float]]], int, bytes] | None:
+    """Return the frames of lines with `width` numbers, how many numbers to skip at least, and the `end`."""
+    ends = Counter(line.text.strip() for line in lines if len(line.numbers) != width and line.text.strip())
+    suffixes = Counter(_after_numbers(line.text) for line in lines if len(line.numbers) == width)
+    marks = [text for text, _ in (ends.most_common(MOST_ENDS) + suffixes.most_common(MOST_ENDS + 1)) if text]
+    for skip, end in [*((skip, b"") for skip in range(MOST_SKIP)), *((0, mark) for mark in marks)]:
+        if not end.isascii() or not end.decode("ascii", "replace").isprintable():
+            continue
+        runs = list(_runs(lines, width, skip, end))
+        if len(runs) < LEAST_FRAMES:
+            continue
+        length, times = Counter(map(len, runs[1:-1])).most_common(1)[0]
+        inner = runs[1:-1]
+        if length > 1 and times * length >= MOSTLY * sum(map(len, inner)):
+            return [run for run in inner if len(run) == length], skip, end
+    return None
+
+
+def _runs(lines: Sequence[Line], width: int, skip: int, end: bytes) -> Iterator[list[Sequence[float]]]:
+    """Yield the lines between two separators, as the parser of such a format takes them."""
+    run: list[Sequence[float]] = []
+    leads: list[float] = []
+    for line in lines:
+        fits = len(line.numbers) == width
+        if end:
+            run += [line.numbers] if fits else []
+            if line.text.rstrip().endswith(end):
+                yield run
+                run = []
+            continue
+        now = [*([] if line.label is None else [line.label]), *line.numbers[:skip]]
+        if run and (not fits or any(one < before for one, before in zip(now, leads, strict=False))):
+            yield run
+            run = []
+        if fits:
+            run.append(line.numbers)
+            leads = now
+    if run:
+        yield run
+
+
+def _after_numbers(text: bytes) -> bytes:
+    """Return what follows a line's last number."""
+    stripped = text.rstrip()
+    at = max((place for place, byte in enumerate(stripped) if 48 <= byte <= 57), default=-1) + 1
+    return stripped[at:].strip()

@@ -1,0 +1,213 @@
+"""A pad is proposed only from bytes that prove it; anything else is refused in words."""
+
+import json
+import resource
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rigs.pressing import chunks_of, pressed
+
+from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search.listen import has_single_bits, likelihood
+from touchd.drivers.search.search import Chunk, as_yaml, search
+
+SIDES = st.integers(4, 32)
+RNG = np.random.default_rng(0)
+
+
+@st.composite
+def binary_formats(draw: st.DrawFn) -> PadFormat:
+    cell = draw(st.sampled_from(["u8", "u12", "u16", "i16", "f32"]))
+    # As a header, bytes that cells hold too cannot be told from them.
+    header = draw(st.binary(min_size=1, max_size=4).filter(lambda drawn: drawn[0] > 127))
+    return PadFormat(
+        rows=draw(SIDES),
+        columns=draw(SIDES),
+        cell=cell,
+        order="little" if cell == "u8" else draw(st.sampled_from(["little", "big"])),
+        header=header.hex(),
+        skip=draw(st.integers(0, 3)),
+        tail=draw(st.integers(0, 2)),
+        full_scale={"u8": 120, "u12": 4095, "u16": 1023, "i16": 4095, "f32": 1}[cell],
+        invert=draw(st.booleans()),
+    )
+
+
+text_formats = st.builds(
+    PadFormat,
+    framing=st.just("text"),
+    rows=SIDES,
+    columns=SIDES,
+    skip=st.integers(0, 2),
+    end=st.sampled_from(["", "END", "]"]),
+    full_scale=st.sampled_from([1023, 4095]),
+    invert=st.booleans(),
+)
+
+
+@given(described=st.one_of(binary_formats(), text_formats), seed=st.integers(0, 10**6))
+@settings(deadline=None, max_examples=8)
+def test_a_pad_that_is_pressed_is_found_or_called_ambiguous(described: PadFormat, seed: int) -> None:
+    finding = search(chunks_of(described, seed))
+    if finding.proposed is None:
+        assert finding.missing
+        return
+    found = finding.proposed
+    assert (found.rows, found.columns, found.invert) == (described.rows, described.columns, described.invert)
+    # What it reads is what the pad's cells were.
+    values = pressed(described.rows, described.columns, described.full_scale, np.random.default_rng(seed))
+    values = described.full_scale - values if described.invert else values
+    whole = values if described.cell == "f32" else np.floor(values)
+    sent = np.array([layout_of(described).pressure(frame.ravel()) for frame in whole], float)
+    parser = parser_of(found)
+    read = [frame.pressure for chunk in chunks_of(described, seed) for frame in parser.feed(*chunk)]
+    share = np.corrcoef(np.array(read[-200:-1], float).ravel(), sent[-200:-1].ravel())[0, 1]
+    late = np.corrcoef(np.array(read[-200:], float).ravel(), sent[-201:-1].ravel())[0, 1]
+    assert max(share, late) > 0.99
+
+
+EVERY = [
+    *(pad for pad in PRESETS.values() if not pad.poll),
+    PadFormat(framing="text", rows=15, columns=14),
+    PadFormat(framing="text", rows=40, columns=30, end="--"),
+    PadFormat(header="ff", cell="u8", rows=8, columns=8, full_scale=250),
+    PadFormat(header="55aa", skip=8, rows=8, columns=8),
+    PadFormat(header="aa55", rows=16, columns=16, tail=2),
+    PadFormat(header="aa55aa55", cell="f32", rows=8, columns=8),
+]
+
+
+@pytest.mark.parametrize("described", EVERY, ids=map(str, EVERY))
+def test_usual_pads_are_found(described: PadFormat) -> None:
+    finding = search(chunks_of(described, seed=4))
+    assert finding.proposed is not None, finding.missing
+    assert (finding.proposed.rows, finding.proposed.columns) == (described.rows, described.columns)
+    assert finding.proposed.invert == described.invert
+    assert "\n" not in as_yaml(finding.proposed)
+
+
+def test_the_labs_pad_is_known_with_its_clock_checksum_and_border() -> None:
+    fabric = PRESETS["fabric-grid"]
+    chunks = chunks_of(fabric, seed=1)
+    assert search(chunks).proposed == fabric
+
+
+def streamed(data: bytes, size: int = 256, every_s: float = 0.02) -> list[Chunk]:
+    return [
+        Chunk(data[at : at + size], every_s * number) for number, at in enumerate(range(0, len(data), size))
+    ]
+
+
+def chess() -> bytes:
+    moves = [
+        f"{number}. e{1 + number % 8} Nf{1 + number % 7} {{eval {number % 13 - 6}.{number % 10}}}"
+        for number in range(4000)
+    ]
+    return "\r\n".join(moves).encode()
+
+
+def nmea() -> bytes:
+    return b"".join(
+        b"$GPGGA,1235%02d.00,4807.%03d,N,01131.%03d,E,1,08,0.9,545.%d,M,46.9,M,,*47\r\n$GPGSV,3,1,11,03,03,111,00,04,15,270,00,06,01,010,00*74\r\n"
+        % (n % 60, n % 999, n % 997, n % 10)
+        for n in range(1500)
+    )
+
+
+def telemetry() -> bytes:
+    walk = np.cumsum(RNG.normal(0, 1, (400, 16)), axis=0)
+    return b"".join(
+        json.dumps({"t": n, "values": [round(v, 2) for v in row]}).encode() + b"\n"
+        for n, row in enumerate(walk)
+    )
+
+
+def mp3() -> bytes:
+    return b"".join(b"\xff\xfb\x90\x00" + RNG.bytes(413 + (n % 3 == 0)) for n in range(600))
+
+
+NO_PADS = {
+    "nothing": b"",
+    "random": RNG.bytes(150_000),
+    "zeros": b"\0" * 50_000,
+    "ones": b"\xff" * 50_000,
+    "chess": chess(),
+    "GPS": nmea(),
+    "another daemon": telemetry(),
+    "MP3": mp3(),
+    "sound": (8000 * np.sin(np.arange(80_000) / 9)).astype("<i2").tobytes(),
+    "words": b"Booting...\r\nwifi connected, rssi -60\r\n" * 900,
+}
+
+
+@pytest.mark.parametrize("data", NO_PADS.values(), ids=NO_PADS)
+def test_what_is_not_a_pad_is_never_proposed(data: bytes) -> None:
+    finding = search(streamed(data))
+    assert finding.proposed is None
+    assert finding.missing
+
+
+@pytest.mark.parametrize("described", EVERY, ids=map(str, EVERY))
+def test_a_pad_that_nobody_presses_is_not_proposed(described: PadFormat) -> None:
+    finding = search([chunk for chunk in chunks_of(described, seed=4) if chunk.host_s < 0.4] * 8)
+    assert finding.proposed is None
+    assert "press" in finding.missing or "frames" in finding.missing
+
+
+def two(frames: Sequence[Chunk], others: Sequence[Chunk], between: bytes = b"") -> list[Chunk]:
+    return [
+        Chunk(one.data.strip() + between + other.data, one.host_s)
+        for one, other in zip(frames, others, strict=True)
+    ]
+
+
+def test_two_pads_in_one_line_are_not_one() -> None:
+    one = PadFormat(framing="text", rows=8, columns=8)
+    finding = search(two(chunks_of(one, 1), chunks_of(one, 2), b" | "))
+    assert finding.proposed is None
+    assert "two pads" in finding.missing
+
+
+def test_two_pads_by_turns_are_not_one() -> None:
+    one = PadFormat(framing="text", rows=8, columns=8)
+    turns = two(chunks_of(one, 1), chunks_of(one, 2), b"\n")
+    assert search(turns).proposed is None
+
+
+def test_values_that_only_grow_under_a_hand_set_the_range() -> None:
+    for top, scale in ((900, 1023), (3000, 4095), (30_000, 65535)):
+        found = search(chunks_of(PadFormat(framing="text", rows=8, columns=8, full_scale=top))).proposed
+        assert found is not None
+        assert found.full_scale == scale
+    volts = search(
+        chunks_of(PadFormat(header="aa55aa", cell="f32", rows=8, columns=8, full_scale=5))
+    ).proposed
+    assert volts is not None
+    assert 2 < volts.full_scale <= 5
+
+
+def test_a_megabyte_is_searched_in_bounded_time_and_memory() -> None:
+    fine = PadFormat(header="aa55a5", rows=32, columns=32, cell="u16")
+    chunks = chunks_of(fine, rate_hz=60)
+    assert sum(len(chunk.data) for chunk in chunks) > 0.9e6
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begun_s = time.process_time()
+    finding = search(chunks)
+    assert time.process_time() - begun_s < 10.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 200_000
+    assert finding.proposed is not None
+    assert (finding.proposed.rows, finding.proposed.columns) == (32, 32)
+
+
+def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
+    text = b"".join(chunk.data for chunk in chunks_of(PRESETS["velostat"]))
+    frames = b"".join(chunk.data for chunk in chunks_of(PRESETS["m1616"]))
+    rates = [likelihood(data[:6000]) for data in (text, frames, RNG.bytes(6000), b"")]
+    assert rates == sorted(rates, reverse=True)
+    assert rates[0] > rates[1] > rates[2]
+    assert has_single_bits(RNG.bytes(1000))
