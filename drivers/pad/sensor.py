@@ -6,6 +6,7 @@ import time
 
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame, SensorState
+from touchd.drivers.pad.arrived import looks_like
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import (
     Line,
