@@ -27,6 +27,8 @@ CELLS = ROWS * COLUMNS
 SUFFIXES = (".csv", ".csv.gz")
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
+# Fewer frames show no usual step; frames further apart than this are not in milliseconds.
+LEAST_STEPS, SLOWEST_STEP_MS = 4, 1000
 NO_TOUCH = "notouch"
 """The label of a recording in which nothing touches the pad."""
 UNLABELLED = "unlabelled"
@@ -266,9 +268,26 @@ def _parse(path: Path, lines: Iterator[str], select: Selection) -> Iterator[Reco
                 raise RecordingError(f"{path}, line {line_number}: {what}") from error
         counts = np.array(cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
         if layout.has_clock:
+            _check_clock(f"{path}: {', '.join(keys)}", np.array(clock_ms, dtype=np.int64))
             yield Recording(*keys, counts, np.array(clock_ms, dtype=np.int64), "live")
         else:
             yield Recording(*keys, counts, ideal_clock_ms(len(counts)), "published")
+
+
+def _check_clock(what: str, clock_ms: NDArray[np.int64]) -> None:
+    """Refuse a clock that stands still, runs back or does not count milliseconds."""
+    steps = np.diff(clock_ms)
+    if len(steps) < LEAST_STEPS:
+        return
+    usual_ms = float(np.median(steps))
+    if not clock_ms.any() or usual_ms == 0:
+        raise RecordingError(f"{what}: sensor_ms stands still; it must be each frame's milliseconds")
+    if usual_ms < 0:
+        raise RecordingError(f"{what}: sensor_ms falls; it must be each frame's milliseconds, rising")
+    if usual_ms > SLOWEST_STEP_MS:
+        raise RecordingError(
+            f"{what}: sensor_ms rises by {usual_ms:g} a frame; it must be in ms: are these microseconds?"
+        )
 
 
 def _rows(path: Path, lines: Iterator[str], layout: _Layout) -> Iterator[tuple[int, list[str]]]:
@@ -287,17 +306,27 @@ def _keys_of(row: Sequence[str]) -> Keys:
     return (row[0].strip(), row[1].strip(), row[2].strip(), row[3].strip())
 
 
+def _is_known_column(name: str) -> bool:
+    is_cell = name.startswith("cell") and name[4:].isdigit()
+    return is_cell or name in (*KEYS, "participantno", "participantid", "sequence", "sensor_ms")
+
+
 def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
     """Read up to the header; the official test file has one column more than the training file."""
     for number, line in enumerate(lines, 1):
-        if line.startswith("#"):
+        # A spreadsheet puts a comment that holds a comma in quotes.
+        if line.lstrip('"').startswith("#"):
             continue
-        separator = "," if "," in line else ";"
+        separator = next((mark for mark in ",;\t" if mark in line), ",")
         header = [name.strip().strip('"').strip().lower() for name in line.split(separator)]
         between = header[4:-CELLS]
         is_known = header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS:][0] == "cell1"
         if is_known and between in ([], ["sequence"], ["sensor_ms"]):
             return _Layout(number, len(header), "sensor_ms" in between, separator)
+        if "cell1" in header and set(KEYS[1:]) < set(header):
+            extra = [name or "one without a name" for name in header if not _is_known_column(name)]
+            if extra:
+                raise RecordingError(f"{path}: column {extra[0]} is in the way; delete it")
         break
     raise RecordingError(
         f"{path}: no known layout (expected participant, substrate, cover, gesture and {CELLS} cells)"

@@ -40,9 +40,9 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.write(f"{line}\n")
 
     play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)
-    if in_words:
-        sys.stdout.write(tally.summary())
     sys.stdout.flush()
+    # Beside JSON lines in a pipe, the table goes where people see it.
+    (sys.stdout if in_words else sys.stderr).write(tally.summary())
     return 0
 
 

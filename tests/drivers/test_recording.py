@@ -127,7 +127,7 @@ def test_what_a_spreadsheet_saved_again_is_read(pad: Path, old: str, new: str) -
         ("", "no known layout"),
         ("a,b,c\n1,2,3\n", "no known layout"),
         ("participant,substrate,cover,gesture,cell1,cell2\n1,a,b,pat,3,4\n", "no known layout"),
-        (f"{TEST_HEADER},more\n", "no known layout"),
+        (f"{TEST_HEADER},more\n", "column more is in the way"),
         (f"{TEST_HEADER}\n{ROW}{cells(0)}\nP3,foam\n", "line 3: 2 columns where the header has 69"),
         (f"{TEST_HEADER}\n{ROW}{cells(960)[:-4]}1024\n", "line 2: a count outside 0 to 1023"),
         (f"# a note\n{TEST_HEADER}\n{ROW}-{cells(1)}\n", "line 3: a count outside 0 to 1023"),
@@ -264,3 +264,33 @@ def test_an_error_while_writing_leaves_the_old_file_alone(before: Path) -> None:
         shutil.copytree(before.with_name("not there"), partial)
     assert before.read_text() == "before"
     assert list(before.parent.iterdir()) == [before]
+
+
+@pytest.mark.parametrize(
+    ("step", "said"), [(18_500, "are these microseconds"), (0, "stands still"), (-18, "sensor_ms falls")]
+)
+def test_a_clock_that_counts_no_milliseconds_is_refused(tmp_path: Path, step: int, said: str) -> None:
+    path = tmp_path / "own.csv"
+    clock_ms = 10**6 + step * np.arange(20, dtype=np.int64)
+    counts = np.zeros((20, 8, 8), np.uint16)
+    write_recordings(path, [Recording("P1", "none", "none", "rub", counts, clock_ms, "live")], {})
+    with pytest.raises(RecordingError, match=said):
+        read_recordings(path)
+
+
+def test_a_file_that_a_spreadsheet_saved_is_read_or_its_extra_column_named(tmp_path: Path) -> None:
+    path = tmp_path / "own.csv"
+    recording = Recording(
+        "P1", "none", "none", "rub", np.zeros((9, 8, 8), np.uint16), ideal_clock_ms(9), "live"
+    )
+    write_recordings(path, [recording], {"note": "x"})
+    text = path.read_text()
+    path.write_text(text.replace("# note: x", '"# note: x, y"').replace(",", "\t"))
+    assert len(read_recordings(path)) == 1
+    path.write_text(
+        "".join(f"{n},{line}" for n, line in enumerate(text.splitlines(keepends=True)[1:])).replace(
+            "0,", ",", 1
+        )
+    )
+    with pytest.raises(RecordingError, match="column one without a name is in the way"):
+        read_recordings(path)
