@@ -2,6 +2,8 @@
 
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,8 +22,6 @@ from touchd.drivers.paths import written_out
 from touchd.drivers.robot.reactions import ActionRule, Words
 from touchd.drivers.robot.settings import RobotSettings
 
-RENAMED = {"touch": {"onset_level": "onset_threshold"}}
-
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
 
@@ -37,21 +37,32 @@ class ConfigError(TouchdError):
     """The settings cannot be used; the message is one line that names what is wrong and what to do."""
 
 
+@contextmanager
+def config_errors(prefix: str = "") -> Iterator[None]:
+    """Raise whatever a configuration causes as ConfigError; a missing library stays an ImportError."""
+    try:
+        yield
+    except (TouchdError, ImportError):
+        raise
+    except StrictYamlError as error:
+        raise ConfigError(f"{prefix}{error}") from error
+    except Exception as error:
+        raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
+
+
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The pad and the line it is on.
 
     port: a device, a pty, tcp://host:port, udp://address:port to listen at, or any address that pyserial's
     `serial_for_url` takes. baud: bits per second.
-    format: what the pad sends: the name of a preset, or a description; see docs/pads.md. protocol: the older
-    name of format.
+    format: what the pad sends: the name of a preset, or a description; see docs/pads.md.
     rows, columns, crop, invert, turn, mirror: override those of the format.
     size_mm: height and width of the 8x8 taxels, for lengths in touches; None gives them in taxels alone.
     """
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
-    format: str | PadFormat | None = None
-    protocol: Literal["fabric-grid", "csv"] = "fabric-grid"
+    format: str | PadFormat = "fabric-grid"
     rows: Side | None = None
     columns: Side | None = None
     crop: Annotated[int, msgspec.Meta(ge=0, le=28)] | None = None
@@ -69,8 +80,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     @property
     def described(self) -> PadFormat:
         """What the pad sends."""
-        chosen = self.format or self.protocol
-        described = PRESETS[chosen] if isinstance(chosen, str) else chosen
+        described = PRESETS[self.format] if isinstance(self.format, str) else self.format
         own = {name: getattr(self, name) for name in OVERRIDES if getattr(self, name) is not None}
         return PadFormat(**(msgspec.structs.asdict(described) | own))
 
@@ -225,7 +235,5 @@ def load(path: Path) -> Settings:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
-    try:
-        return convert(text, Settings, RENAMED)
-    except StrictYamlError as error:
-        raise ConfigError(f"{path}: {error}") from error
+    with config_errors(f"{path}: "):
+        return convert(text, Settings)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.config import ConfigError, Settings, load, only_pad
+from touchd.daemon.config import ConfigError, Settings, config_errors, load, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
@@ -97,7 +97,8 @@ def main(arguments: Sequence[str]) -> int:
     if options.view and not is_terminal:
         parser().error("--view needs a terminal")
     in_words = is_terminal and not options.json
-    settings = _read(options)
+    with config_errors():
+        settings = _read(options)
     signals = Signals(has_terminal=any(os.isatty(fd) for fd in (0, 1, 2)))
     with ExitStack() as closing:
         signals.listen()

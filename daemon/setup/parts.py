@@ -10,7 +10,7 @@ import numpy as np
 
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.config import ConfigError, SceneSettings, Settings
+from touchd.daemon.config import ConfigError, SceneSettings, Settings, config_errors
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN, Event
 from touchd.daemon.kept.touch_sink import TouchSink
@@ -58,6 +58,7 @@ class Parts:
         return (*(sink for sink in one_each if sink is not None), *self.bridges)
 
 
+@config_errors()
 def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 

@@ -156,7 +156,7 @@ def test_an_internal_error_is_one_line_and_exit_1(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("sensor: {prot: csv}", "sensor.prot is not a setting; did you mean port?"),
+        ("sensor: {prot: csv}", "sensor.prot: unknown setting; did you mean sensor.port?"),
         ("model: nowhere.onnx", "nowhere.onnx: the model cannot be read"),
         ("journal: {path: ~nosuch/events.jsonl}", "~nosuch/events.jsonl: unknown home"),
         ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
@@ -167,6 +167,9 @@ def test_an_internal_error_is_one_line_and_exit_1(
             "scene.actions: rub is never told, as scene.gestures leaves it out",
         ),
         ("words: {tikle: {name: a, phrase: b}}", "words.tikle: unknown gesture; known: "),
+        ('sensor: {port: "/dev/a\\0b"}', "cannot be opened: embedded null byte"),
+        ('journal: {path: "a\\0b"}', "the configuration cannot be used: embedded null"),
+        ('model: "a\\0b"', "embedded null"),
         ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
         ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),

@@ -181,8 +181,11 @@ def test_the_robot_hears_of_each_pad_by_its_name() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("sensors: {head: {prt: x}}", "sensors.head.prt is not a setting; did you mean port?"),
-        ("sensors: {head: {scene: {speak_above: 2}}}", "sensors.head.scene.speak_above must be a number"),
+        ("sensors: {head: {prt: x}}", "sensors[...].prt: unknown setting; did you mean sensors.port?"),
+        (
+            "sensors: {head: {scene: {speak_above: 2}}}",
+            "sensors[...].scene.speak_above: Expected `float`",
+        ),
         (
             "sensors: {head: {port: 'udp://0.0.0.0:4000', format: itas}}",
             "a pad that has to be asked for frames cannot be reached at udp://; use tcp://",

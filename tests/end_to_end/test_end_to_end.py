@@ -53,7 +53,7 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
         faults: Faults | None = None,
         robot: RobotSettings | None = None,
     ) -> list[Event]:
-        sensor = msgspec.convert({"protocol": protocol}, SensorSettings)
+        sensor = SensorSettings(format=protocol)
         with PatientPort(stream, encoder_for(sensor), speed=SPEED, faults=faults or Faults()) as port:
             sensor = msgspec.structs.replace(sensor, port=port.path)
             return run_daemon(Settings(sensor=sensor, robot=robot, scene=PATIENT), tmp_path, port)[0]
