@@ -17,9 +17,9 @@ Numbers = NDArray[np.float64]
 MOST_FRAMES = 360
 # Stretches of the time in which something moves; a difference between two grids has to show in most of them.
 STRETCHES = 12
-# A better grid gains in nearly all of them, and at least what so few pairs of cells bring.
+# A better grid gains in nearly all of them, and at least what one pair of cells brings.
 MOSTLY_WON = 8.0
-PAIRS_WON = 1.5
+PAIRS_WON = 1.0
 SHUFFLES = 100
 # Standard deviations by which neighbours must exceed shuffled cells, in total and along each side.
 SURE_Z, SURE_Z_A_SIDE = 6.0, 3.5
@@ -33,7 +33,7 @@ PRESSED_NOISES = 8.0
 WILD_NOISES = 20.0
 # The middle is a seam if cells move together across it by less than this share of the usual, and both its
 # rows move by this share of the mean.
-SEAM_SHARE, BUSY_SHARE = 0.3, 0.25
+SEAM_SHARE, BUSY_SHARE = 0.45, 0.25
 # A hand has to reach this share of the cells, and half of the rows and columns.
 REACHED = 0.3
 # A later frame that resembles a frame by so much more than the next one does: frames of two kinds by turns.
@@ -224,13 +224,17 @@ def _skew(off: Numbers) -> float:
 
 
 def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
-    """Whether the two rows at the middle both move, but not together, while other rows do."""
+    """Whether one half repeats the other, or the two rows at the middle do not move together as others do."""
     own = np.array([together[row, row].sum() for row in cells])
     shared = np.array([together[cells[i], cells[i + 1]].sum() for i in range(len(cells) - 1)])
     is_busy = np.minimum(own[:-1], own[1:]) > BUSY_SHARE * own.mean()
     middle = len(cells) // 2 - 1
     if len(cells) % 2 or not is_busy[middle] or is_busy.sum() < 3:
         return False
+    top, bottom = cells[: middle + 1].ravel(), cells[middle + 1 :].ravel()
+    repeated = together[top, bottom].sum() / np.sqrt(own[: middle + 1].sum() * own[middle + 1 :].sum())
+    if len(cells) >= 2 * SHORTEST_SIDE and repeated > shared.sum() / own.sum():
+        return True
     share = shared / np.sqrt(np.maximum(own[:-1] * own[1:], 1e-9))
     return bool(share[middle] < SEAM_SHARE * np.median(share[is_busy]))
 
