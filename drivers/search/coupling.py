@@ -22,7 +22,7 @@ MOSTLY_WON = 8.0
 PAIRS_WON = 1.0
 SHUFFLES = 100
 # Standard deviations by which neighbours must exceed shuffled cells, in total and along each side.
-SURE_Z, SURE_Z_A_SIDE = 6.0, 3.5
+SURE_Z, SURE_Z_A_SIDE = 5.0, 3.2
 # Within as many, a movement is noise; noise drifts along the wires, too.
 QUIET_NOISES = 4.0
 # The 30th percentile of a normal distribution's deviations: half a pad's time may be pressed.

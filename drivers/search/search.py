@@ -24,7 +24,7 @@ EXPLAINED = 0.98
 SLOWEST_HZ, FASTEST_HZ = 9.5, 525.0
 # Frames come evenly if no part of the time has fewer or more than its share by this factor.
 PARTS = 8
-UNEVEN = 2.0
+UNEVEN = 3.0
 FULL_SCALES = (1023, 4095, 65535)
 MOSTLY = 0.9
 NO_FRAMES_IN_TEXT = (
