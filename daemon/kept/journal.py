@@ -11,10 +11,6 @@ from touchd.drivers.errors import TouchdError, os_errors_as
 log = logging.getLogger(__name__)
 
 MAX_LINE_BYTES = 64 * 1024
-# A process killed while it writes leaves whole pages, as Linux checks for signals between pages. So no event
-# may cross a page; the line before is padded with blanks, which JSON ignores.
-PAGE_BYTES = 4096
-MAX_EVENT_BYTES = 1024
 # The beginning of every line.
 FIRST_BYTES = b'{"type":"'
 
@@ -52,7 +48,7 @@ class Journal:
             if size and size + len(line) + 1 > self._max_bytes:
                 self._rotate()
                 size = os.fstat(self._fd).st_size
-            self._write(line + b" " * self._blanks_after(line, size) + b"\n", size)
+            self._write(line + b"\n", size)
         except JournalError as error:
             self._lose(str(error))
         except OSError as error:
@@ -80,12 +76,6 @@ class Journal:
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
-
-    def _blanks_after(self, line: bytes, size: int) -> int:
-        """Return how many blanks keep the next event from crossing into another page."""
-        room = -(size + len(line) + 1) % PAGE_BYTES
-        fits = size + len(line) + 1 + room <= self._max_bytes
-        return room if room < MAX_EVENT_BYTES and fits else 0
 
     def _write(self, data: bytes, size: int) -> None:
         written = os.write(self._fd, data)

@@ -27,7 +27,6 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.daemon.feel import Feel
-from touchd.daemon.kept.journal import MAX_EVENT_BYTES
 from touchd.drivers.errors import one_line
 from touchd.model.classifier import ModelMetadata
 
@@ -116,7 +115,6 @@ def test_a_reason_is_one_short_line(reason: str) -> None:
     assert said.isprintable()
     for kind in (SensorEvent, RobotEvent):
         event = kind(state="down", time=TIME, reason=said)
-        assert len(encode(event)) < MAX_EVENT_BYTES
         assert decode(encode(event)) == event
 
 
@@ -124,23 +122,8 @@ def test_a_short_reason_is_left_as_it_is() -> None:
     assert one_line("grün: no permission to open /dev/ttyACM0") == "grün: no permission to open /dev/ttyACM0"
 
 
-def test_the_longest_answer_fits_the_journals_limit() -> None:
-    longest = metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
-    answer = msgspec.structs.replace(
-        PREDICTION,
-        touch=2**63,
-        stage="uncertain",
-        frames=2**31,
-        elapsed_s=1234567890.123,
-        gesture=longest.labels[0],
-        confidence=0.1234,
-        probabilities=dict.fromkeys(longest.labels, 0.1234),
-        changed=False,
-        told=False,
-        latency_ms=1234567890.123,
-        model=longest.name,
-    )
-    assert len(encode(answer)) < MAX_EVENT_BYTES
+def test_a_model_with_long_or_odd_names_is_refused() -> None:
+    metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
     for name, labels in (("n" * 65, ["a"]), ("n", ["l" * 25]), ("n", ["a"] * 13), ("é", ["a"]), ("n", ['"'])):
         with pytest.raises(msgspec.ValidationError):
             metadata(name, labels)
