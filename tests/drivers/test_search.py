@@ -1,14 +1,19 @@
 """A pad is proposed only from bytes that prove it; anything else is refused in words."""
 
+import csv
+import gzip
 import json
 import resource
 import time
+from collections import defaultdict
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rigs.haart_folder import THIRD_STUDY, needs_third_study
 from rigs.pressing import chunks_of, pressed
 
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
@@ -211,3 +216,18 @@ def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
     assert rates == sorted(rates, reverse=True)
     assert rates[0] > rates[1] > rates[2]
     assert has_single_bits(RNG.bytes(1000))
+
+
+@needs_third_study
+def test_light_touches_of_a_coarse_pad_are_never_taken_for_another_grid() -> None:
+    streams: dict[str, list[Chunk]] = defaultdict(list)
+    with gzip.open(Path(str(THIRD_STUDY)) / "streams.csv.gz", "rt") as file:
+        for row in csv.DictReader(file):
+            clock_ms = int(row["ms"])
+            numbers = [clock_ms, *(int(row[f"c{cell}"]) for cell in range(1, 37))]
+            streams[row["stream"]].append(
+                Chunk((",".join(map(str, numbers)) + "\r\n").encode(), clock_ms / 1000)
+            )
+    found = [search(chunks).proposed for chunks in list(streams.values())[::4]]
+    assert found
+    assert all(each is None or (each.rows, each.columns, each.skip) == (6, 6, 1) for each in found)
