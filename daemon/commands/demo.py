@@ -14,10 +14,11 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
+from numpy.random import RandomState
 from rich.console import Console
 
-from touchd.daemon.config import SceneSettings, Settings
-from touchd.daemon.events import Event, Prediction, RobotAction, TouchEnded, timestamp
+from touchd.daemon.config import LiveSettings, SceneSettings, Settings
+from touchd.daemon.events import Event, Prediction, RobotAction, RobotEvent, TouchEnded, timestamp
 from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.daemon.playback.stream import DEMO_RECORDING
@@ -27,15 +28,20 @@ from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.own_name import own_name
 from touchd.daemon.terminal.view import View
-from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.fake_port import FakePort, LivePort
+from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
-from touchd.drivers.recording import Stream, read_recordings, splice
+from touchd.drivers.recording import NO_TOUCH, Stream, read_recordings, splice
 from touchd.drivers.robot.link import RobotLink, qi_installed
 from touchd.drivers.robot.reactions import Action, ActionRule, Leds
 from touchd.drivers.robot.settings import RobotSettings
+from touchd.model.classifier import Classifier
+
+if typing.TYPE_CHECKING:
+    from touchd.daemon.playback.touched import TouchPage
 
 # The recording lasts 37 s; whatever goes wrong, the demo ends within a minute.
 LONGEST_S = 50.0
@@ -52,7 +58,7 @@ ACTIONS = (
 )
 NEXT = """
 What to try next:
-  {touchd} demo --live    the same on a page for browsers, again and again
+  {touchd} demo --live    a page in your browser on which you touch the pad yourself
   {touchd} classify       all answers to the same recording at once
   {touchd} replay         the recording as a pad: prints the command that reads it
   {touchd} doctor         looks for a pad and a robot, and says what to do
@@ -86,14 +92,32 @@ class PlainLines:
         sys.stdout.flush()
 
 
-Show: typing.TypeAlias = View | PlainLines
+class ShowAndPage:
+    """A show, and the page that viewers touch."""
+
+    def __init__(self, show: View | PlainLines, page: "TouchPage") -> None:
+        self._show = show
+        self._page = page
+        self.note = show.note
+        self.doing = show.doing
+
+    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
+        self._show.show_frame(pressure, sensor_ms)
+        self._page.show_frame(pressure, sensor_ms)
+
+    def put(self, event: Event) -> None:
+        self._page.put(event)
+        self._show.put(event)
+
+
+Show: typing.TypeAlias = View | PlainLines | ShowAndPage
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
     parser.add_argument("--plain", action="store_true", help="write lines instead of a picture")
     parser.add_argument(
-        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve the live page, until Ctrl-C"
+        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch, until Ctrl-C"
     )
     return parser
 
@@ -101,22 +125,15 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
     options = parser().parse_args(arguments)
-    live = None
+    settings = Settings(scene=SceneSettings(actions=ACTIONS), log_level="warning")
     if options.live is not None:
-        live = parse_address(options.live, None)
-        require_library()
-        with listen(live) as listening:
-            # A free port in place of 0.
-            live = msgspec.structs.replace(live, port=listening.getsockname()[1])
+        return _be_touched(options, settings)
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
-        settings = Settings(
-            scene=SceneSettings(actions=ACTIONS),
-            live=live,
-            log_level="warning",
-        )
-        show = PlainLines(settings) if options.plain else _show(closing, settings)
-        predictions, told = _play(stream, show, closing, settings)
+        show = PlainLines(settings) if options.plain else _show(closing, settings, ())
+        encode = _showing(stream, encoder_for(settings.sensor), show, settings)
+        port = closing.enter_context(FakePort(stream, encode, speed=PACE))
+        predictions, told = _run(port, show, closing, settings)
     did = [span.gesture for span in stream.spans if span.gesture != "notouch"]
     latencies = [prediction.latency_ms for prediction in predictions]
     lines = [
@@ -130,38 +147,78 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
+def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
+    """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
+    require_library()
+    # Only with --live, since it needs the library.
+    from touchd.daemon.live.memory import Scene
+    from touchd.daemon.playback.touched import TouchedPad, TouchPage
+
+    live = parse_address(options.live, None)
+    with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost"))
+    rng = RandomState(DEMO_SEED)
+    with ExitStack() as closing:
+        listening = closing.enter_context(listen(live))
+        urls = urls_of(live, listening.getsockname()[1])
+        page = TouchPage(listening, live, Scene(with_robot, Classifier.load()))
+        closing.callback(page.stop)
+        page.start()
+        seen = (
+            PlainLines(settings)
+            if options.plain
+            else _show(closing, settings, urls, live.host in EVERY_ADDRESS)
+        )
+        show = ShowAndPage(seen, page)
+
+        def begins(gesture: str) -> None:
+            if gesture != NO_TOUCH:
+                show.doing(f"the simulated hand: {name_of(settings.vocabulary, gesture)}")
+
+        hand = SimulatedHand(demo_gestures(rng), begins)
+        pad = TouchedPad(rng, page.touching, hand, show.show_frame)
+        port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
+        show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
+        # The daemon's own page, for this process alone, has what is not an event.
+        with listen(LiveSettings(port=0)) as free:
+            inner = LiveSettings(port=free.getsockname()[1])
+        page.follow(inner.port)
+        _run(port, show, closing, msgspec.structs.replace(settings, live=inner))
+    return 0
+
+
 def _names(gestures: Iterable[str], settings: Settings) -> str:
     return ", ".join(name_of(settings.vocabulary, gesture) for gesture in gestures)
 
 
-def _show(closing: ExitStack, settings: Settings) -> Show:
-    """Return the view where there is a terminal to draw in, plain lines elsewhere."""
+def _show(
+    closing: ExitStack, settings: Settings, urls: Sequence[str], is_for_phones: bool = False
+) -> View | PlainLines:
+    """Return the view where there is a terminal to draw in, plain lines elsewhere.
+
+    urls: of the live page. is_for_phones: show the first one as a QR code too.
+    """
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
         return PlainLines(settings)
-    urls = urls_of(settings.live, settings.live.port) if settings.live else []
     view = View(
         " ".join(urls) or "the daemon at work",
         settings.vocabulary,
         settings.scene.answer_at_frames,
         console,
-        qr_code(urls[0]) if urls and settings.live and settings.live.host in EVERY_ADDRESS else "",
+        qr_code(urls[0]) if is_for_phones else "",
     )
     return closing.enter_context(view)
 
 
-def _play(
-    stream: Stream, show: Show, closing: ExitStack, settings: Settings
+def _run(
+    port: FakePort | LivePort, show: Show, closing: ExitStack, settings: Settings
 ) -> tuple[Sequence[Prediction], Sequence[str]]:
-    """Play the stream to the daemon and show its events; returns all answers, and each touch's last.
+    """Run the daemon on a fake port and show its events; returns all answers, and each touch's last.
 
-    With a live page the stream repeats.
+    It ends with the stream of a FakePort.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
-    live, words = settings.live, settings.vocabulary
-    encode = _showing(stream, encoder_for(settings.sensor), show, settings)
-    port = closing.enter_context(FakePort(stream, encode, speed=PACE, loop=live is not None))
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
     settings = msgspec.structs.replace(settings, sensor=sensor)
     show_call = partial(_show_call, show)
@@ -174,9 +231,12 @@ def _play(
         stub = closing.enter_context(StubRobot(show_call, SPEECH_S))
         link = RobotLink(
             RobotSettings(url=stub.url),
+            lambda state, reason: show.put(
+                RobotEvent(state=state, time=timestamp(time.time()), reason=reason)
+            ),
             open_session=stub.open_session,
             actions={DEFAULT_PAD: settings.scene.actions},
-            words=words,
+            words=settings.vocabulary,
             on_act=lambda message, kind, what: show.put(
                 RobotAction(touch=message.touch, action=kind, what=what, time=timestamp(time.time()))
             ),
@@ -186,10 +246,8 @@ def _play(
         closing.callback(link.stop)
     daemon = SpawnedDaemon(settings, folder, log)
     closing.callback(daemon.stop)
-    if live is None:
+    if isinstance(port, FakePort):
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
-    else:
-        show.note(f"live page: {' '.join(urls_of(live, live.port))}   Ctrl-C ends")
     predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():

@@ -18,10 +18,10 @@ class Door:
     half-open connections keep nobody out; without such a one, the new connection is closed.
     Every ping is answered and every fragment is kept, so limiting what a viewer sends limits its cost.
 
-    kind: the class of connections to make.
+    limit: of connections. bytes_per_s: that each may send. kind: the class of connections to make.
     """
 
-    def __init__(self, limit: int) -> None:
+    def __init__(self, limit: int, bytes_per_s: float = BYTES_PER_S) -> None:
         # In the order of their arrival.
         self._inside: dict[ServerConnection, None] = {}
         inside = self._inside
@@ -38,7 +38,7 @@ class Door:
 
             def data_received(self, data: bytes) -> None:
                 self._heard_bytes += len(data)
-                if self._heard_bytes > FIRST_BYTES + BYTES_PER_S * (time.monotonic() - self._begun_s):
+                if self._heard_bytes > FIRST_BYTES + bytes_per_s * (time.monotonic() - self._begun_s):
                     self.transport.abort()
                 else:
                     super().data_received(data)

@@ -1,9 +1,11 @@
 """The state of the live page, for viewers who come later."""
 
 from collections import deque
-from typing import TypeAlias
+from typing import NamedTuple, Protocol
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import (
@@ -18,23 +20,44 @@ from touchd.daemon.events import (
 )
 from touchd.daemon.kept.touches import ReportedTouch
 from touchd.daemon.setup.words import name_of
-from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.model.classifier import Classifier
-
-# What the page knows of a pad: its settings, as the only pad, and its model.
-Scene: TypeAlias = tuple[Settings, Classifier]
+from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
 
 TOUCHES = 12
 PREDICTIONS = 24
+# Ten seconds of frames and every third of them: the curve of a touch that a later viewer gets.
+RECENT_FRAMES = 540
+TRACE_STEP = 3
+# The pad's rest is the mean of this long before a touch, up to this long before its first frame.
+REST_MS, ONSET_MS = 1000, 100
+# As on the page.
+NOISE_COUNTS = 3.0
+
+
+class Model(Protocol):
+    """What the page needs of a model."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def labels(self) -> tuple[str, ...]: ...
+
+
+class Scene(NamedTuple):
+    """What a pad's page shows. settings: with this pad alone. model: None if nothing is recognised."""
+
+    settings: Settings
+    model: Model | None
 
 
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
     """What a page needs when it connects, or has fallen behind.
 
     pad: of which of the pads. page: stamp of the page's files; a page with another reloads. labels: in the
-    order of the probabilities. answer_at_frames, speak_above, revise_margin: of the scene. model: its name.
-    names: of the gestures. action: the robot's latest action on the last touch.
-    touches: the last ones, oldest first; an ongoing touch comes last.
+    order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:
+    of the scene. model: its name. names: of the gestures. action: the robot's latest on the last touch.
+    touches: the last ones, oldest first; an ongoing touch comes last. heard: numbers of those about which the
+    robot was told while it was up. rest: of each taxel before an ongoing touch. trace: of that touch, seconds
+    since it began and sum of counts above rest. touchable: whether viewers can touch the pad.
     """
 
     page: str
@@ -52,12 +75,16 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     sensor: SensorEvent | None
     robot: RobotEvent | None
     touches: tuple[ReportedTouch, ...]
+    heard: tuple[int, ...]
+    rest: tuple[float, ...]
+    trace: tuple[tuple[float, float], ...]
+    touchable: bool
 
 
 class Memory:
-    """The last touches of a pad with their answers, and the last state of pad and robot; bounded.
+    """The last touches of a pad with their answers, the last state of pad and robot, recent frames; bounded.
 
-    frames: how many have come.
+    frames: how many have arrived.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -67,6 +94,14 @@ class Memory:
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None
         self._touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
+        self._heard: deque[int] = deque(maxlen=TOUCHES)
+        self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
+        self._rest: NDArray[np.float64] | None = None
+
+    def put_frame(self, frame: Frame) -> None:
+        """Remember a frame; the only method for another thread."""
+        self.frames += 1
+        self._recent.append(frame)
 
     def put(self, event: Event) -> None:
         """Remember an event, unless its touch began before we listened."""
@@ -80,28 +115,63 @@ class Memory:
             case TouchBegan():
                 self._action = None
                 self._touches.append(ReportedTouch(event))
+                self._rest = self._rest_before(event.sensor_ms)
             case Prediction() | TouchEnded() if self._touches:
+                is_told = isinstance(event, Prediction) and event.told
+                if is_told and self._robot is not None and self._robot.state == "up":
+                    self._heard.append(event.touch)
                 self._touches[-1].add(event)
                 del self._touches[-1].predictions[:-PREDICTIONS]
 
-    def state(self, page: str, pad: str, pads: tuple[str, ...]) -> PageState:
+    def _rest_before(self, began_ms: int) -> NDArray[np.float64] | None:
+        """Return the mean of each taxel just before a touch, None without frames of that time."""
+        before = [
+            frame.pressure
+            for frame in self._recent.copy()
+            if ONSET_MS < (began_ms - frame.sensor_ms) % CLOCK_MODULUS <= ONSET_MS + REST_MS
+        ]
+        return np.mean(before, axis=0) if before else None
+
+    def _trace(self) -> tuple[tuple[float, float], ...]:
+        """Return the pressure of the ongoing touch over time."""
+        if self._rest is None or not self._touches or self._touches[-1].ended is not None:
+            return ()
+        frames = list(self._recent.copy())[::-TRACE_STEP][::-1]
+        began_ms = self._touches[-1].began.sensor_ms
+        since_ms = np.array([(frame.sensor_ms - began_ms) % CLOCK_MODULUS for frame in frames])
+        pressed = np.array([frame.pressure for frame in frames]) - self._rest - NOISE_COUNTS
+        loads = np.maximum(pressed, 0.0).sum(axis=(1, 2))
+        # A frame from before the touch is almost a whole turn of the clock later.
+        return tuple(
+            (ms / 1000, round(load, 1))
+            for ms, load in zip(since_ms.tolist(), loads.tolist(), strict=True)
+            if ms < CLOCK_MODULUS // 2
+        )
+
+    def state(self, page: str, pad: str, pads: tuple[str, ...], touchable: bool = False) -> PageState:
         """Return the whole state. page: stamp of the page's files. pad: the name of this pad."""
         settings, model = self.scene
         scene = settings.scene
+        labels = model.labels if model else ()
+        trace = self._trace()
         return PageState(
             page=page,
             pad=pad,
             pads=pads,
-            labels=model.labels,
+            labels=labels,
             answer_at_frames=scene.answer_at_frames,
             frame_rate_hz=FRAME_RATE_HZ,
-            model=model.name,
+            model=model.name if model else "",
             speak_above=scene.speak_above,
             revise_margin=scene.revise_margin,
-            names={label: name_of(settings.vocabulary, label) for label in (*model.labels, UNCERTAIN)},
+            names={label: name_of(settings.vocabulary, label) for label in (*labels, UNCERTAIN)},
             robot_configured=settings.robot is not None,
             action=self._action,
             sensor=self._sensor,
             robot=self._robot if settings.robot else None,
             touches=tuple(self._touches),
+            heard=tuple(self._heard),
+            rest=tuple(self._rest.round(1).ravel().tolist()) if self._rest is not None and trace else (),
+            trace=trace,
+            touchable=touchable,
         )

@@ -10,9 +10,9 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from contextlib import suppress
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, serve
@@ -56,15 +56,38 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
     pad: str
 
 
+class Touching(Protocol):
+    """Receives what viewers press on a simulated pad."""
+
+    MOST_MESSAGE_BYTES: int
+    BYTES_PER_S: float
+
+    def take(self, viewer: Hashable, message: str | bytes) -> str:
+        """Take a viewer's message; returns why it is refused, or ""."""
+
+    def leave(self, viewer: Hashable) -> None:
+        """Lift everything that a viewer presses."""
+
+
 class LiveServer:
-    """A sink that serves the page on a listening socket; taking events and frames never blocks."""
+    """A sink that serves the page on a listening socket; taking events and frames never blocks.
+
+    touching: receives what viewers press on a simulated pad; without it, viewers can send nothing.
+    """
 
     name = "live"
 
-    def __init__(self, listening: socket.socket, settings: LiveSettings, scenes: Scenes) -> None:
+    def __init__(
+        self,
+        listening: socket.socket,
+        settings: LiveSettings,
+        scenes: Scenes,
+        touching: Touching | None = None,
+    ) -> None:
         self.listening = listening
         self.settings = settings
         self._pads = {name: Memory(scene) for name, scene in scenes.items()}
+        self._touching = touching
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
@@ -98,7 +121,7 @@ class LiveServer:
 
     def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:
         """Queue a frame and show everything queued. dropped: frames dropped so far."""
-        self._pads[pad].frames += 1
+        self._pads[pad].put_frame(frame)
         self._frames_dropped = dropped
         if not self._viewers:
             return
@@ -131,7 +154,10 @@ class LiveServer:
     async def _serve(self) -> None:
         # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        door = Door(MOST_CONNECTIONS)
+        most_bytes, door = MOST_HEARD_BYTES, Door(MOST_CONNECTIONS)
+        if self._touching is not None:
+            most_bytes = self._touching.MOST_MESSAGE_BYTES
+            door = Door(MOST_CONNECTIONS, self._touching.BYTES_PER_S)
         server = await serve(
             self._watch,
             sock=self.listening,
@@ -143,7 +169,7 @@ class LiveServer:
             ping_interval=PING_EVERY_S,
             ping_timeout=PING_EVERY_S,
             close_timeout=GOODBYE_S,
-            max_size=MOST_HEARD_BYTES,
+            max_size=most_bytes,
             max_queue=1,
         )
         status = asyncio.create_task(self._tell_status())
@@ -156,16 +182,27 @@ class LiveServer:
         await asyncio.wait([closed, status], timeout=GOODBYE_S)
 
     async def _watch(self, connection: ServerConnection) -> None:
-        """Keep a viewer until it leaves; close it if it sends a message, since none is expected."""
+        """Keep a viewer until it leaves; close it if it sends what is not expected."""
         if not self._viewers.add(connection):
             await connection.close(CloseCode.TRY_AGAIN_LATER, "too many are looking already")
             return
         try:
             with suppress(ConnectionClosed):
-                await connection.recv()
-                await connection.close(CloseCode.POLICY_VIOLATION, "nothing is read here")
+                why = await self._follow_touches(connection)
+                await connection.close(CloseCode.POLICY_VIOLATION, why)
         finally:
             self._viewers.discard(connection)
+            if self._touching is not None:
+                self._touching.leave(connection)
+
+    async def _follow_touches(self, connection: ServerConnection) -> str:
+        """Receive what a viewer presses, if viewers can; returns why it must send no more."""
+        while True:
+            message = await connection.recv()
+            if self._touching is None:
+                return "nothing is read here"
+            if refused := self._touching.take(connection, message):
+                return refused
 
     async def _tell_status(self) -> None:
         samples = deque([(time.monotonic(), self._frames())], maxlen=RATE_SAMPLES)
@@ -210,7 +247,8 @@ class LiveServer:
 
     def _state(self) -> list[str]:
         pads = tuple(self._pads)
-        return [encode_message(self._pads[pad].state(self._page.stamp, pad, pads)) for pad in pads]
+        stamp, touchable = self._page.stamp, self._touching is not None
+        return [encode_message(self._pads[pad].state(stamp, pad, pads, touchable)) for pad in pads]
 
 
 def _may_drop(item: Item) -> bool:

@@ -89,9 +89,10 @@ def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> Live
     if settings.live is None:
         return None
     require_library()
+    from touchd.daemon.live.memory import Scene
     from touchd.daemon.live.server import LiveServer
 
-    scenes = {name: (pad, models[name]) for name, pad in settings.pads.items()}
+    scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
     return LiveServer(listen(settings.live), settings.live, scenes)
 
 

@@ -15,6 +15,7 @@ from rich.segment import Segment
 from rich.style import Style
 
 from touchd.daemon.events import (
+    UNCERTAIN,
     Event,
     LivePrediction,
     Prediction,
@@ -349,7 +350,8 @@ class View:
         said = touch.predictions[at]
         before = self._before(touch, at)
         told = " ✓" if said.told else ""
-        text = f"{'↻ ' if before else ''}{self._name(said.gesture)} {said.confidence:.0%}{told}"
+        sure = "" if said.gesture == UNCERTAIN else f" {said.confidence:.0%}"
+        text = f"{'↻ ' if before else ''}{self._name(said.gesture)}{sure}{told}"
         return Flag(said.elapsed_s, text, bool(before))
 
     def _before(self, touch: ShownTouch, at: int) -> str:

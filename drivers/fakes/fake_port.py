@@ -1,7 +1,11 @@
-"""A fake pad: a pseudo-terminal that plays a stream to whoever opens it as a serial port."""
+"""Fake pads: pseudo-terminals that somebody opens as a serial port.
+
+`FakePort` plays a stream from the moment it is opened. `LivePort` sends what a simulated pad reads now.
+"""
 
 import array
 import fcntl
+import itertools
 import math
 import os
 import pty
@@ -11,8 +15,11 @@ import termios
 import threading
 import time
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +30,92 @@ from touchd.drivers.recording import Stream
 POLL_S = 0.002
 # pyserial discards waiting input just after opening a port; a reader that does not is given this long.
 SETTLE_S = 0.5
-# The kernel hands bytes over in the background: empty once is not yet empty.
+# The kernel flushes asynchronously; check again after this long.
 EMPTY_FOR_S = 0.1
 
 
-class FakePort:
+T = TypeVar("T", bound="_Line")
+
+
+class _Line(ABC):
+    """A pseudo-terminal, and the thread that sends through it."""
+
+    def __init__(self) -> None:
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
+        self._master, slave = pty.openpty()
+        tty.setraw(slave)
+        # Linux reuses the numbers of ptys: a reader that looks for its lost pad by number would open, and
+        # disturb, another program's terminal.
+        self._folder = tempfile.TemporaryDirectory(prefix="touchd-pad-")
+        self.path = str(Path(self._folder.name) / "pad")
+        os.symlink(os.ttyname(slave), self.path)
+        # With the slave closed here, the master hangs up whenever no reader has it open.
+        os.close(slave)
+        os.set_blocking(self._master, False)
+        # Packet mode reports when the reader discards its input.
+        fcntl.ioctl(self._master, termios.TIOCPKT, array.array("i", [1]))
+        self._hangup = select.poll()
+        self._hangup.register(self._master, 0)
+
+    @abstractmethod
+    def _run(self) -> None:
+        """Send until stopped."""
+
+    def start(self) -> None:
+        """Begin to send."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Hang up: the reader sees the device disappear, and `path` is gone. May be repeated."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        if self._master >= 0:
+            self._folder.cleanup()
+            os.close(self._master)
+            self._master = -1
+
+    def __enter__(self: T) -> T:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _has_reader(self) -> bool:
+        return not self._hangup.poll(0)
+
+
+class LivePort(_Line):
+    """Sends a frame 54 times a second; those that nobody reads are lost, as a pad's are.
+
+    scan: returns what the pad reads now, given the sensor's clock in ms. encode: as for `FakePort`.
+    """
+
+    def __init__(self, scan: Callable[[int], Counts], encode: Callable[[Counts, int], bytes]) -> None:
+        super().__init__()
+        self._scan = scan
+        self._encode = encode
+
+    def _run(self) -> None:
+        begun_s = time.monotonic()
+        for number in itertools.count():
+            elapsed_s = number / FRAME_RATE_HZ
+            if self._stop.wait(max(0.0, begun_s + elapsed_s - time.monotonic())):
+                return
+            sensor_ms = round(1000 * elapsed_s)
+            counts = self._scan(sensor_ms)
+            if self._has_reader():
+                # A reader that does not keep up loses bytes.
+                with suppress(OSError):
+                    os.write(self._master, self._encode(counts, sensor_ms))
+            # What a reader sends is discarded.
+            with suppress(OSError):
+                os.read(self._master, 4096)
+
+
+class FakePort(_Line):
     """Plays `stream` through a pty from the moment a reader opens `path`.
 
     encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own
@@ -49,49 +137,13 @@ class FakePort:
         self._speed = speed
         self._loop = loop
         self.sent_s: NDArray[np.float64] = np.full(len(stream.counts), np.nan)
-        self._stop = threading.Event()
         self._finished = threading.Event()
         self._drained = False
-        self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
-        self._master, slave = pty.openpty()
-        tty.setraw(slave)
-        # Linux gives a number that is free again to the next pty: a reader that looks for its lost pad by
-        # number would open, and disturb, another's terminal.
-        self._folder = tempfile.TemporaryDirectory(prefix="touchd-pad-")
-        self.path = str(Path(self._folder.name) / "pad")
-        os.symlink(os.ttyname(slave), self.path)
-        # With the slave closed here, the master hangs up whenever no reader has it open.
-        os.close(slave)
-        os.set_blocking(self._master, False)
-        # Packet mode tells when the reader discards its input.
-        fcntl.ioctl(self._master, termios.TIOCPKT, array.array("i", [1]))
-        self._hangup = select.poll()
-        self._hangup.register(self._master, 0)
-
-    def start(self) -> None:
-        """Begin to wait for a reader and play."""
-        self._thread.start()
+        super().__init__()
 
     def wait(self, timeout_s: float) -> bool:
         """Return True once all was played and the reader took it; False after `timeout_s` or when it left."""
         return self._finished.wait(timeout_s) and self._drained
-
-    def stop(self) -> None:
-        """Hang up: the reader sees the device go, `path` is gone. Safe to call twice."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        if self._master >= 0:
-            self._folder.cleanup()
-            os.close(self._master)
-            self._master = -1
-
-    def __enter__(self) -> "FakePort":
-        self.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stop()
 
     def _run(self) -> None:
         try:
@@ -143,9 +195,6 @@ class FakePort:
                 self._stop.wait(POLL_S)
             else:
                 self.sent_s[index] = now_s
-
-    def _has_reader(self) -> bool:
-        return not self._hangup.poll(0)
 
     def _await_reader(self) -> bool:
         """Wait until a reader has opened the port and discarded what waited in it; False when stopped."""

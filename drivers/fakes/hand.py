@@ -6,7 +6,8 @@ the rows. Forces, sizes and paces are set to match load, peak, area, pace and sp
 training recordings on the bare pad; no network's answers were used.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,19 +15,19 @@ import numpy as np
 from numpy.random import RandomState
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
 
 Series = NDArray[np.float64]
 
-# Measured on HAART at rest and under load: noise per taxel and frame, standard deviation of the log of the
-# taxels' sensitivity, share of a row's pressure that leaks to the whole row.
-NOISE_COUNTS = 0.75
-UNEVENNESS = 0.35
-ROW_LEAK = 0.02
-# Duration of touching down and of lifting off.
 EDGE_S = 0.08
 FINGER_WIDTH = 0.9
+
+# Share of the pressure that is left a frame later when the hand is taken away.
+LIFT_SHARE = 0.5
+# Of a gesture that is repeated: longest touch, shortest pause, which ends a touch.
+LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
 
 DEMO_SEED = 2
 DEMO_SCRIPT = (
@@ -178,16 +179,50 @@ def pressure(gesture: str, frames: int, rng: RandomState, cells: tuple[int, int]
     return total
 
 
-def read_pad(pressed: Series, rng: RandomState, full_scale: int = MAX_COUNT) -> Counts:
-    """Return what one pad sends under a pressure (T, rows, columns), uint16, up to `full_scale`."""
-    _, rows, columns = pressed.shape
-    rest = rng.gamma(2.0, 1.0, (rows, 1)) + rng.uniform(-0.5, 0.5, (rows, columns))
-    loaded = pressed * rng.lognormal(0.0, UNEVENNESS, (rows, columns))
-    leak = ROW_LEAK * loaded.sum(axis=2, keepdims=True) * (COLUMNS / columns)
-    noise = NOISE_COUNTS * rng.normal(size=pressed.shape)
-    sent = (rest + loaded + leak + noise) * (full_scale / MAX_COUNT)
-    counts: Counts = np.rint(sent).clip(0, full_scale).astype(np.uint16)
-    return counts
+class SimulatedHand:
+    """Does gestures one after another, and stays off the pad while somebody else touches it.
+
+    gestures: each with its pressure (T, 8, 8). on_gesture: called as one begins.
+    """
+
+    def __init__(
+        self, gestures: Iterable[tuple[str, Series]], on_gesture: Callable[[str], None] = lambda gesture: None
+    ) -> None:
+        self._gestures = iter(gestures)
+        self._on_gesture = on_gesture
+        self._rest: list[Series] = []
+        self._last = np.zeros((ROWS, COLUMNS))
+
+    def frame(self, is_wanted: bool) -> Series:
+        """Return the next frame of pressure. A hand that is not wanted lifts off and drops its gesture."""
+        if not is_wanted:
+            self._rest = []
+            self._last = LIFT_SHARE * self._last if self._last.max() > 1.0 else np.zeros((ROWS, COLUMNS))
+            return self._last
+        while not self._rest:
+            gesture, pressed = next(self._gestures)
+            self._rest = list(pressed[::-1])
+            self._on_gesture(gesture)
+        self._last = self._rest.pop()
+        return self._last
+
+
+def demo_gestures(rng: RandomState) -> Iterator[tuple[str, Series]]:
+    """Return the gestures of the demo, for ever. rng: seeded with DEMO_SEED."""
+    return itertools.cycle(
+        [
+            (gesture, pressure(gesture, round(seconds * FRAME_RATE_HZ), rng))
+            for gesture, seconds in DEMO_SCRIPT
+        ]
+    )
+
+
+def repeated(gestures: Sequence[str], every_s: float, rng: RandomState) -> Iterator[tuple[str, Series]]:
+    """Yield gestures in turn, one in each `every_s` seconds, never twice the same way."""
+    touch_s = min(LONGEST_TOUCH_S, every_s - SHORTEST_PAUSE_S)
+    for gesture in itertools.cycle(gestures):
+        yield "notouch", np.zeros((round((every_s - touch_s) * FRAME_RATE_HZ), ROWS, COLUMNS))
+        yield gesture, pressure(gesture, round(touch_s * FRAME_RATE_HZ), rng)
 
 
 def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
@@ -199,7 +234,7 @@ def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
     # numpy guarantees RandomState's numbers across versions, but not a Generator's.
     rng = RandomState(seed)
     pressed = [pressure(gesture, round(seconds * FRAME_RATE_HZ), rng) for gesture, seconds in script]
-    counts = read_pad(np.concatenate(pressed), rng)
+    counts = Fabric(rng).read(np.concatenate(pressed))
     stops = np.cumsum([len(part) for part in pressed])
     clock_ms = ideal_clock_ms(len(counts))
     return [

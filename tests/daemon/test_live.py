@@ -23,7 +23,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
-from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory
+from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
 from touchd.daemon.setup.destinations import encoder_for
 from touchd.daemon.setup.parts import load_model
@@ -71,7 +71,7 @@ def test_a_late_viewer_gets_the_current_state(served: Served, viewer: ClientConn
 
 
 def test_the_memory_for_late_viewers_is_bounded() -> None:
-    memory = Memory((Settings(), load_model(Settings())))
+    memory = Memory(Scene(Settings(), load_model(Settings())))
     for touch in range(1, 3 * TOUCHES):
         memory.put(TouchBegan(touch=touch, time=TIME, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):

@@ -8,7 +8,8 @@ import pytest
 from rigs.haart_folder import needs_haart
 
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
-from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, read_pad, simulate, write_simulated
+from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, simulate, write_simulated
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.drivers.recording import Recording, Selection, read_recordings, splice
 from touchd.model.classifier import Classifier
@@ -55,7 +56,7 @@ def test_every_gesture_gives_whole_frames_of_counts(gesture: str) -> None:
 
 
 def test_a_pad_pressed_beyond_its_range_saturates() -> None:
-    counts = read_pad(np.full((3, 8, 8), 9000.0), np.random.RandomState(1))
+    counts = Fabric(np.random.RandomState(1)).read(np.full((3, 8, 8), 9000.0))
     assert (counts == MAX_COUNT).all()
 
 

@@ -4,8 +4,8 @@ const SIDE = 8;
 const PIXELS = 128;
 const SHADES = 256;
 const STOPS = 6;
-// Colours rise with the logarithm of pressure, so that a stroke shows beside a slap: counts that weigh as
-// "light", and from which a touch is as firm as the scale goes.
+// Colours rise with the logarithm of pressure, so that a stroke is visible beside a slap. The scale is almost linear
+// below the first of these counts and ends at the second.
 const LIGHT_COUNTS = 4;
 const FIRM_COUNTS = 250;
 // Who wants little motion sees the last third of a second.
@@ -45,6 +45,58 @@ export function shades(style = getComputedStyle(document.documentElement)) {
   });
 }
 
+/** The marks of the scale, in counts. */
+const MARKS = [0, 10, 50, FIRM_COUNTS];
+
+/** Return a count's place on the scale of colours, from 0 to 1. */
+const levelOf = (counts) => Math.log1p(counts / LIGHT_COUNTS) / Math.log1p(FIRM_COUNTS / LIGHT_COUNTS);
+
+/** Write the counts beside the scale of colours. */
+export function showMarks(list) {
+  list.replaceChildren(
+    ...MARKS.map((counts) => {
+      const mark = document.createElement("li");
+      mark.textContent = counts === FIRM_COUNTS ? `${counts} counts` : counts;
+      mark.style.setProperty("--at", levelOf(counts));
+      return mark;
+    }),
+  );
+}
+
+/** Draws where the hand was in the last second, fading with time. */
+export class Trail {
+  #canvas;
+  #color = "";
+
+  constructor(canvas) {
+    this.#canvas = canvas;
+    this.useTheme();
+  }
+
+  useTheme() {
+    this.#color = getComputedStyle(document.documentElement).getPropertyValue("--trail").trim();
+  }
+
+  draw(trail) {
+    const side = Math.round(this.#canvas.clientWidth * (devicePixelRatio || 1));
+    this.#canvas.width = this.#canvas.height = side;
+    const context = this.#canvas.getContext("2d");
+    const at = (taxels) => ((taxels + 0.5) / SIDE) * side;
+    context.strokeStyle = this.#color;
+    context.lineCap = "round";
+    context.lineWidth = side / 90;
+    for (let i = 1; i < trail.length; i++) {
+      const [[, row, column], [, nextRow, nextColumn]] = [trail[i - 1], trail[i]];
+      if (row === null || nextRow === null) continue;
+      context.globalAlpha = (i / trail.length) ** 2;
+      context.beginPath();
+      context.moveTo(at(column), at(row));
+      context.lineTo(at(nextColumn), at(nextRow));
+      context.stroke();
+    }
+  }
+}
+
 export class HeatMap {
   #context;
   #image = new ImageData(PIXELS, PIXELS);
@@ -75,7 +127,7 @@ export class HeatMap {
   draw(pressure) {
     const share = this.#calm.matches ? CALM_SHARE : 1;
     for (let taxel = 0; taxel < SIDE * SIDE; taxel++) {
-      const level = Math.log1p(pressure[taxel] / LIGHT_COUNTS) / Math.log1p(FIRM_COUNTS / LIGHT_COUNTS);
+      const level = levelOf(pressure[taxel]);
       this.#levels[taxel] += (level - this.#levels[taxel]) * share;
     }
     this.#stretchRows();

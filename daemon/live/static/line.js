@@ -1,6 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
 
-import { nameOf, percent, seconds } from "./words.js";
+import { answerOf, nameOf, seconds } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
@@ -103,7 +103,7 @@ function flag(prediction, before, scene) {
   item.classList.toggle("changed", isChanged);
   const at = prediction.elapsed_s / endOf(scene);
   item.style.setProperty("--at", Math.min(at, 1));
-  const what = `${nameOf(prediction.gesture)} ${percent(prediction.confidence)}`;
+  const what = answerOf(prediction);
   // What was said after the line's end says when.
   const told = (at > 1 ? ` at ${seconds(prediction.elapsed_s)}` : "") + (prediction.told ? " ✓" : "");
   const small = Object.assign(document.createElement("small"), { textContent: told });

@@ -1,4 +1,4 @@
-// The line to touchd: opened, watched, and opened anew for as long as it takes.
+// The connection to touchd: opened, watched, and reopened until it works.
 
 const FIRST_RETRY_MS = 250;
 const LONGEST_RETRY_MS = 4000;
@@ -7,7 +7,7 @@ const SILENCE_MS = 2500;
 
 /**
  * Hand over each message as it comes: events and the like as objects, frames as ArrayBuffer.
- * onState gets "live", or why there is no line.
+ * onState gets why there is no line. Returns what sends a message.
  */
 export function connect(onMessage, onState) {
   let socket = null;
@@ -54,4 +54,7 @@ export function connect(onMessage, onState) {
     if (!document.hidden && socket === null) open();
   });
   open();
+  return (message) => {
+    if (socket?.readyState === WebSocket.OPEN) socket.send(message);
+  };
 }

@@ -1,14 +1,15 @@
 // Joins what comes with what shows it, and draws only when something has come.
 
 import { Announcer } from "./announce.js";
-import { describePressure, HeatMap } from "./heat.js";
+import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
 import { TimeLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
 import { PadSwitch } from "./pads.js";
 import { padOf, Store } from "./store.js";
+import { Touch } from "./touch.js";
 import { Visitors } from "./visitors.js";
-import { nameOf, percent, useNames } from "./words.js";
+import { answerOf, useNames } from "./words.js";
 
 // Frames come every 18 ms; without one for this long, what is seen is old.
 const STALE_AFTER_S = 0.5;
@@ -25,6 +26,7 @@ const pads = new PadSwitch($("pads"), (name) => {
   drawSoon();
 });
 const heat = new HeatMap($("heat"), $("scale"));
+const trail = new Trail($("trail"));
 const line = new TimeLine($("trace"), $("marks"), $("flags"));
 const announcer = new Announcer($("announcement"));
 
@@ -40,6 +42,7 @@ const visitors = new Visitors($("enter"), $("legend"), drawSoon);
 function draw() {
   isDue = false;
   heat.draw(store.pressure);
+  trail.draw(store.trail);
   pads.draw(stores);
   line.draw(store);
   line.show(store);
@@ -76,7 +79,7 @@ function announce(prediction) {
   const said = `${prediction.pad} ${prediction.touch} ${prediction.gesture}`;
   if (said === announced) return;
   announced = said;
-  const answer = `${nameOf(prediction.gesture)}, ${percent(prediction.confidence)}`;
+  const answer = answerOf(prediction);
   const where = stores.size > 1 ? ` (${prediction.pad})` : "";
   announcer.say("answer", `Touch ${prediction.touch}${where}: ${answer}`);
 }
@@ -103,6 +106,8 @@ function onMessage(message) {
     usePads(message.pads);
     useNames(message.names);
     visitors.use(message);
+    touch.use(message.touchable);
+    document.body.toggleAttribute("data-pad-only", message.labels.length === 0);
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
   if (message.type === "prediction") announce(message);
@@ -112,16 +117,20 @@ function onMessage(message) {
   else drawSoon();
 }
 
-connect(onMessage, (why) => {
+const send = connect(onMessage, (why) => {
   link = why;
   watch();
 });
+const size = () => document.querySelector("[name=size]:checked").value;
+const touch = new Touch(document.querySelector(".square"), $("invitation"), size, send);
+showMarks($("counts"));
 setInterval(watch, WATCH_MS);
 setInterval(() => {
   $("pad-words").textContent = describePressure(store.pressure);
 }, WORDS_MS);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   heat.useTheme();
+  trail.useTheme();
   pads.useTheme();
   line.useTheme();
   drawSoon();

@@ -1,6 +1,6 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and how it goes.
 
-import { nameOf, percent, seconds, timeOfDay } from "./words.js";
+import { answerOf, nameOf, percent, seconds, timeOfDay } from "./words.js";
 
 const ENDINGS = {
   gap: "too many frames were lost",
@@ -41,9 +41,10 @@ export function showAnswer(store) {
   gesture.classList.toggle("waiting", answer === undefined);
   gesture.classList.toggle("changed", Boolean(answer?.changed && previous && isTouched));
   gesture.classList.toggle("over", !isTouched);
-  const certainty = answer
-    ? [make("b", "", percent(answer.confidence)), ` sure, after ${seconds(answer.elapsed_s)}`]
-    : [];
+  const after = answer ? `after ${seconds(answer.elapsed_s)}` : "";
+  // The confidence is the likeliest gesture's, and says nothing about being unsure.
+  const certainty =
+    answer?.gesture === "uncertain" ? [after] : answer ? [make("b", "", percent(answer.confidence)), ` sure, ${after}`] : [];
   $("certainty").replaceChildren(...certainty);
   $("remark").replaceChildren(...remarks(store, said, previous));
   showAction(store.action);
@@ -76,16 +77,16 @@ function whyItStands({ touch, isTouched, scene }, shown, best) {
   return `${name} stands until the next answer`;
 }
 
-function remarks({ scene, robot }, said, previous) {
+function remarks({ scene, heard, touch }, said, previous) {
   const answer = said.at(-1);
   if (!answer) return [];
   const told = said.findLast((one) => one.told && one.gesture === answer.gesture);
   const whom = scene.robot_configured ? "the robot" : "a robot";
-  const telling = robot?.state === "up" ? `told ${whom} after` : `sure enough to tell ${whom} after`;
-  const heard = told ? `${telling} ${seconds(told.elapsed_s)}` : `not sure enough to tell ${whom}`;
+  const telling = heard.has(touch.began.touch) ? `told ${whom} after` : `sure enough to tell ${whom} after`;
+  const remark = told ? `${telling} ${seconds(told.elapsed_s)}` : `not sure enough to tell ${whom}`;
   const parts = previous ? [make("b", "", `↻ changed from ${nameOf(previous.gesture)}`), " · "] : [];
   const degraded = answer.degraded ? " · frames were lost" : "";
-  return [...parts, heard, degraded];
+  return [...parts, remark, degraded];
 }
 
 /** The probabilities: as they are now, or as they were when it last answered. */
@@ -134,7 +135,7 @@ function row({ began, predictions, ended }, scene) {
   let before = null;
   for (const one of predictions) {
     if (one.gesture === before) continue;
-    const name = `${nameOf(one.gesture)} ${percent(one.confidence)} at ${seconds(one.elapsed_s)}`;
+    const name = `${answerOf(one)} at ${seconds(one.elapsed_s)}`;
     path.append(before === null ? name : make("em", "", ` ↻ ${name}`));
     before = one.gesture;
   }

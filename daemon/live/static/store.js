@@ -1,4 +1,4 @@
-// What is known: the scene, the last touches, and the pad as it was last felt.
+// What is known: the scene, the last touches, and the pad's last frames.
 
 export const TAXELS = 64;
 const TOUCHES = 12;
@@ -9,6 +9,8 @@ const RECENT_FRAMES = 54;
 const REST_FRAMES = 54;
 // Four times the noise of the pad.
 const NOISE_COUNTS = 3;
+// The sum of counts from which the middle of the pressure is that of a hand.
+const LIGHTEST_LOAD = 12;
 
 /** The place of the pad that a frame is of. */
 export const padOf = (buffer) => new DataView(buffer).getUint8(PAD_AT);
@@ -22,6 +24,10 @@ export class Store {
   action = null;
   touches = [];
   live = null;
+  /** Numbers of the touches about which the robot was told while it was up. */
+  heard = new Set();
+  /** Where the hand was in the last second: the sensor's clock, row and column, null where nothing pressed. */
+  trail = [];
   /** Pressure above rest of each taxel, in counts. */
   pressure = new Float32Array(TAXELS);
   /** The sensor's clock at the last frame, and when it came by ours; null before the first. */
@@ -56,8 +62,12 @@ export class Store {
         ({ sensor: this.sensor, robot: this.robot, touches: this.touches, action: this.action } = message);
         this.scene = message;
         this.live = null;
+        this.heard = new Set(message.heard);
         const began = this.touch?.began;
-        if (began?.touch !== before?.touch || began?.time !== before?.time) this.trace = this.#lateTrace();
+        if (began?.touch !== before?.touch || began?.time !== before?.time) {
+          this.trace = message.trace.length > 0 ? message.trace : this.#lateTrace();
+          if (message.rest.length > 0) this.#rest = Float32Array.from(message.rest);
+        }
         break;
       }
       case "sensor":
@@ -83,6 +93,7 @@ export class Store {
         break;
       case "prediction":
         if (this.touch?.began.touch === message.touch) this.touch.predictions.push(message);
+        if (message.told && this.robot?.state === "up") this.heard.add(message.touch);
         this.live = null;
         break;
       case "touch_ended":
@@ -100,11 +111,16 @@ export class Store {
     this.frameMs = view.getUint32(0, true);
     this.frameAt = now;
     this.#followRest(counts);
-    let load = 0;
+    let [load, down, over] = [0, 0, 0];
     for (let taxel = 0; taxel < TAXELS; taxel++) {
-      this.pressure[taxel] = Math.max(0, counts[taxel] - this.#rest[taxel] - NOISE_COUNTS);
-      load += this.pressure[taxel];
+      const pressed = Math.max(0, counts[taxel] - this.#rest[taxel] - NOISE_COUNTS);
+      this.pressure[taxel] = pressed;
+      load += pressed;
+      down += pressed * Math.floor(taxel / 8);
+      over += pressed * (taxel % 8);
     }
+    this.trail.push(load > LIGHTEST_LOAD ? [this.frameMs, down / load, over / load] : [this.frameMs, null, null]);
+    if (this.trail.length > RECENT_FRAMES) this.trail.shift();
     this.#recent.push([this.frameMs, load]);
     if (this.#recent.length > RECENT_FRAMES) this.#recent.shift();
     if (this.isTouched) this.trace.push([this.#sinceBegan(this.frameMs), load]);

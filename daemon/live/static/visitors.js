@@ -47,6 +47,7 @@ export class Visitors {
   #show(isShown) {
     document.body.toggleAttribute("data-visitors", isShown);
     this.#button.ariaPressed = String(isShown);
+    this.#button.textContent = isShown ? "✕" : "Visitors";
     this.#button.ariaLabel = isShown ? "Leave the visitors' view" : null;
     history.replaceState(null, "", isShown ? HASH : location.pathname);
     this.#onChange();

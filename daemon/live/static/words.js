@@ -11,6 +11,11 @@ export function nameOf(gesture) {
   return names[gesture] ?? gesture;
 }
 
+/** A gesture and how sure it is; being unsure has no share. */
+export function answerOf({ gesture, confidence }) {
+  return gesture === "uncertain" ? nameOf(gesture) : `${nameOf(gesture)} ${percent(confidence)}`;
+}
+
 export function percent(share) {
   return `${Math.round(100 * share)}\u00a0%`;
 }

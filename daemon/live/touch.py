@@ -1,0 +1,89 @@
+"""What viewers of a page that can be touched send: where their pointers press the pad.
+
+Only `touchd demo` and `touchd fake-pad` serve such a page. Messages are bounded in size, number and values.
+"""
+
+import threading
+import time
+from collections.abc import Hashable
+from typing import Annotated, NamedTuple
+
+import msgspec
+
+from touchd.drivers.fakes.pointers import Pointer, Size
+from touchd.drivers.frame import COLUMNS, ROWS
+
+MOST_POINTERS = 10
+# A page sends at most one message for each picture that it draws.
+MESSAGES_PER_S = 90.0
+# A page that presses sends ten messages a second or more; without one for this long its pointers are lifted.
+LIFTED_AFTER_S = 0.5
+
+Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+PointerId = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
+
+
+class _Spot(NamedTuple):
+    """A pointer on the page. x, y: shares of the pad's width and height. pressure: None if not measured."""
+
+    pointer: PointerId
+    x: Share
+    y: Share
+    pressure: Share | None
+
+
+class _Touch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that presses on one page now."""
+
+    size: Size
+    at: Annotated[list[_Spot], msgspec.Meta(max_length=MOST_POINTERS)]
+
+
+_decode = msgspec.json.Decoder(_Touch).decode
+
+
+class Touching:
+    """The pointers of all viewers. Thread-safe."""
+
+    MOST_MESSAGE_BYTES = 512
+    BYTES_PER_S = 20_000.0
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._pressing: dict[Hashable, tuple[float, dict[Hashable, Pointer]]] = {}
+        self._allowance: dict[Hashable, tuple[float, float]] = {}
+
+    def take(self, viewer: Hashable, message: str | bytes) -> str:
+        """Replace what a viewer presses by what its message says; returns why it is refused, or ""."""
+        now_s = time.monotonic()
+        last_s, left = self._allowance.get(viewer, (now_s, MESSAGES_PER_S))
+        left = min(MESSAGES_PER_S, left + (now_s - last_s) * MESSAGES_PER_S) - 1.0
+        if left < 0.0:
+            return "too many messages"
+        self._allowance[viewer] = now_s, left
+        try:
+            touch = _decode(message)
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            return "not a touch"
+        pressed: dict[Hashable, Pointer] = {
+            (viewer, spot.pointer): Pointer(
+                ROWS * spot.y - 0.5, COLUMNS * spot.x - 0.5, touch.size, spot.pressure
+            )
+            for spot in touch.at
+        }
+        with self._lock:
+            self._pressing[viewer] = now_s, pressed
+        return ""
+
+    def leave(self, viewer: Hashable) -> None:
+        """Lift everything that a viewer presses."""
+        with self._lock:
+            self._pressing.pop(viewer, None)
+        self._allowance.pop(viewer, None)
+
+    def pointers(self) -> dict[Hashable, Pointer]:
+        """Return what presses now, by identity."""
+        oldest_s = time.monotonic() - LIFTED_AFTER_S
+        with self._lock:
+            fresh = [pressed for at_s, pressed in self._pressing.values() if at_s >= oldest_s]
+        return {key: pointer for pressed in fresh for key, pointer in pressed.items()}

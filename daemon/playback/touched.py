@@ -1,0 +1,106 @@
+"""A simulated pad that viewers of the live page touch, and a simulated hand when nobody does."""
+
+import itertools
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+import msgspec
+import numpy as np
+from numpy.random import RandomState
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
+
+from touchd.daemon.config import LiveSettings
+from touchd.daemon.events import Event, LivePrediction
+from touchd.daemon.live.memory import Scene
+from touchd.daemon.live.server import LiveServer
+from touchd.daemon.live.touch import Touching
+from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.hand import SimulatedHand
+from touchd.drivers.fakes.pointers import PressingHands
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
+
+# The simulated hand goes on when nobody has touched the page for this long.
+ALONE_S = 20.0
+RETRY_S = 0.2
+STOP_S = 1.0
+
+
+class TouchedPad:
+    """What the fabric reads under all pointers, or under the simulated hand, if there is one.
+
+    on_frame: receives each frame's counts and clock.
+    """
+
+    def __init__(
+        self,
+        rng: RandomState,
+        touching: Touching | None,
+        hand: SimulatedHand | None,
+        on_frame: Callable[[Counts, int], None] = lambda counts, sensor_ms: None,
+    ) -> None:
+        self._fabric = Fabric(rng)
+        self._hands = PressingHands(rng)
+        self._touching = touching
+        self._hand = hand
+        self._on_frame = on_frame
+        self._touched_s = -np.inf
+
+    def scan(self, sensor_ms: int) -> Counts:
+        """Return the next frame of counts."""
+        pointers = self._touching.pointers() if self._touching else {}
+        now_s = time.monotonic()
+        if pointers:
+            self._touched_s = now_s
+        pressed = self._hands.frame(pointers)
+        if self._hand is not None:
+            pressed = pressed + self._hand.frame(is_wanted=now_s - self._touched_s > ALONE_S)
+        counts = self._fabric.read(pressed.reshape(ROWS, COLUMNS))
+        self._on_frame(counts, sensor_ms)
+        return counts
+
+
+class TouchPage:
+    """The page of a simulated pad, served by this process.
+
+    listening: where. pad: the pad's scene; without a model the page shows the pad alone.
+    """
+
+    def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:
+        self.touching = Touching()
+        self._server = LiveServer(listening, settings, {DEFAULT_PAD: pad}, self.touching)
+        self._numbers = itertools.count()
+        self._stopping = threading.Event()
+
+    def start(self) -> None:
+        self._server.start()
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._server.stop(STOP_S)
+
+    def put(self, event: Event) -> None:
+        self._server.put(event)
+
+    def show_frame(self, counts: Counts, sensor_ms: int) -> None:
+        self._server.put_frame(Frame(next(self._numbers), sensor_ms, time.monotonic(), counts), 0)
+
+    def follow(self, port: int) -> None:
+        """Show the live predictions of a daemon whose own page is at this port of this computer."""
+        threading.Thread(target=self._relay, args=(port,), name="touchd-relay", daemon=True).start()
+
+    def _relay(self, port: int) -> None:
+        while not self._stopping.wait(RETRY_S):
+            with (
+                suppress(OSError, WebSocketException),
+                connect(f"ws://127.0.0.1:{port}/stream", compression=None) as viewer,
+            ):
+                for message in viewer:
+                    if self._stopping.is_set():
+                        return
+                    if isinstance(message, str) and json.loads(message)["type"] == "live_prediction":
+                        self._server.put(msgspec.json.decode(message, type=LivePrediction))

@@ -1,0 +1,223 @@
+"""A pad that viewers of the page touch; nobody can touch the page of `run`."""
+
+import json
+import math
+import random
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import pytest
+from rigs.browser import CHROMIUM, DRIVER, browser, show_in
+from rigs.programs import TOUCHD, Program
+from rigs.running_daemon import SERVED, Daemon
+from rigs.wait import WITHIN_S, wait_for
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.actions.action_builder import ActionBuilder
+from selenium.webdriver.common.by import By
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from touchd.daemon.config import LiveSettings, Settings
+from touchd.daemon.live.address import listen
+from touchd.daemon.live.memory import Scene
+from touchd.daemon.live.touch import LIFTED_AFTER_S, MESSAGES_PER_S, Touching
+from touchd.daemon.playback import touched
+from touchd.daemon.playback.touched import TouchedPad, TouchPage
+from touchd.drivers.fakes.hand import SimulatedHand, repeated
+
+TRIES = 5
+# About what the driver needs for a step.
+STEP_S = 0.04
+TOUCH = '{"size":"hand","at":[[1,0.5,0.5,null]]}'
+
+# Places on the pad from 0 to 1, a step each; None is off the pad.
+Route: TypeAlias = list[tuple[float, float] | None]
+
+
+def steps(seconds: float) -> range:
+    return range(round(seconds / STEP_S))
+
+
+def slow_stroke(rng: random.Random) -> Route:
+    along = [0.08 + 0.84 * step / len(steps(3.0)) for step in steps(3.0)]
+    across = rng.uniform(0.4, 0.6)
+    one_way = along if rng.random() < 0.5 else along[::-1]
+    return [(at, across) for at in one_way] if rng.random() < 0.5 else [(across, at) for at in one_way]
+
+
+def three_pats(rng: random.Random) -> Route:
+    path: Route = []
+    for _ in range(3):
+        at = rng.uniform(0.4, 0.6), rng.uniform(0.4, 0.6)
+        path += [at] * len(steps(0.12)) + [None] * len(steps(0.32))
+    return path
+
+
+def quick_rub(rng: random.Random) -> Route:
+    pace_hz, reach = rng.uniform(1.6, 2.2), rng.uniform(0.2, 0.3)
+    places = [0.5 + reach * math.sin(2 * math.pi * pace_hz * step * STEP_S) for step in steps(3.0)]
+    return [(at, 0.5) for at in places]
+
+
+def still_hand(rng: random.Random) -> Route:
+    at = rng.uniform(0.4, 0.6), rng.uniform(0.4, 0.6)
+    return [at] * len(steps(3.0))
+
+
+def perform(chrome: Chrome, path: Route) -> None:
+    """Move the mouse over the pad."""
+    square = chrome.find_element(By.CSS_SELECTOR, ".square").rect
+    actions = ActionBuilder(chrome, duration=0)
+    mouse, is_down = actions.pointer_action, False
+    for place in path:
+        if place is None:
+            if is_down:
+                mouse.pointer_up()
+            is_down = False
+            mouse.pause(STEP_S)
+            continue
+        x, y = (round(square[side] + square["width"] * at) for side, at in zip("xy", place, strict=True))
+        mouse.source.create_pointer_move(duration=round(900 * STEP_S) if is_down else 0, x=x, y=y)
+        if not is_down:
+            mouse.pointer_down()
+        is_down = True
+    if is_down:
+        mouse.pointer_up()
+    actions.perform()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[Chrome]:
+    """The demo's page, on which the simulated hand was taken away by a first touch."""
+    if CHROMIUM is None or DRIVER is None:
+        pytest.skip("chromium and chromium-driver are not installed")
+    with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo, browser() as chrome:
+        served = next(found for line in demo.stdout if (found := SERVED.search(line)))
+        assert any(line.startswith("pad up") for line in demo.stdout)
+        show_in(chrome, 1280, 800)
+        chrome.get(f"{served[1]}/")
+        invitation = chrome.find_element(By.ID, "invitation")
+        wait_for(lambda: invitation.text == "Touch here")
+        perform(chrome, [(0.5, 0.5)] * 20)
+        wait_for(lambda: not invitation.is_displayed())
+        yield chrome
+        demo.terminate()
+        assert demo.wait(WITHIN_S) == 0
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize(
+    ("gesture", "path"),
+    [("stroke", slow_stroke), ("pat", three_pats), ("rub", quick_rub), ("still hand", still_hand)],
+)
+def test_what_a_mouse_does_is_recognised(
+    page: Chrome, gesture: str, path: Callable[[random.Random], Route]
+) -> None:
+    rng = random.Random(7)
+    named: Counter[str] = Counter()
+    for _ in range(TRIES):
+        # The last touch has ended, and the pad was quiet.
+        wait_for(lambda: page.find_element(By.ID, "which").text.startswith("Last touch"))
+        before = page.find_element(By.ID, "which").text
+        perform(page, path(rng))
+        wait_for(
+            lambda before=before: (
+                page.find_element(By.ID, "which").text.startswith("Last touch")
+                and page.find_element(By.ID, "which").text != before
+            )
+        )
+        named[page.find_element(By.CSS_SELECTOR, "#touches b").text] += 1
+    assert named[gesture] >= TRIES - 1, named
+
+
+def refusal(url: str, messages: Sequence[str]) -> str:
+    """Return why a page closes the connection of somebody who sends these messages."""
+    with connect(url) as viewer:
+        try:
+            for message in messages:
+                viewer.send(message)
+            while True:
+                viewer.recv(timeout=WITHIN_S)
+        except ConnectionClosed as closed:
+            return str(closed)
+
+
+def test_nobody_can_touch_the_page_of_the_daemon(tmp_path: Path) -> None:
+    with Daemon(tmp_path, live=LiveSettings(port=0)) as daemon:
+        url = f"{daemon.url.replace('http', 'ws')}/stream"
+        assert "nothing is read here" in refusal(url, [TOUCH])
+        with connect(url) as viewer:
+            assert json.loads(viewer.recv(timeout=WITHIN_S))["touchable"] is False
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "x",
+        "[]",
+        '{"size":"fist","at":[]}',
+        '{"size":"hand","at":[[1,0.5,1.5,null]]}',
+        '{"size":"hand","at":[[1,0.5,-0.1,null]]}',
+        '{"size":"hand","at":[[1,0.5,0.5,2]]}',
+        '{"size":"hand","at":[[-1,0.5,0.5,null]]}',
+        '{"size":"hand","at":[[1,0.5,1e999,null]]}',
+        '{"size":"hand","at":[],"speed":1}',
+        json.dumps({"size": "hand", "at": [[n, 0.5, 0.5, None] for n in range(11)]}),
+    ],
+)
+def test_a_message_that_is_not_a_touch_is_refused(message: str) -> None:
+    touching = Touching()
+    assert touching.take("viewer", message) == "not a touch"
+    assert touching.pointers() == {}
+
+
+def test_a_viewer_that_sends_too_much_is_disconnected() -> None:
+    with listen(LiveSettings(port=0)) as listening:
+        page = TouchPage(listening, LiveSettings(), Scene(Settings(), None))
+        page.start()
+        url = f"ws://127.0.0.1:{listening.getsockname()[1]}/stream"
+        assert "1009" in refusal(url, [TOUCH + 1000 * " "])
+        assert re.search("too many messages|no close frame", refusal(url, 1000 * [TOUCH]))
+        page.stop()
+
+
+def test_messages_are_limited_in_number() -> None:
+    touching = Touching()
+    answers = [touching.take("viewer", TOUCH) for _ in range(round(2 * MESSAGES_PER_S))]
+    assert answers[0] == ""
+    assert answers[-1] == "too many messages"
+    assert touching.take("another viewer", TOUCH) == ""
+
+
+def test_a_viewer_who_leaves_or_hangs_presses_no_more() -> None:
+    touching = Touching()
+    for viewer in ("leaves", "hangs"):
+        assert touching.take(viewer, TOUCH) == ""
+    touching.leave("leaves")
+    assert [viewer for viewer, _ in touching.pointers()] == ["hangs"]
+    time.sleep(LIFTED_AFTER_S + 0.1)
+    assert touching.pointers() == {}
+
+
+def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(touched, "ALONE_S", 0.3)
+    rng = np.random.RandomState(1)
+    begun: list[str] = []
+    touching = Touching()
+    pad = TouchedPad(rng, touching, SimulatedHand(repeated(["rub"], 3.0, rng), begun.append))
+    loads = [int(pad.scan(0).sum()) for _ in range(150)]
+    assert max(loads) > 3 * min(loads)
+    assert begun == ["notouch", "rub"]
+    touching.take("viewer", TOUCH)
+    for _ in range(200):
+        pad.scan(0)
+    assert begun == ["notouch", "rub"]
+    touching.leave("viewer")
+    time.sleep(0.4)
+    pad.scan(0)
+    assert begun == ["notouch", "rub", "notouch"]
