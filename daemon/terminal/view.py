@@ -331,10 +331,12 @@ class View:
         if touch is None or not touch.predictions:
             return [[], []]
         answer = touch.predictions[-1]
-        sure = [
-            Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True)),
-            Segment(f" sure, after {answer.elapsed_s:.3g} s", palette.ink),
-        ]
+        after = f"after {answer.elapsed_s:.3g} s"
+        sure = [Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True))]
+        sure.append(Segment(f" sure, {after}", palette.ink))
+        if answer.gesture == UNCERTAIN:
+            # The confidence is the likeliest gesture's.
+            sure = [Segment(after, palette.ink)]
         remark: Line = []
         if before := self._before(touch, len(touch.predictions) - 1):
             remark.append(Segment(f"↻ was {before} · ", palette.changed))
