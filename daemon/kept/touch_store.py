@@ -1,32 +1,132 @@
-"""The frames of the last touches, beside the journal: a file each, whole or not at all, the oldest deleted.
+"""Saves the frames of touches, where configured: a bounded number of files in a folder.
 
 JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
 `touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. It holds up to a
 second of rest before the touch, the touch from its true first frame to its last contact, and the quiet in
 which its end was known.
+
+In the loop a frame costs two appends. A thread of its own cuts, packs and writes, only after a touch, when
+the next answer is a second away or more.
 """
 
 import logging
 import os
 import re
-from collections.abc import Iterable
+from collections import defaultdict, deque
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+import numpy as np
+
+from touchd.daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.kept.recording_file import SUFFIX, keep, prepare
-from touchd.daemon.kept.touch_frames import FeltTouch, TouchPieces, cut
+from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import os_errors_as
-from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.recording import UNLABELLED, Recording, RecordingError, read_recordings
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from touchd.drivers.pad.pace import clock_ms, pace_of
+from touchd.drivers.recording import NO_TOUCH, UNLABELLED, Recording, RecordingError, read_recordings
 from touchd.drivers.whole_file import PARTIAL
 
 log = logging.getLogger(__name__)
 
 FOLDER_MODE = 0o750
-
 NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)(?:-(\d+))?" + re.escape(SUFFIX))
+LEAD_MS = 1000
+# Frames further apart than this are not contiguous.
+CUT_MS = 1000
+# A second of rest, and as long as a touch may have gone on before it is noticed; of a pad of 500 Hz.
+RECENT_MS, RECENT_FRAMES = 3000, 1500
+LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
+
+
+@dataclass(frozen=True, eq=False)
+class FeltTouch:
+    """A touch that is over, and the pad's frames around it, in the order in which they came.
+
+    noticed: how many of the frames had come when the touch was noticed. end_ms: the sensor's clock at its
+    last contact. quiet_from_ms: the same of the touch before, None where none is known.
+    """
+
+    began: TouchBegan
+    ended: TouchEnded
+    frames: tuple[Frame, ...]
+    noticed: int
+    end_ms: int
+    quiet_from_ms: int | None
+
+
+@dataclass(frozen=True, eq=False)
+class TouchPieces:
+    """The frames of a touch, and those before and after it in which nothing touched; either may be none."""
+
+    before: tuple[Frame, ...]
+    touch: tuple[Frame, ...]
+    after: tuple[Frame, ...]
+    is_whole: bool
+
+    @property
+    def rate(self) -> str:
+        """How fast the frames came, in words."""
+        frames = (*self.before, *self.touch, *self.after)
+        return str(pace_of(frames)) if len(frames) > 1 else "unknown"
+
+    def recordings(self) -> list[Recording]:
+        """Return them as unlabelled recordings on one clock."""
+        pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
+        who = (UNLABELLED, UNLABELLED, UNLABELLED)
+        clocks = np.split(
+            clock_ms([frame for _, piece in pieces for frame in piece]),
+            np.cumsum([len(self.before), len(self.touch)]),
+        )
+        return [
+            Recording(*who, gesture, np.stack([frame.pressure for frame in piece]), ms, "live")
+            for (gesture, piece), ms in zip(pieces, clocks, strict=True)
+            if piece
+        ]
+
+
+def cut(felt: FeltTouch) -> TouchPieces:
+    """Return the touch from its true first frame to its last contact, with the rest before and after it.
+
+    Before it LEAD_MS at most, and nothing of an earlier touch. What came after a touch that was not let go,
+    but lost or taken for the pad's rest, is left out.
+    """
+    frames = felt.frames
+    began_ms = felt.began.sensor_ms
+    first = _walk_back(frames, felt.noticed - 1, began_ms)
+    lead_ms = LEAD_MS
+    if felt.quiet_from_ms is not None:
+        lead_ms = min(LEAD_MS, (began_ms - felt.quiet_from_ms) % CLOCK_MODULUS - 1)
+    start = _walk_back(frames, first, began_ms - lead_ms)
+    stop = first + 1
+    while stop < len(frames) and _is_next(frames, stop) and _is_from(felt.end_ms, frames[stop].sensor_ms):
+        stop += 1
+    return TouchPieces(
+        before=frames[start:first],
+        touch=frames[first:stop],
+        after=frames[stop:] if felt.ended.reason == "released" else (),
+        is_whole=stop < len(frames) or _is_from(frames[-1].sensor_ms, felt.end_ms),
+    )
+
+
+def _walk_back(frames: Sequence[Frame], place: int, until_ms: int) -> int:
+    """Return the first frame of the stretch up to `place` that is not before a time on the pad's clock."""
+    while place > 0 and _is_next(frames, place) and _is_from(frames[place - 1].sensor_ms, until_ms):
+        place -= 1
+    return place
+
+
+def _is_next(frames: Sequence[Frame], place: int) -> bool:
+    """Whether a frame goes on from the one before it."""
+    return (frames[place].sensor_ms - frames[place - 1].sensor_ms) % CLOCK_MODULUS <= CUT_MS
+
+
+def _is_from(ms: int, since_ms: int) -> bool:
+    """Whether a time is not before another, on a clock that wraps."""
+    return (ms - since_ms) % CLOCK_MODULUS < CLOCK_MODULUS // 2
 
 
 @dataclass(frozen=True, order=True)
@@ -153,3 +253,66 @@ def read_frames(kept: KeptTouch) -> KeptFrames:
         raise RecordingError(f"{kept.path}: holds no touch as touchd keeps them")
     before, after = parts[:place], parts[place + 1 :]
     return KeptFrames(before[-1] if before else None, parts[place], after[0] if after else None)
+
+
+class TouchSink(QueuedSink[FeltTouch]):
+    """A sink that keeps the frames of touches, for the pads that have a store; for others it does nothing.
+
+    Frames and the events that they cause come from one thread, a frame before its events.
+    """
+
+    capacity = 8
+
+    def __init__(self, stores: Mapping[str, TouchStore]) -> None:
+        super().__init__("touches")
+        self._stores = stores
+        self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
+
+    def take(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
+        if pad in self._stores:
+            self._pads[pad].take(frame)
+
+    def put(self, item: Event | FeltTouch) -> None:
+        """Take note that a touch began, or have one that ended written; returns at once."""
+        match item:
+            case TouchBegan() if item.pad in self._pads:
+                self._pads[item.pad].begin(item)
+            case TouchEnded(sensor_ms=int(end_ms)) if item.pad in self._pads:
+                touch = self._pads[item.pad].end(item, end_ms)
+                if touch is not None:
+                    super().put(touch)
+            case SensorEvent(state="down"):
+                # The next frames are another pad's, or its clock restarted.
+                self._pads.pop(item.pad, None)
+
+    def write(self, item: FeltTouch) -> None:
+        self._stores[item.began.pad].add(item)
+
+
+class _PadFrames:
+    """The last frames of one pad, and those of the touch that goes on."""
+
+    def __init__(self) -> None:
+        self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
+        self._began: TouchBegan | None = None
+        self._noticed = 0
+        self._frames: list[Frame] = []
+        self._quiet_from_ms: int | None = None
+
+    def take(self, frame: Frame) -> None:
+        self._recent.append(frame)
+        while (frame.sensor_ms - self._recent[0].sensor_ms) % CLOCK_MODULUS > RECENT_MS:
+            self._recent.popleft()
+        if self._began is not None and len(self._frames) < LONGEST_FRAMES:
+            self._frames.append(frame)
+
+    def begin(self, event: TouchBegan) -> None:
+        self._began, self._frames = event, list(self._recent)
+        self._noticed = len(self._frames)
+
+    def end(self, event: TouchEnded, end_ms: int) -> FeltTouch | None:
+        began, frames, quiet_from_ms = self._began, tuple(self._frames), self._quiet_from_ms
+        self._began, self._frames, self._quiet_from_ms = None, [], end_ms
+        if began is None:
+            return None
+        return FeltTouch(began, event, frames, self._noticed, end_ms, quiet_from_ms)

@@ -13,7 +13,7 @@ from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.config import ConfigError, SceneSettings, Settings, config_errors
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN, Event
-from touchd.daemon.kept.touch_sink import TouchSink
+from touchd.daemon.kept.touch_store import TouchSink
 from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
 from touchd.daemon.sinks import JournalSink, RobotSink, Sink

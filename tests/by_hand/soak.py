@@ -29,9 +29,14 @@ from rigs.sockets import free_port
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, TouchEnded, encode
 from touchd.daemon.kept.journal import Journal
-from touchd.daemon.kept.touch_frames import FeltTouch
-from touchd.daemon.kept.touch_sink import TouchSink
-from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from touchd.daemon.kept.touch_store import (
+    FeltTouch,
+    TouchSink,
+    TouchStore,
+    folder_of,
+    kept_touches,
+    read_frames,
+)
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.setup.destinations import description_of, open_live_page
 from touchd.daemon.setup.parts import load_model

@@ -18,8 +18,7 @@ from rigs.wait import WITHIN_S
 from touchd.daemon import cli
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
-from touchd.daemon.kept.touch_frames import FeltTouch
-from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches, read_frames
+from touchd.daemon.kept.touch_store import FeltTouch, TouchStore, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.recorder.label import RIGHT

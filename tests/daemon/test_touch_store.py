@@ -19,9 +19,17 @@ from rigs.wait import WITHIN_S
 
 from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
-from touchd.daemon.kept.touch_frames import FeltTouch, cut
-from touchd.daemon.kept.touch_sink import LONGEST_FRAMES, TouchSink
-from touchd.daemon.kept.touch_store import KeptTouch, TouchStore, file_name, kept_touches, read_frames
+from touchd.daemon.kept.touch_store import (
+    LONGEST_FRAMES,
+    FeltTouch,
+    KeptTouch,
+    TouchSink,
+    TouchStore,
+    cut,
+    file_name,
+    kept_touches,
+    read_frames,
+)
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.setup.destinations import description_of, open_touch_stores
 from touchd.drivers.frame import Frame

@@ -3,7 +3,7 @@
 import numpy as np
 
 from touchd.daemon.events import TouchBegan, TouchEnded, timestamp
-from touchd.daemon.kept.touch_frames import FeltTouch
+from touchd.daemon.kept.touch_store import FeltTouch
 from touchd.drivers.frame import Frame
 
 FRAMES = 20
