@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 import pytest
 from packaging.requirements import Requirement
@@ -203,8 +204,24 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path, 
         assert done.returncode == 0, done.stderr
     done = ran([python.with_name("touchd"), "classify"], check=True, cwd="/")
     assert '"type":"prediction"' in done.stdout
-    loaded = subprocess.run([python, "-c", "import websockets, daemon.live.server"], check=False, cwd="/")
+    loaded = subprocess.run([python, "-c", "import touchd.daemon.live.server"], check=False, cwd="/")
     assert loaded.returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_no_file_of_the_wheel_is_another_packages(tmp_path: Path, source: Path) -> None:
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    if ran([*pip, "download", "--no-deps", "-d", str(tmp_path), "python-daemon"], cwd="/").returncode != 0:
+        pytest.skip("python-daemon cannot be downloaded")
+    ran([*pip, "wheel", "--no-deps", "-w", str(tmp_path), str(source)], cwd="/", check=True)
+    ours, theirs = (
+        set(ZipFile(next(tmp_path.glob(pattern))).namelist())
+        for pattern in ("touchd-*.whl", "python_daemon-*.whl")
+    )
+    assert "daemon/__init__.py" in theirs
+    assert "touchd/daemon/__init__.py" in ours
+    assert not ours & theirs
 
 
 @pytest.mark.slow
