@@ -21,7 +21,7 @@ NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
 USERS_MISTAKE = 2
 OUR_MISTAKE = 1
 INTERRUPTED = 130
-UNTIL_ENDED = ("run", "demo", "replay", "fake-robot")
+UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
 """Commands that go on until a signal ends them, which is then no interruption."""
 
 
@@ -43,6 +43,7 @@ COMMANDS = (
     Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
     Command("demo", "daemon.commands.demo", "shows the daemon at work on a simulated hand, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
+    Command("fake-pad", "daemon.commands.fake_pad", "stands in for a pad, and prints the path of its port"),
     Command("fake-robot", "drivers.fakes.fake_robot", "stands in for a robot, prints what it is asked"),
     Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
     Command("record", "daemon.commands.record", "guides through making recordings of your own"),

@@ -1,0 +1,74 @@
+"""`touchd fake-pad`: a simulated pad behind a pseudo-terminal, to try every command without hardware."""
+
+import argparse
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+from numpy.random import RandomState
+
+from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
+from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.terminal.own_name import own_name
+from touchd.drivers.fakes.fake_port import LivePort
+from touchd.drivers.fakes.hand import GESTURES, SimulatedHand, repeated
+from touchd.drivers.numbers import within
+
+DEFAULT_GESTURES = "pat,stroke,rub,constant"
+LEAST_S, MOST_S = 3.0, 3600.0
+
+
+def gestures_in(text: str) -> tuple[str, ...]:
+    gestures = tuple(text.split(","))
+    if unknown := [gesture for gesture in gestures if gesture not in GESTURES]:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is none of {', '.join(sorted(GESTURES))}")
+    return gestures
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="touchd fake-pad",
+        description="A simulated pad on a serial port whose path is printed, until Ctrl-C.",
+    )
+    parser.add_argument(
+        "--gestures",
+        type=gestures_in,
+        default=gestures_in(DEFAULT_GESTURES),
+        metavar="pat,stroke",
+        help=f"what a simulated hand does, in turn; {DEFAULT_GESTURES} without it",
+    )
+    every = within(float, LEAST_S, MOST_S)
+    parser.add_argument("--every", type=every, default=6.0, metavar="SECONDS", help="from touch to touch")
+    parser.add_argument(
+        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch the pad"
+    )
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Be a pad until Ctrl-C or SIGTERM; returns 0."""
+    options = parser().parse_args(arguments)
+    rng = RandomState()
+    hand = SimulatedHand(repeated(options.gestures, options.every, rng))
+    with ExitStack() as closing:
+        # The simulated pad and its page share a module, which needs the page's library.
+        require_library()
+        from touchd.daemon.live.memory import Scene
+        from touchd.daemon.playback.touched import TouchedPad, TouchPage
+
+        pad = TouchedPad(rng, None, hand)
+        if options.live is not None:
+            live = parse_address(options.live, None)
+            listening = closing.enter_context(listen(live))
+            page = TouchPage(listening, live, Scene(Settings(), None))
+            closing.callback(page.stop)
+            page.start()
+            pad = TouchedPad(rng, page.touching, hand, page.show_frame)
+            sys.stdout.write(f"live page: {' '.join(urls_of(live, listening.getsockname()[1]))}\n")
+        port = closing.enter_context(LivePort(pad.scan, encoder_for(SensorSettings())))
+        sys.stdout.write(f"pad: {port.path}\nread it with: {own_name()} run --port {port.path}\n")
+        sys.stdout.flush()
+        threading.Event().wait()
+    return 0
