@@ -32,7 +32,7 @@ SURE_FALLS = 0.2
 
 
 def sure_above(confidence: float, frames: int) -> float:
-    """Return the confidence from which an answer is sure after so many frames; `confidence`: after 54."""
+    """Return the confidence from which an answer is sure after `frames`; `confidence`: after 54."""
     return confidence + SURE_FALLS * math.log(FRAME_RATE_HZ / frames)
 
 
@@ -45,7 +45,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
     ongoing: whether a change of gesture after the final answer is told.
-    revise_margin: an answer the robot has heard is replaced only by one more probable than it by this much.
+    revise_margin: an answer that was told is replaced only by one more probable than it by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
     """
 
@@ -77,10 +77,10 @@ class Answer:
 
 
 class Decision:
-    """One touch: which answer stands, what the robot has heard, when to tell it.
+    """One touch: which answer stands, what the robot was told, and when to tell it.
 
-    Until the robot has heard an answer, the most probable gesture stands, and it is told once its probability
-    reaches `speak_above`; at "final" it is told in any case. An answer that the robot has heard is replaced
+    Until an answer is told, the most probable gesture stands, and it is told once its probability reaches
+    `speak_above`; at "final" it is told in any case. An answer that was told is replaced
     only by a gesture that is now more probable than it by `revise_margin` and, except at "final", reaches
     `speak_above`; otherwise it stands, and is not told again. "notouch" may stand, but is never told and
     replaces no told answer.

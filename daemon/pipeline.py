@@ -147,7 +147,7 @@ class Pipeline:
         self._report(self._monitor.on_frame(frame, restarted=restarted))
 
     def on_sensor_state(self, state: SensorState) -> None:
-        """Note that the sensor came or went; when it goes, the touch ends and rest is calibrated anew."""
+        """Note that the sensor came or went; when it goes, the touch ends and rest is measured again."""
         if state.state == "down":
             self._stop("sensor")
             self._staleness.forget()

@@ -70,7 +70,7 @@ class Ring:
         """Take the sensor's next frame; return the grid frames that it completes, oldest first.
 
         None for a duplicate or a late frame; one marked `restarted` at the first, after a gap too long to
-        bridge, and when the sensor's clock has started anew.
+        bridge, and when the sensor's clock has restarted.
         """
         pressure = frame.pressure.astype(np.float32)
         pressure.flags.writeable = False

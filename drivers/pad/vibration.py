@@ -1,9 +1,11 @@
 """Takes out of the grid's frames what vibrates on all taxels at once: mains hum, a motor.
 
-A hand changes some taxels, each by another amount; hum changes all alike, and a motor by hardly different
+A hand changes some taxels, each by another amount; hum changes all of them equally, and a motor with similar
 weights. Sampled at 54 Hz each is one sine, hum one of 4 Hz. Where all taxels follow one, its frequency, phase
-and each taxel's weight are learned, and it is subtracted from every frame, also under a hand, which is seen
-apart from it on the taxels that the hand does not touch. A pad that does not vibrate is left as it is.
+and each taxel's weight are learned, and it is subtracted from every frame, also under a hand: the taxels that
+the hand does not touch show the sine. A pad that does not vibrate passes unchanged.
+
+The constants were chosen on HAART's and the second study's sessions under hum and motors (docs/sessions.md).
 """
 
 import cmath
@@ -17,36 +19,37 @@ from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
 Counts = NDArray[np.float32]
 
-# Looked at six times a second, over the last two thirds of a second.
+# The last two thirds of a second are fitted six times a second.
 STRIDE_FRAMES = 9
 LOOK_FRAMES = 36
-# A sine that explains this share of the pad's mean, with this amplitude in counts, as one does about 20
-# frames after it began. One of 802 recordings of touches and rest has such a sine: its pad shakes.
+# A sine counts if it has this amplitude in counts and explains this share of the variance of the pad's mean,
+# as one does about 20 frames after it began. One of 802 recordings of touches and rest has such a sine: its
+# pad shakes.
 LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
-# A calm pad's mean varies by less, which spares it the search.
+# The mean of a calm pad varies by less, and is not searched.
 LEAST_VARIANCE = LEAST_COUNTS**2 / 4
-# Taxels follow it together: those at the lower tenth and quarter, as shares of that at the upper tenth.
-# Those that stand still, as on a row whose wire broke, follow nothing; most must be alive.
+# Taxels follow the sine together: the lower tenth and quarter by these shares of the upper tenth. Taxels that
+# stand still, as on a row whose wire broke, are left out; this many must be alive.
 LOW, QUARTER, HIGH = 6 / 64, 16 / 64, 57 / 64
 LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
 LEAST_ALIVE = 48
-# While the sine fills less than the window, it is found anew.
+# The sine is learned again in the first looks, while it fills less than the window.
 NEW_LOOKS = 3
-# A fit that differs more, by amplitude or phase, comes from a hand or a step of the rest. Six that are weak,
-# or on an untouched pad, come from another vibration.
+# A fit that differs by more in amplitude or phase comes from a hand or a step of the rest. Six weak fits, or
+# fits on an untouched pad, that differ come from another vibration.
 LIKE, LIKE_RADIANS = (0.75, 1.35), 0.4
 WEAK = 0.4
 MISFITS = 6
-# How much of what a look shows is believed.
+# Shares by which weights, phase and frequency follow each fit.
 LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
-# The taxels a third from the lightest: a hand seldom covers more.
+# The fit uses the taxel a third from the lightest: a hand seldom covers more.
 LIGHT = 19
 # The vibration has ended if taking it out leaves four times the variance, over this many frames.
 ENDED_FRAMES, ENDED = 18, 4.0
 
-# A sine's values above 0 vary by a tenth of its amplitude's square, but may be equal where it takes two to
-# four frames. How the taxels follow is then learned from all values.
+# Weights are learned where the sine is above 0, whose values vary by a tenth of its amplitude's square, but
+# may be equal where a period takes two to four frames; then from all values.
 LEAST_SPREAD = 0.03
 LEAST_SCALE = 0.1
 
@@ -54,17 +57,17 @@ AGO = np.arange(1 - LOOK_FRAMES, 1)
 HANN = np.hanning(LOOK_FRAMES + 2)[1:-1]
 SLOPE = AGO - AGO.mean()
 LEVEL_AND_SLOPE = np.stack([np.ones(LOOK_FRAMES), SLOPE])
-# The first and the last are those of no vibration: it is slower or faster, and looks like another one here.
+# The first and the last are not vibrations: they are slower or faster ones, aliased.
 TURNS = 2 * np.pi * np.arange(2.75, 25.26, 0.25) / FRAME_RATE_HZ
 WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
 
 
 @dataclass
 class _Wave:
-    """A sine: its turn a frame in radians, its value at the newest frame in counts, and how taxels follow.
+    """A sine: its turn a frame in radians, its value at the newest frame in counts, and how taxels follow it.
 
-    weights, rest: (64,), the sine's share in each taxel, and its counts without it. fitted: amplitude that a
-    fit to the light taxels shows, which is less than the true one where counts are cut off at 0.
+    weights, rest: (64,), the sine's share in each taxel, and its counts without the sine. fitted: the
+    amplitude of a fit to the light taxels, which is below the true one where counts are cut off at 0.
     """
 
     turn: float
@@ -76,12 +79,12 @@ class _Wave:
     misfits: int = 0
 
     def values(self, ago: NDArray[np.int_]) -> NDArray[np.float32]:
-        """Return its values in the frames `ago` of the newest."""
+        """Return its values at frames relative to the newest, (0, -1, ...)."""
         values: NDArray[np.float32] = (self.now * np.exp(1j * self.turn * ago)).real.astype(np.float32)
         return values
 
     def without(self, frames: Counts, values: NDArray[np.float32]) -> Counts:
-        """Return (T, 64) counts without the sine; a count of 0 may have been cut off, and stays."""
+        """Return (T, 64) counts without the sine; counts of 0 may have been cut off, and stay."""
         left = np.minimum(np.maximum(frames - values[:, None] * self.weights, 0), MAX_COUNT)
         kept: Counts = np.where(frames > 0, left, 0)
         return kept
@@ -97,7 +100,7 @@ class _Wave:
 
 
 class Vibration:
-    """Follows a pad's frames on the grid, and returns them without its vibration."""
+    """Takes a pad's frames on the grid, and returns them without its vibration."""
 
     def __init__(self) -> None:
         self._newest: list[Counts] = []
