@@ -15,8 +15,9 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier
 if TYPE_CHECKING:
     from rigs.live_rig import Served
 
-# A shell has what it runs in the background ignore Ctrl-C, and so would the programs that tests start.
+# Programs that tests start inherit ignored signals: Ctrl-C from a shell's background, SIGHUP from nohup.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
