@@ -17,7 +17,7 @@ def test_the_daemon_reads_a_fake_pad_and_recognises_its_hand() -> None:
             assert final["gesture"] == "rub"
             daemon.send_signal(signal.SIGTERM)
             assert daemon.wait(WITHIN_S) == 0
-        pad.send_signal(signal.SIGTERM)
+        pad.send_signal(signal.SIGINT)
         assert pad.wait(WITHIN_S) == 0
 
 

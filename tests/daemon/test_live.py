@@ -194,7 +194,6 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
         assert (frames, dropped) == (len(stream.counts), 0)
 
 
-@pytest.mark.xfail(reason="known fault: the touchable demo sometimes does not end on Ctrl-C")
 def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
     with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
