@@ -50,16 +50,10 @@ def test_noise_begins_at_its_time_and_not_before() -> None:
     assert (clean.counts[540:] != noisy.counts[540:]).mean() > 0.5
 
 
-# Known fault: with a scripted network, the last touch under noise is still open when the session ends.
-NOISE = pytest.param(
-    {"noise": 1.5}, marks=pytest.mark.xfail(reason="the last touch does not end under noise")
-)
-
-
-@pytest.mark.parametrize("disturbance", [{}, NOISE, {"hum": 2.0}, {"motor": 2.0}])
-def test_the_touches_of_a_session_stay_apart(disturbance: dict[str, float]) -> None:
+@pytest.mark.parametrize("disturbance", [{}, {"noise": 1.5}, {"hum": 2.0}, {"motor": 2.0}])
+def test_the_touches_of_a_session_stay_apart(disturbance: dict[str, float], classifier: Classifier) -> None:
     session = made(SessionSettings(**disturbance))
-    result = score([judge(session, play(frames_of(session.counts), Scripted()))])
+    result = score([judge(session, play(frames_of(session.counts), classifier))])
     assert (result.n, result.missed, result.merged, result.split, result.open) == (2, 0.0, 0.0, 0.0, 0.0)
 
 
