@@ -68,5 +68,19 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     hum: float = 0.0
     """A motor or the mains: all taxels together, at 4 to 27 Hz as sampled."""
     hum_counts: float = 2.0
+    another_pad: float = 0.0
+    """Share of a fabric pad's windows that are changed to what another kind of pad would have read."""
+    rise_s: float = 0.25
+    """The longest time constant with which a soft pad follows rising pressure."""
+    fall_s: float = 1.5
+    """The same for falling pressure: silicone creeps back."""
+    coarse: float = 0.5
+    """Share of those windows whose pad also has fewer taxels, 4 to 7 a side, interpolated to 8."""
+    slow: float = 1.0
+    """The slowest pace of a hand on such a pad; 1: the pace of the recording."""
+    threshold_counts: float = 0.0
+    """The largest pressure that such a pad does not react to."""
+    curve: float = 0.0
+    """Standard deviation of the log of a factor and of an exponent on such a pad's counts."""
     mix: float = 0.0
     """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""

@@ -34,6 +34,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds: tuple[int, ...]
     """One network on all training participants each; the first is the one that ships."""
     settings: TrainSettings
+    begins_from: tuple[str, ...] = ()
+    """Finished trainings whose weights the networks begin with: of the shipped network, then one a fold."""
 
 
 @dataclass(frozen=True)
@@ -72,5 +74,10 @@ def fold_jobs(recipe: Recipe) -> list[Job]:
 
 
 def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...]) -> Job:
-    settings = msgspec.structs.replace(recipe.settings, name=recipe.name, seed=seed, left_out=left_out)
+    begins_from = ""
+    if recipe.begins_from:
+        begins_from = recipe.begins_from[recipe.folds.index(left_out) + 1 if left_out else 0]
+    settings = msgspec.structs.replace(
+        recipe.settings, name=recipe.name, seed=seed, left_out=left_out, begins_from=begins_from
+    )
     return Job(f"{recipe.name}-{fold_name(left_out)}-seed{seed}", settings)

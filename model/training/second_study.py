@@ -12,7 +12,7 @@ from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Recording, ideal_clock_ms, read_recordings
 from touchd.model.training.haart import PUBLISHED_FRAMES, find
 
-FILE = "robot-pad.csv"
+FILES = ("robot-pad.csv", "robot-pad-more.csv")
 TAKE_FRAMES = round(10 * FRAME_RATE_HZ)
 SCORED_FROM = round(FRAME_RATE_HZ)
 """HAART kept the middle 8 of 10 s; so do we, of each recording's first take."""
@@ -21,8 +21,9 @@ EDGE_FRAMES = round(0.5 * FRAME_RATE_HZ)
 
 
 def read(folder: Path) -> list[Recording]:
-    """Read the 224 recordings as they are stored."""
-    return read_recordings(find(folder, FILE, "name its folder: --second-study"))
+    """Read the 373 recordings as they are stored."""
+    hint = "name its folder: --second-study"
+    return [recording for name in FILES for recording in read_recordings(find(folder, name, hint))]
 
 
 def takes(recordings: Iterable[Recording]) -> list[Recording]:

@@ -6,7 +6,7 @@ import msgspec
 
 from touchd.model.settings import AugmentationSettings, NetworkSettings
 
-Study = Literal["haart", "second"]
+Study = Literal["haart", "second", "third"]
 
 
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -15,8 +15,10 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str = "touchd"
     seed: int = 0
     studies: tuple[Study, ...] = ("haart",)
-    """Whose recordings it learns from: HAART's training participants, the second study's people."""
+    """Whose recordings it learns from: HAART's training participants, the second or third study's people."""
     left_out: tuple[str, ...] = ()
+    begins_from: str = ""
+    """Name of a finished training in the same folder of runs, whose weights this one begins with."""
     epochs: int = 60
     rate_epochs: int = 0
     """Epochs over which the learning rate falls to zero, where training stops before; 0: `epochs`."""
@@ -32,7 +34,7 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     averaged_epochs: tuple[int, ...] = ()
     """Epochs after which that average is set aside; the mean of these is kept then (Izmailov et al. 2018)."""
     balance_people: bool = False
-    """Whether every person is drawn equally often, however many recordings there are."""
+    """Whether every study, and each of its people, is drawn equally often."""
     bfloat16: bool = False
     """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
     compiled: bool = False

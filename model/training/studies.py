@@ -4,8 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from touchd.drivers.recording import Recording
-from touchd.model.training import haart, second_study
+from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.settings import Study
+
+
+def study_of(participant: str) -> Study:
+    """Return the study in which a participant took part: P and T: HAART; R and L: second; S: third."""
+    return "haart" if participant[0] in "PT" else "third" if participant[0] == "S" else "second"
 
 
 @dataclass(frozen=True)
@@ -14,6 +19,7 @@ class Folders:
 
     haart: Path
     second_study: Path = Path("second-study")
+    third_study: Path = Path("third-study")
 
     def to_train_on(self, studies: tuple[Study, ...]) -> list[Recording]:
         """Return all whole-scan recordings to train on; raises RecordingError when a study is missing."""
@@ -22,6 +28,8 @@ class Folders:
             recordings += haart.realigned(haart.read_training(self.haart))
         if "second" in studies:
             recordings += second_study.takes(second_study.read(self.second_study))
+        if "third" in studies:
+            recordings += third_study.read(self.third_study)
         return recordings
 
     def to_score_on(self, studies: tuple[Study, ...]) -> dict[Study, list[Recording]]:
@@ -31,4 +39,6 @@ class Folders:
             scored["haart"] = self.to_train_on(("haart",))
         if "second" in studies:
             scored["second"] = second_study.scored(second_study.read(self.second_study))
+        if "third" in studies:
+            scored["third"] = third_study.read(self.third_study)
         return scored

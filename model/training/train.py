@@ -13,16 +13,18 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
-from touchd.model.adapt.augment import begin_from_rest, crop, vary
+from touchd.model.adapt.augment import as_another_pad, begin_from_rest, crop, vary
 from touchd.model.adapt.origin import code_version, data_hash
 from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.tgc import KNEE_COUNTS, TGC
-from touchd.model.training import checkpoint, haart
+from touchd.model.training import checkpoint, haart, third_study
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError
 from touchd.model.training.settings import TrainSettings
-from touchd.model.training.studies import Folders
+from touchd.model.training.studies import Folders, study_of
 
 CHECKPOINT_NAME = "checkpoint.pt"
+IMPOSSIBLE = -1e4
+"""Logit of an answer that the loss leaves out."""
 STATES = ("network", "optimizer", "average")
 SOURCES = ("haart.py", "settings.py", "train.py")
 
@@ -35,11 +37,15 @@ class Training:
         self.device = device
         self.data_sha256 = data_hash(recordings)
         self.labels = tuple(sorted({recording.gesture for recording in recordings}))
-        self.counts = [torch.from_numpy(recording.counts.astype(np.int16)) for recording in recordings]
+        self.counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
         self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
         self.participants = [recording.participant for recording in recordings]
         people = Counter(self.participants)
-        self.weights = torch.tensor([1.0 / people[participant] for participant in self.participants])
+        in_study = Counter(study_of(participant) for participant in people)
+        self.weights = torch.tensor(
+            [1.0 / people[participant] / in_study[study_of(participant)] for participant in self.participants]
+        )
+        self.soft = torch.tensor([study_of(each) == "third" for each in self.participants])
         self.resting: dict[str, list[int]] = {participant: [] for participant in people}
         for i, recording in enumerate(recordings):
             if recording.gesture == NO_TOUCH:
@@ -69,11 +75,16 @@ class Training:
         for batch in range(self.steps_per_epoch):
             chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
             windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
+            soft = self.soft[chosen]
+            windows[~soft] = as_another_pad(windows[~soft], settings.augmentation, self.rng)
             windows = vary(windows, settings.augmentation, self.rng)
             targets = functional.one_hot(self.classes[chosen], len(self.labels)).float()
-            windows, targets = self._mix(windows, targets)
+            windows, targets, soft = self._mix(windows, targets, soft)
+            possible = self._possible(targets, soft)
             step = self.epoch * self.steps_per_epoch + batch
-            total += self._step(windows.to(self.device), targets.to(self.device), step)
+            total += self._step(
+                windows.to(self.device), targets.to(self.device), possible.to(self.device), step
+            )
         self.epoch += 1
         if self.epoch in settings.averaged_epochs:
             self.set_aside.append(copy.deepcopy(self.average.state_dict()))
@@ -96,26 +107,42 @@ class Training:
         still = crop(rest, settings.window, settings.augmentation, self.rng)
         return begin_from_rest(window, still, settings.augmentation, self.rng)
 
-    def _mix(self, windows: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
-        """Blend some windows (B, T, 8, 8) with others, on the scale that the network sees."""
+    def _possible(self, targets: Tensor, soft: Tensor) -> Tensor:
+        """Return (B, classes), which answers the loss compares: the third study has no tickle.
+
+        Without this, "tickle" would become evidence for the other studies' pad.
+        """
+        possible = torch.ones_like(targets, dtype=torch.bool)
+        if third_study.MISSING in self.labels:
+            missing = self.labels.index(third_study.MISSING)
+            possible[:, missing] = ~soft | (targets[:, missing] > 0)
+        return possible
+
+    def _mix(self, windows: Tensor, targets: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Blend some windows (B, T, 8, 8) with others, on the scale that the network sees.
+
+        soft: (B,) bool, whether a window of the third study's pad takes part.
+        """
         B = len(windows)
         share = 0.5 * torch.rand(B, generator=self.rng)
         share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
         other = torch.randperm(B, generator=self.rng)
         part = share[:, None, None, None]
         mixed = (windows + KNEE_COUNTS) ** (1.0 - part) * (windows[other] + KNEE_COUNTS) ** part - KNEE_COUNTS
-        return mixed, targets * (1.0 - share[:, None]) + targets[other] * share[:, None]
+        blended = targets * (1.0 - share[:, None]) + targets[other] * share[:, None]
+        return mixed, blended, soft | (soft[other] & (share > 0))
 
-    def _step(self, windows: Tensor, targets: Tensor, step: int) -> float:
+    def _step(self, windows: Tensor, targets: Tensor, possible: Tensor, step: int) -> float:
         settings = self.settings
         epochs = settings.rate_epochs or settings.epochs
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate_at(step, epochs * self.steps_per_epoch, settings.learning_rate)
         self.network.train()
         with torch.autocast(self.device, torch.bfloat16, enabled=self._bfloat16):
-            logits = self._at_lengths(windows, settings.lengths).flatten(0, 1).float()
-        expected = targets.repeat_interleave(len(settings.lengths), dim=0)
-        loss = functional.cross_entropy(logits, expected, label_smoothing=settings.label_smoothing)
+            logits = self._at_lengths(windows, settings.lengths).float()
+        logits = logits.masked_fill(~possible[:, None], IMPOSSIBLE)
+        expected = torch.lerp(targets, possible / possible.sum(dim=1, keepdim=True), settings.label_smoothing)
+        loss = -(expected[:, None] * functional.log_softmax(logits, dim=-1)).sum(dim=-1).mean()
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_LIMIT)
@@ -149,6 +176,11 @@ class Training:
             data_sha256=self.data_sha256,
         )
 
+    def begin_with(self, earlier: Checkpoint) -> None:
+        """Begin with the weights of an earlier training, which saw nobody whom this one leaves out."""
+        for network in (self.network, self.average):
+            network.load_state_dict(earlier.network)
+
     def resume(self, saved: Checkpoint) -> None:
         """Resume from `saved`; raises CheckpointError when it is of another training."""
         if saved.settings != self.settings or saved.data_sha256 != self.data_sha256:
@@ -169,6 +201,8 @@ def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path
     training = Training(recordings, settings, device)
     if path.exists():
         training.resume(checkpoint.load(path))
+    elif settings.begins_from:
+        training.begin_with(checkpoint.load(folder.parent / settings.begins_from / CHECKPOINT_NAME))
     with tqdm(total=settings.epochs, initial=training.epoch, unit="epoch", desc=folder.name) as progress:
         while training.epoch < settings.epochs:
             loss = training.run_epoch()

@@ -1,0 +1,49 @@
+"""The third study as training and test data: another kind of pad, 6x6, capacitive, soft.
+
+Source: ShearSense recordings of the UBC SPIN lab (pressure channel), the sensor of "What is Affective Touch
+Made Of?" (UIST 2024). Scans are laid on 8x8 taxels and on the 54 Hz grid by the stream's own code.
+"""
+
+import csv
+import gzip
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.grid import on_grid
+from touchd.drivers.recording import Recording
+from touchd.model.training.haart import find
+
+MISSING = "tickle"
+"""The only gesture of touchd's that this study does not have."""
+FILE = "recordings.csv"
+PAD = PadFormat(framing="line", rows=6, columns=6)
+KEYS = ("recording", "participant", "substrate", "seven")
+
+
+def read(folder: Path) -> list[Recording]:
+    """Read the recordings of gestures that touchd has a name for, in file order, on the 54 Hz grid.
+
+    Raises RecordingError when the file is not there.
+    """
+    path = find(folder, FILE, "name its folder: --third-study")
+    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
+        header, *rows = csv.reader(file)
+    first_cell = header.index("c1")
+    at = [header.index(key) for key in KEYS]
+    clock = header.index("ms")
+    layout = layout_of(PAD)
+    recordings = []
+    for (_, participant, substrate, gesture), group in groupby(rows, lambda row: tuple(row[i] for i in at)):
+        if not gesture:
+            continue
+        scans = list(group)
+        values = np.array([row[first_cell:] for row in scans], dtype=np.float64).astype(np.uint16)
+        counts = np.stack([layout.pressure(scan) for scan in values])
+        sensor_ms = np.array([round(float(row[clock])) for row in scans], dtype=np.int64)
+        recordings.append(
+            on_grid(Recording(participant, substrate, "none", gesture, counts, sensor_ms, "live"))
+        )
+    return recordings
