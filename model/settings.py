@@ -76,11 +76,5 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     """The same for falling pressure: silicone creeps back."""
     coarse: float = 0.5
     """Share of those windows whose pad also has fewer taxels, 4 to 7 a side, interpolated to 8."""
-    slow: float = 1.0
-    """The slowest pace of a hand on such a pad; 1: the pace of the recording."""
-    threshold_counts: float = 0.0
-    """The largest pressure that such a pad does not react to."""
-    curve: float = 0.0
-    """Standard deviation of the log of a factor and of an exponent on such a pad's counts."""
     mix: float = 0.0
     """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""

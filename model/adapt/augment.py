@@ -40,38 +40,18 @@ def begin_from_rest(
 
 
 def as_another_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
-    """Return (B, T, 8, 8) counts, some windows as a softer, coarser pad with another curve would read them."""
+    """Return (B, T, 8, 8) counts, some windows as a softer, coarser pad would have read them."""
     these = torch.rand(len(counts), generator=rng) < settings.another_pad
     if not these.any():
         return counts
-    x = counts[these]
-    B = len(x)
-    if settings.curve:
-        spread = settings.curve * torch.randn(2, B, 1, 1, 1, generator=rng)
-        x = MAX_COUNT * (x / MAX_COUNT).clamp_min(1e-6) ** torch.exp(0.5 * spread[0]) * torch.exp(spread[1])
-    x = _slower(x, settings.slow, rng)
-    threshold = settings.threshold_counts * torch.rand(B, 1, 1, 1, generator=rng) ** 2
-    x = (x - threshold).clamp_min(0.0)
-    x = _creep(x, settings, rng)
-    for i in (torch.rand(B, generator=rng) < settings.coarse).nonzero().flatten().tolist():
+    x = _creep(counts[these], settings, rng)
+    for i in (torch.rand(len(x), generator=rng) < settings.coarse).nonzero().flatten().tolist():
         side = int(torch.randint(4, ROWS, (1,), generator=rng))
         fewer = functional.adaptive_avg_pool2d(x[i], side)
         x[i] = functional.interpolate(fewer[:, None], (ROWS, COLUMNS), mode="bilinear")[:, 0]
     changed = counts.clone()
-    changed[these] = x.clamp_max(MAX_COUNT)
+    changed[these] = x
     return changed
-
-
-def _slower(x: Tensor, slowest: float, rng: torch.Generator) -> Tensor:
-    """Return (B, T, 8, 8) of hands that move up to `slowest` times as fast."""
-    B, T = x.shape[:2]
-    pace, start = torch.rand(2, B, 1, generator=rng)
-    pace = 1.0 - (1.0 - slowest) * pace
-    places = start * (T - 1) * (1.0 - pace) + pace * torch.arange(T)
-    below = places.long().clamp_max(T - 2)
-    part = (places - below)[:, :, None, None]
-    rows = torch.arange(B)[:, None]
-    return torch.lerp(x[rows, below], x[rows, below + 1], part)
 
 
 def _creep(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:

@@ -158,12 +158,12 @@ def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Flo
 
 def main(arguments: Sequence[str]) -> int:
     """Measure everybody and fill the page; returns 0."""
-    parser = study_parser("adapting", __doc__, "haart", "second-study", "docs")
+    parser = study_parser("adapting", __doc__, "haart", "second-study", "third-study", "docs")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
     options = parser.parse_args(arguments)
     settings = AdaptSettings()
     with one_torch_thread():
-        folders = Folders(options.haart, options.second_study)
+        folders = Folders(options.haart, options.second_study, options.third_study)
         trials = tuple(measure(folders, options.runs, settings))
     measured = Measured(settings, trials)
     FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")

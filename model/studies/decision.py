@@ -171,9 +171,9 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
 
 def main(arguments: Sequence[str]) -> int:
     """Measure, store the figures, fill the page and draw; returns 0."""
-    parser = study_parser("decision", __doc__, "haart", "second-study", "docs")
+    parser = study_parser("decision", __doc__, "haart", "second-study", "third-study", "docs")
     options = parser.parse_args(arguments)
-    folders = Folders(options.haart, options.second_study)
+    folders = Folders(options.haart, options.second_study, options.third_study)
     training, test = haart.read_training(folders.haart), haart.read_test(folders.haart)
     weights, shipped = SHIPPED_MODEL.parent, Classifier.load()
     studies = {

@@ -24,11 +24,11 @@ SEEDS = (0, 1, 2)
 
 def main(arguments: Sequence[str]) -> int:
     """Train what is not trained yet, and print mean and standard deviation over the seeds; returns 0."""
-    parser = study_parser("seeds", __doc__, "haart", "second-study")
+    parser = study_parser("seeds", __doc__, "haart", "second-study", "third-study")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
     parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
     options = parser.parse_args(arguments)
-    recipe, folders = read_recipe(), Folders(options.haart, options.second_study)
+    recipe, folders = read_recipe(), Folders(options.haart, options.second_study, options.third_study)
     recipes = [msgspec.structs.replace(recipe, seeds=(seed,)) for seed in SEEDS]
 
     def networks(jobs: Callable[[Recipe], list[Job]]) -> list[list[Checkpoint]]:

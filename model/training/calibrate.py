@@ -18,8 +18,10 @@ from touchd.model.tgc import TGC
 from touchd.model.training import haart, metrics
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.metrics import Floats, Labels
+from touchd.model.training.studies import MISSING, study_of
 
 BATCH = 64
+IMPOSSIBLE = -1e4
 
 
 Answers = Mapping[int, tuple[Floats, Labels]]
@@ -32,10 +34,21 @@ def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
 
 
 def ask(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
-    """Ask a network about recordings, whole scans as they are scored, at every answered length."""
+    """Ask a network about one study's recordings, whole scans as they are scored, at every answered length.
+
+    An answer that the study cannot contain gets the logit IMPOSSIBLE.
+    """
     network = saved.build()
-    windows = {length: haart.cut(recordings, length) for length in LENGTHS}
-    return {length: (_logits(network, cut.counts), cut.labels) for length, cut in windows.items()}
+    missing = [
+        saved.labels.index(gesture) for gesture in MISSING.get(study_of(recordings[0].participant), ())
+    ]
+    answers = {}
+    for length in LENGTHS:
+        windows = haart.cut(recordings, length)
+        logits = _logits(network, windows.counts)
+        logits[:, missing] = IMPOSSIBLE
+        answers[length] = logits, windows.labels
+    return answers
 
 
 def fit_temperatures(answers: Sequence[Answers]) -> dict[int, float]:
@@ -69,7 +82,7 @@ def fit_temperature(logits: Floats, labels: Labels) -> float:
     return float(min(TEMPERATURES, key=lambda temperature: cross_entropy(logits / temperature, labels)))
 
 
-def _logits(network: TGC, counts: NDArray[np.uint16]) -> Floats:
+def _logits(network: TGC, counts: NDArray[np.uint16] | NDArray[np.float32]) -> Floats:
     with torch.no_grad():
         batches = [
             network(torch.from_numpy(counts[start : start + BATCH].astype(np.float32)))

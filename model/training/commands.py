@@ -15,7 +15,7 @@ from touchd.model.training.download import ARCHIVE_URL, obtain
 from touchd.model.training.recipe import SHIPPED_RECIPE, read_recipe
 from touchd.model.training.studies import Folders
 
-BOTH = ("haart", "second-study")
+STUDIES = ("haart", "second-study", "third-study")
 WEIGHTS: dict[str, Any] = {"type": Path, "default": SHIPPED_MODEL.parent, "help": "folder of the model files"}
 
 
@@ -60,7 +60,7 @@ def export(arguments: Sequence[str]) -> int:
 def evaluate(arguments: Sequence[str]) -> int:
     """Print the model's scores on the recordings there are, or write scores.json; returns 0."""
     what = "Scores the model on people whom it never saw: on HAART's, and on further studies' where they are."
-    parser = study_parser("evaluate", what, *BOTH)
+    parser = study_parser("evaluate", what, *STUDIES)
     parser.add_argument("--weights", **WEIGHTS)
     parser.add_argument(
         "--write",
@@ -98,11 +98,11 @@ def stability(arguments: Sequence[str]) -> int:
 
 
 def _recipe_parser(name: str, description: str) -> argparse.ArgumentParser:
-    parser = study_parser(name, description, *BOTH)
+    parser = study_parser(name, description, *STUDIES)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
     parser.add_argument("--recipe", type=Path, default=SHIPPED_RECIPE, help="YAML file; the shipped model's")
     return parser
 
 
 def _folders(options: argparse.Namespace) -> Folders:
-    return Folders(options.haart, options.second_study)
+    return Folders(options.haart, options.second_study, options.third_study)

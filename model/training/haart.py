@@ -71,7 +71,7 @@ def label(recording: Recording) -> int:
 
 
 def cut(recordings: Sequence[Recording], length: int) -> Windows:
-    """Cut each recording into its 432 // length non-overlapping windows, as the paper does.
+    """Cut each recording into non-overlapping windows, as the paper does: 432 // length of HAART's.
 
     A realigned recording is one frame short; its last window then begins one frame early.
     """
@@ -80,7 +80,7 @@ def cut(recordings: Sequence[Recording], length: int) -> Windows:
     participants: list[str] = []
     conditions: list[str] = []
     for recording in recordings:
-        for window in range(PUBLISHED_FRAMES // length):
+        for window in range((len(recording.counts) + 1) // length):
             start = min(window * length, len(recording.counts) - length)
             counts.append(recording.counts[start : start + length])
             labels.append(label(recording))

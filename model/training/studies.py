@@ -1,11 +1,16 @@
 """The two studies that a network can learn from, and where their recordings lie."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from touchd.drivers.recording import Recording
 from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.settings import Study
+
+MISSING: Mapping[Study, tuple[str, ...]] = MappingProxyType({"third": ("tickle",)})
+"""Gestures that a study does not contain, and that are not among the answers when it is scored."""
 
 
 def study_of(participant: str) -> Study:

@@ -16,10 +16,8 @@ from touchd.drivers.pad.grid import on_grid
 from touchd.drivers.recording import Recording
 from touchd.model.training.haart import find
 
-MISSING = "tickle"
-"""The only gesture of touchd's that this study does not have."""
 FILE = "recordings.csv"
-PAD = PadFormat(framing="line", rows=6, columns=6)
+PAD = PadFormat(framing="text", rows=6, columns=6)
 KEYS = ("recording", "participant", "substrate", "seven")
 
 

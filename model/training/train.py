@@ -17,14 +17,13 @@ from touchd.model.adapt.augment import as_another_pad, begin_from_rest, crop, va
 from touchd.model.adapt.origin import code_version, data_hash
 from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.tgc import KNEE_COUNTS, TGC
-from touchd.model.training import checkpoint, haart, third_study
+from touchd.model.training import checkpoint, haart
+from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError
 from touchd.model.training.settings import TrainSettings
-from touchd.model.training.studies import Folders, study_of
+from touchd.model.training.studies import MISSING, Folders, study_of
 
 CHECKPOINT_NAME = "checkpoint.pt"
-IMPOSSIBLE = -1e4
-"""Logit of an answer that the loss leaves out."""
 STATES = ("network", "optimizer", "average")
 SOURCES = ("haart.py", "settings.py", "train.py")
 
@@ -113,8 +112,8 @@ class Training:
         Without this, "tickle" would become evidence for the other studies' pad.
         """
         possible = torch.ones_like(targets, dtype=torch.bool)
-        if third_study.MISSING in self.labels:
-            missing = self.labels.index(third_study.MISSING)
+        for gesture in {*MISSING["third"]} & {*self.labels}:
+            missing = self.labels.index(gesture)
             possible[:, missing] = ~soft | (targets[:, missing] > 0)
         return possible
 

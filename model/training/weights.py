@@ -11,6 +11,8 @@ HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
 """touchd-1, which learnt from HAART's training participants alone, as the paper's network did."""
 WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
 """The same, but varied as another lab's pad may be: for the figure from one study to the other."""
+FABRIC_MODEL = SHIPPED_MODEL.with_name("fabric.onnx")
+"""The shipped recipe without the third study: for the figure of a pad that the network has never met."""
 LEFT_OUT_FOLDER = "left_out"
 SEEDS_FOLDER = "seeds"
 SCORES_NAME = "scores.json"

@@ -25,14 +25,16 @@ from touchd.model.studies.checks.evaluate import Evaluation, Split, evaluate, sc
 from touchd.model.studies.published import TABLE3
 from touchd.model.training import haart
 from touchd.model.training.settings import Study
-from touchd.model.training.studies import Folders
-from touchd.model.training.weights import SCORES_NAME, WIDE_MODEL, left_out_split
+from touchd.model.training.studies import MISSING, Folders
+from touchd.model.training.weights import FABRIC_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
 TITLES: Mapping[str, str] = MappingProxyType(
     {
         "test": "HAART, test participants",
         "left_out": "HAART, training participants",
         "second_study": "second study",
+        "third_study": "third study, another kind of pad",
+        "new_pad": "third study, a pad never met",
         "cross_study": "second study, trained on HAART alone",
     }
 )
@@ -66,7 +68,10 @@ class Further:
         return f"--{self.folder.replace('_', '-')}"
 
 
-FURTHER = (Further("second", "second_study", "people who touch the pad around a robot, still or breathing"),)
+FURTHER = (
+    Further("second", "second_study", "people who touch the pad around a robot, still or breathing"),
+    Further("third", "third_study", "another kind of pad", MISSING["third"]),
+)
 
 
 class MissingStudyError(TouchdError):
@@ -84,6 +89,8 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
     test: Evaluation
     left_out: Evaluation
     second_study: Evaluation
+    third_study: Evaluation
+    new_pad: Evaluation
     cross_study: Evaluation
 
 
@@ -150,6 +157,8 @@ def _splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split, tuple
             yield further.folder, left_out_split(weights, recordings), further.missing
             if further.study == "second":
                 yield "cross_study", [(Classifier.load(WIDE_MODEL), recordings)], further.missing
+            if further.study == "third":
+                yield "new_pad", [(Classifier.load(FABRIC_MODEL), recordings)], further.missing
 
 
 def _not_there(folders: Folders) -> list[Further]:
