@@ -27,7 +27,10 @@ def read(folder: Path) -> list[Recording]:
 
 
 def takes(recordings: Iterable[Recording]) -> list[Recording]:
-    """Return every take as a recording of its own, without its edges, to train on."""
+    """Return every whole take as a recording of its own, without its edges, to train on.
+
+    The recordings of L1 and L2 are a frame too short, so that nobody trains on these two.
+    """
     return [
         _part(recording, start + EDGE_FRAMES, start + TAKE_FRAMES - EDGE_FRAMES)
         for recording in recordings

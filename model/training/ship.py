@@ -53,6 +53,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
     Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
     """
     scored = folders.to_score_on(recipe.settings.studies)
+    learnt = {study: folders.to_train_on((study,)) for study in recipe.settings.studies}
     folds = [_load(job, runs) for job in fold_jobs(recipe)]
     answers = [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds]
     written: list[Path] = []
@@ -60,7 +61,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         path = fold_path(weights, fold.settings.left_out)
         name = f"{recipe.name}-{fold_name(fold.settings.left_out)}"
         temperatures = _temperatures([answer for answer in answers if answer is not own])
-        _export(fold, name, scored, temperatures, calibrate.accuracies(own), path)
+        _export(fold, name, learnt, temperatures, calibrate.accuracies(own), path)
         written.append(path)
     temperatures = _temperatures(answers)
     accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
@@ -69,7 +70,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         shipped = job.settings.seed == recipe.seeds[0]
         further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
         path = weights / (SHIPPED_MODEL.name if shipped else further)
-        _export(saved, recipe.name, scored, temperatures, accuracies, path)
+        _export(saved, recipe.name, learnt, temperatures, accuracies, path)
         written.append(path)
         if shipped:
             beside = path.with_suffix(".pt")
@@ -102,14 +103,14 @@ def _temperatures(answers: Sequence[Sequence[calibrate.Answers]]) -> dict[int, f
 def _export(
     saved: Checkpoint,
     name: str,
-    scored: Mapping[Study, Sequence[Recording]],
+    learnt: Mapping[Study, Sequence[Recording]],
     temperatures: Mapping[int, float],
     accuracies: dict[str, float],
     path: Path,
 ) -> None:
     learnt_from = {
         study: sorted({each.participant for each in haart.without(recordings, saved.settings.left_out)})
-        for study, recordings in scored.items()
+        for study, recordings in learnt.items()
     }
     export_checkpoint(
         saved, path, name, temperatures, {"learnt_from": learnt_from}, {"left_out_accuracy": accuracies}

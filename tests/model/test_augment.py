@@ -8,7 +8,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from touchd.model.adapt.augment import crop, vary
+from touchd.model.adapt.augment import as_another_pad, crop, vary
 from touchd.model.settings import AugmentationSettings
 from touchd.model.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
 from touchd.model.studies.checks.hard_cases import checkerboard, hand
@@ -97,3 +97,30 @@ def test_a_crop_is_played_at_another_pace() -> None:
     torch.testing.assert_close(steps, steps[:, :1].expand_as(steps), atol=1e-3, rtol=0.0)
     assert 0.75 <= float(steps.min()) < 0.8
     assert 1.2 < float(steps.max()) <= 1.251
+
+
+SOFT = msgspec.structs.replace(OFF, another_pad=1.0, rise_s=0.1, fall_s=1.0, coarse=0.0)
+PATS = torch.where(torch.arange(108) % 27 < 8, 200.0, 0.0)[None, :, None, None].expand(16, -1, 8, 8)
+
+
+def test_a_soft_pad_rises_faster_than_it_creeps_back() -> None:
+    read = as_another_pad(PATS, SOFT, torch.Generator().manual_seed(0))
+    assert float(read.min()) >= 0.0
+    assert float(read.max()) <= 200.0
+    assert float(read[:, 7].median()) > 150.0
+    assert float(read[:, 26].max()) > 20.0
+
+
+def test_a_coarse_pad_blurs_a_single_taxel() -> None:
+    point = torch.zeros(16, 4, 8, 8)
+    point[:, :, 3, 4] = 200.0
+    coarse = msgspec.structs.replace(SOFT, rise_s=0.0, fall_s=0.0, coarse=1.0)
+    read = as_another_pad(point, coarse, torch.Generator().manual_seed(0))
+    assert float(read.amax(dim=(1, 2, 3)).max()) < 150.0
+
+
+def test_other_pads_are_as_many_as_asked_for() -> None:
+    some = msgspec.structs.replace(SOFT, another_pad=0.25)
+    read = as_another_pad(PATS.repeat(20, 1, 1, 1), some, torch.Generator().manual_seed(0))
+    changed = (read != PATS[:1]).flatten(1).any(dim=1).float().mean()
+    assert 0.2 < float(changed) < 0.3

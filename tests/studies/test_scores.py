@@ -8,7 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.haart_folder import HAART, SECOND_STUDY, needs_haart, needs_second_study
+from rigs.haart_folder import (
+    HAART,
+    SECOND_STUDY,
+    THIRD_STUDY,
+    needs_haart,
+    needs_second_study,
+    needs_third_study,
+)
 
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import (
@@ -21,18 +28,22 @@ from touchd.drivers.recording import (
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks import evaluate
-from touchd.model.training import haart, second_study
+from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.haart import TRAINING_FILE, find
+from touchd.model.training.studies import MISSING
 
 pytest.importorskip("torch", reason="needs the extra train")
 
 from touchd.model.studies.__main__ import main
 from touchd.model.studies.checks.scores import Scores, read_scores
-from touchd.model.training.recipe import HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
-from touchd.model.training.weights import HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
+from touchd.model.training.recipe import FABRIC_RECIPE, HAART_RECIPE, WIDE_RECIPE, Recipe, read_recipe
+from touchd.model.training.weights import FABRIC_MODEL, HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]
-SECOND_STUDY_PEOPLE = ["R02", "R04", "R06", "R08", "R10", "R12", "R14", "R16"]
+SECOND_STUDY_PEOPLE = [f"R{number:02}" for number in (2, 3, 4, 6, 8, 9, 10, 11, 12, 14, 16, 17)]
+SCORED_ONLY = ["L1", "L2"]
+THIRD_STUDY_PEOPLE = [f"S{number:02}" for number in (1, 3, 4, 6, 7, 8, 10, 11, 12, 14, 15, 18)]
+FABRIC = {"haart": HAART_PEOPLE, "second": SECOND_STUDY_PEOPLE}
 TOLERANCE = 0.002
 
 
@@ -52,11 +63,12 @@ def test_the_scores_are_those_of_the_shipped_file(scores: Scores) -> None:
 @pytest.mark.parametrize(
     ("model", "recipe", "people"),
     [
-        (SHIPPED_MODEL, read_recipe(), {"haart": HAART_PEOPLE, "second": SECOND_STUDY_PEOPLE}),
+        (SHIPPED_MODEL, read_recipe(), {**FABRIC, "third": THIRD_STUDY_PEOPLE}),
+        (FABRIC_MODEL, read_recipe(FABRIC_RECIPE), FABRIC),
         (WIDE_MODEL, read_recipe(WIDE_RECIPE), {"haart": HAART_PEOPLE}),
         (HAART_MODEL, read_recipe(HAART_RECIPE), None),
     ],
-    ids=["shipped", "HAART alone, varied widely", "HAART alone"],
+    ids=["shipped", "fabric alone", "HAART alone, varied widely", "HAART alone"],
 )
 def test_a_model_file_names_its_training_data(
     model: Path, recipe: Recipe, people: dict[str, list[str]] | None
@@ -71,7 +83,7 @@ def test_a_model_file_names_its_training_data(
 
 def test_everyone_is_left_out_exactly_once() -> None:
     left_out = sorted(participant for fold in read_recipe().folds for participant in fold)
-    assert left_out == sorted([*HAART_PEOPLE, *SECOND_STUDY_PEOPLE])
+    assert left_out == sorted([*HAART_PEOPLE, *SECOND_STUDY_PEOPLE, *SCORED_ONLY, *THIRD_STUDY_PEOPLE])
 
 
 def test_a_fold_network_never_saw_the_participants_it_scores() -> None:
@@ -122,7 +134,9 @@ def test_the_left_out_participants_score_as_published(scores: Scores, person: st
 @pytest.mark.timeout(300)
 @on("R14")
 def test_the_second_study_scores_as_published(scores: Scores, person: str | None) -> None:
-    recordings = second_study.scored(recordings_in(find(Path(str(SECOND_STUDY)), second_study.FILE), person))
+    recordings = second_study.scored(
+        recordings_in(find(Path(str(SECOND_STUDY)), second_study.FILES[0]), person)
+    )
     left_out = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
     unseen = evaluate.score([(Classifier.load(WIDE_MODEL), recordings)], 144)
     for again, evaluated in ((left_out, scores.second_study), (unseen, scores.cross_study)):
@@ -131,6 +145,23 @@ def test_the_second_study_scores_as_published(scores: Scores, person: str | None
         if person is None:
             assert again.windows == published.windows
             assert again.per_condition == pytest.approx(published.per_condition, abs=5 * TOLERANCE)
+
+
+@needs_third_study
+@pytest.mark.timeout(300)
+@on("S10")
+def test_the_third_study_scores_as_published(scores: Scores, person: str | None) -> None:
+    recordings = third_study.read(Path(str(THIRD_STUDY)))
+    if person:
+        recordings = haart.only(recordings, [person])
+    splits = (
+        (left_out_split(SHIPPED_MODEL.parent, recordings), scores.third_study),
+        ([(Classifier.load(FABRIC_MODEL), recordings)], scores.new_pad),
+    )
+    for split, evaluated in splits:
+        again = evaluate.score(split, 144, missing=MISSING["third"])
+        published = stored(evaluated.realigned, 144)
+        assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))
 
 
 def tolerance(person: str | None) -> float:

@@ -67,6 +67,29 @@ def test_only_the_same_seed_gives_the_same_network(finished: tuple[Checkpoint, P
     assert not same(train(recordings(), other, tmp_path / "other", DEVICE), finished[0])
 
 
+def test_a_training_begins_with_the_weights_that_it_names(
+    finished: tuple[Checkpoint, Path], tmp_path: Path
+) -> None:
+    save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
+    still = msgspec.structs.replace(SETTINGS, learning_rate=0.0, weight_decay=0.0, begins_from="first")
+    assert same(train(recordings(), still, tmp_path / "second", DEVICE), finished[0])
+
+
+def test_a_pad_without_tickle_is_no_evidence_against_tickle() -> None:
+    training = Training([*recordings(), *recordings(("S03",))], SETTINGS, DEVICE)
+    training.labels = ("notouch", "rub", "tickle")
+    targets = torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.5, 0.5]])
+    soft = torch.tensor([True, False, True])
+    assert training._possible(targets, soft)[:, 2].tolist() == [False, True, True]
+
+
+def test_studies_are_drawn_equally_often() -> None:
+    people = (*(f"P{i}" for i in range(3, 9)), "S03", "S04")
+    training = Training(recordings(people), msgspec.structs.replace(SETTINGS, balance_people=True), DEVICE)
+    drawn = [training.participants[i][0] for _ in range(40) for i in training._order().tolist()]
+    assert 0.45 < drawn.count("S") / len(drawn) < 0.55
+
+
 def test_the_rate_may_end_above_zero() -> None:
     training = Training(recordings(), msgspec.structs.replace(SETTINGS, rate_epochs=6), DEVICE)
     while training.epoch < SETTINGS.epochs:
