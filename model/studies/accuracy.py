@@ -27,11 +27,13 @@ TITLES: Mapping[str, str] = MappingProxyType(
         "test": "HAART test",
         "left_out": "HAART held out",
         "second_study": "second study",
+        "third_study": "third study",
+        "new_pad": "a pad never met",
         "cross_study": "second study, from HAART alone",
     }
 )
 """Columns and rows of the tables, by fields of `Scores`."""
-DETAILED = ("test", "left_out", "second_study")
+DETAILED = ("test", "left_out", "second_study", "third_study", "new_pad")
 FINAL = LENGTHS[-1]
 COLOURS = ("#1f5fa8", "#5b9bd5", "#2a8a57", "#8fc4a5", "#7a3f98", "#b89cc9")
 DARK_PERCENT = 55
@@ -132,7 +134,7 @@ def draw_accuracy(scores: Scores, path: Path) -> None:
 
 def draw_confusion(scores: Scores, path: Path) -> None:
     """Draw confusions of the final answer in percent of each true gesture, a panel a set of people."""
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    figure = Figure(figsize=(19, 4.6), layout="constrained")
     panels = figure.subplots(1, len(DETAILED), sharey=True)
     for axes, key in zip(panels, DETAILED, strict=True):
         draw_shares(axes, np.array(at(getattr(scores, key), FINAL).confusion), scores.labels)
