@@ -31,7 +31,7 @@ from touchd.model.studies.published import TABLE3
 from touchd.model.studies.results import STORED
 from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
 from touchd.model.training import haart, metrics
-from touchd.model.training.studies import Folders
+from touchd.model.training.studies import MISSING, Folders
 from touchd.model.training.weights import left_out_split
 
 FILE = STORED / "decision.json"
@@ -54,7 +54,7 @@ AS_GOOD = 0.005
 EARLY_S = 0.9
 LABELS_AT = ((0.75, 85.5), (1.1, 80.2), (1.1, 69.5))
 """Of the lines in the left panel: seconds, percent."""
-HAART, TEST, SECOND = "HAART held out", "HAART test", "second study"
+HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "third study"
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +180,7 @@ def main(arguments: Sequence[str]) -> int:
         HAART: collect(left_out_split(weights, training), HAART),
         TEST: collect([(shipped, test)], TEST),
         SECOND: collect(left_out_split(weights, folders.to_train_on(("second",))), SECOND),
+        THIRD: collect(left_out_split(weights, folders.to_train_on(("third",))), THIRD, MISSING["third"]),
     }
     windows = windows_of(haart.cut(haart.realigned(test), FRAMES), shipped)
     measured = measure(studies, windows)
@@ -454,7 +455,7 @@ def draw(measured: Measured, path: Path) -> None:
     left.set(xlim=(0, 2.8), ylim=(55, 90))
     margin = measured.default.revise_margin
     for colour, (title, study) in zip(
-        ("#1f5fa8", "#2a8a57", "#7a3f98"), measured.studies.items(), strict=False
+        ("#1f5fa8", "#2a8a57", "#7a3f98", "#c4611a"), measured.studies.items(), strict=False
     ):
         along = [p for p in study.curve if p.revise_margin == margin]
         points = [(100 * p.told_early, 100 * p.right_when_told_early) for p in along]

@@ -29,7 +29,7 @@ def read(folder: Path) -> list[Recording]:
 def takes(recordings: Iterable[Recording]) -> list[Recording]:
     """Return every whole take as a recording of its own, without its edges, to train on.
 
-    The recordings of L1 and L2 are a frame too short, so that nobody trains on these two.
+    All recordings of L2 and all but one of L1 are a frame too short.
     """
     return [
         _part(recording, start + EDGE_FRAMES, start + TAKE_FRAMES - EDGE_FRAMES)

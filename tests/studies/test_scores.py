@@ -40,8 +40,8 @@ from touchd.model.training.recipe import FABRIC_RECIPE, HAART_RECIPE, WIDE_RECIP
 from touchd.model.training.weights import FABRIC_MODEL, HAART_MODEL, SCORES_NAME, WIDE_MODEL, left_out_split
 
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]
-SECOND_STUDY_PEOPLE = [f"R{number:02}" for number in (2, 3, 4, 6, 8, 9, 10, 11, 12, 14, 16, 17)]
-SCORED_ONLY = ["L1", "L2"]
+SECOND_STUDY_PEOPLE = ["L1", *(f"R{number:02}" for number in (2, 3, 4, 6, 8, 9, 10, 11, 12, 14, 16, 17))]
+SCORED_ONLY = ["L2"]
 THIRD_STUDY_PEOPLE = [f"S{number:02}" for number in (1, 3, 4, 6, 7, 8, 10, 11, 12, 14, 15, 18)]
 FABRIC = {"haart": HAART_PEOPLE, "second": SECOND_STUDY_PEOPLE}
 TOLERANCE = 0.002
