@@ -182,12 +182,14 @@ def test_evaluating_shows_the_paper_and_leaves_the_clone_clean(
     small_haart: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = SHIPPED_MODEL.with_name(SCORES_NAME).read_bytes()
-    assert main(["evaluate", "--haart", str(small_haart), "--second-study", str(small_haart / "none")]) == 0
+    missing = [f"--{study}={small_haart / 'none'}" for study in ("second-study", "third-study")]
+    assert main(["evaluate", "--haart", str(small_haart), *missing]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].startswith("HAART, test participants")
     assert lines[2].split()[-3:] == ["70.8", "71.1", "72.8"]
-    assert any(line.startswith("second study: not scored") for line in lines)
-    assert lines[-1].startswith("  It adds people")
+    for study, adds in (("second", "people"), ("third", "another kind of pad")):
+        place = next(i for i, line in enumerate(lines) if line.startswith(f"{study} study: not scored"))
+        assert lines[place + 1].startswith(f"  It adds {adds}")
     assert max(map(len, lines)) <= 80
     assert SHIPPED_MODEL.with_name(SCORES_NAME).read_bytes() == before
 
