@@ -93,7 +93,7 @@ def test_a_breathing_robots_touches_are_told_as_they_were_measured() -> None:
     people = ("R02", "R04", "R06")
     path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
     recordings = read_recordings(path, Selection(participants=people, substrates=("dynamic",)))
-    never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R04-R06.onnx"
+    never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R03-R04-R06-L1-S01-S06-S11-S15.onnx"
     result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
     assert result.n == 36
     assert (result.missed, result.merged, result.split, result.open, result.false) == (0, 0, 2.8, 0, 0)
