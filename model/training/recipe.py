@@ -16,6 +16,8 @@ from touchd.model.training.settings import TrainSettings
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Of the network that learnt from HAART alone: for the comparison with the paper."""
+FIRST_RECIPE = Path(__file__).parent / "touchd-3.yaml"
+"""Of the networks that the shipped recipe begins with."""
 FABRIC_RECIPE = Path(__file__).parent / "fabric.yaml"
 """Of the network that learnt from the two fabric studies alone: for the figure of a pad never met."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"

@@ -176,7 +176,14 @@ class Training:
         )
 
     def begin_with(self, earlier: Checkpoint) -> None:
-        """Begin with the weights of an earlier training, which saw nobody whom this one leaves out."""
+        """Begin with the weights of an earlier training.
+
+        Raises CheckpointError when it learnt from somebody whom this one leaves out.
+        """
+        first = earlier.settings
+        left_out = {name for name in self.settings.left_out if study_of(name) in first.studies}
+        if seen := sorted(left_out - {*first.left_out}):
+            raise CheckpointError(f"{self.settings.begins_from} may have learnt from {', '.join(seen)}")
         for network in (self.network, self.average):
             network.load_state_dict(earlier.network)
 

@@ -17,6 +17,7 @@ from touchd.model.adapt.schedule import learning_rate_at
 from touchd.model.settings import NetworkSettings
 from touchd.model.training import checkpoint
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError, save
+from touchd.model.training.recipe import FIRST_RECIPE, final_jobs, fold_jobs, read_recipe
 from touchd.model.training.settings import TrainSettings
 from touchd.model.training.train import CHECKPOINT_NAME, Training, train
 
@@ -73,6 +74,23 @@ def test_a_training_begins_with_the_weights_that_it_names(
     save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
     still = msgspec.structs.replace(SETTINGS, learning_rate=0.0, weight_decay=0.0, begins_from="first")
     assert same(train(recordings(), still, tmp_path / "second", DEVICE), finished[0])
+
+
+def test_a_first_stage_that_saw_somebody_left_out_is_refused(
+    finished: tuple[Checkpoint, Path], tmp_path: Path
+) -> None:
+    save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
+    second = msgspec.structs.replace(SETTINGS, left_out=("P5", "S03"), begins_from="first")
+    with pytest.raises(CheckpointError, match=r"may have learnt from P5$"):
+        train(recordings(), second, tmp_path / "second", DEVICE)
+
+
+def test_the_recipe_begins_with_networks_that_leave_out_as_many() -> None:
+    recipe, first = read_recipe(), read_recipe(FIRST_RECIPE)
+    names = [job.name for job in (*final_jobs(first), *fold_jobs(first))]
+    assert list(recipe.begins_from) == names
+    for fold, earlier in zip(recipe.folds, first.folds, strict=True):
+        assert {name for name in fold if name[0] != "S"} == {*earlier}
 
 
 def test_a_pad_without_tickle_is_no_evidence_against_tickle() -> None:
