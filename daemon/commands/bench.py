@@ -33,15 +33,6 @@ QUIET_S = 20.0
 START_S = 30.0
 # Events carry whole milliseconds, enough to find their frame: frames are 18 ms apart.
 STAMP_S = 0.002
-TARGETS = {
-    "latency_p50_ms": ("at most", 1.5),
-    "latency_p99_ms": ("at most", 3.0),
-    "cpu_idle_percent": ("at most", 1.2),
-    "cpu_touching_percent": ("at most", 2.0),
-    "memory_mb": ("at most", 120.0),
-    "start_to_ready_s": ("at most", 1.5),
-    "classify_times_real_time": ("at least", 100.0),
-}
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,13 +83,11 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def table(figures: Figures) -> str:
-    """Return the figures as lines for people, with what is wanted beside them."""
+    """Return the figures as lines for people."""
     lines = []
     for name, value in msgspec.to_builtins(figures).items():
         shown = f"{value:10.2f}" if isinstance(value, float) else f"{value!s:>10}"
-        bound, target = TARGETS.get(name, ("", None))
-        wanted = "" if target is None else f"   wanted: {bound} {target:g}"
-        lines.append(f"{name:<26}{shown}{wanted}\n")
+        lines.append(f"{name:<26}{shown}\n")
     return "".join(lines)
 
 
