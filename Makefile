@@ -182,7 +182,8 @@ $(BIN)/python:
 	@$(PYTHON) -m venv --clear $(VENV)
 	@$(PYTHON) -c '$(HAS_QI)' || echo "A real robot needs qi, which is there for Python 3.10 to 3.12: see docs/install.md"
 
-# names/touchd: where mypy finds the import name, which no folder has. A stamp file each, newer than pyproject.toml, so that a second run starts at once.
+# names/touchd: where mypy finds the import name, which no folder has. A stamp file each, newer than pyproject.toml,
+# so that a second run starts at once.
 $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
 	@echo "Installing what touchd needs (once, some 270 MB; a minute or two)"
 	@$(PIP) --require-hashes -r requirements.lock

@@ -43,8 +43,8 @@ ONSET_COUNTS = 4.0
 # A loose wire lifts a row or column by up to this many counts in all, which do not count as contact.
 WIRE_COUNTS = 25.0
 # A vibration that begins lifts all taxels by similar amounts, until it is known and taken out: the median by
-# this share of the highest, which is no higher than this. Without the rule, a false touch more on the third
-# study.
+# this share of the highest, which is at most this. Without the rule, the third study has one more false
+# touch.
 COMMON_COUNTS = 8.0
 COMMON_SHARE = 0.25
 # Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without the

@@ -218,7 +218,7 @@ def demo_gestures(rng: RandomState) -> Iterator[tuple[str, Series]]:
 
 
 def repeated(gestures: Sequence[str], every_s: float, rng: RandomState) -> Iterator[tuple[str, Series]]:
-    """Yield gestures in turn, one in each `every_s` seconds, never twice the same way."""
+    """Cycle through the gestures, one every `every_s` seconds, each performed differently."""
     touch_s = min(LONGEST_TOUCH_S, every_s - SHORTEST_PAUSE_S)
     for gesture in itertools.cycle(gestures):
         yield "notouch", np.zeros((round((every_s - touch_s) * FRAME_RATE_HZ), ROWS, COLUMNS))

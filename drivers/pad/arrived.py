@@ -6,13 +6,13 @@ from touchd.drivers.pad.protocol import parser_of
 # Several frames of any grid that a serial port carries.
 RECENT_BYTES = 32768
 LEAST_FRAMES = 4
-# Bytes that are no characters: damage, another encoding.
+# Bytes that are not printable: damage, or another encoding.
 FEW_SHARE = 0.02
 EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 
 
 def is_text(data: bytes) -> bool:
-    """Whether these bytes are printed characters; what is text is never tried as binary."""
+    """Whether these bytes are printable text; text is never parsed as binary."""
     characters = data.decode("utf-8", "replace")
     wrong = sum(not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd" for each in characters)
     return bool(data) and wrong <= FEW_SHARE * len(characters)
