@@ -75,7 +75,7 @@ bench: $(RUNTIME)
 
 # With the memory settings of the unit.
 soak: $(RUNTIME)
-	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python -m by_hand.soak --out docs/soak.json
+	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python -m by_hand.soak --out model/studies/stored/soak.json
 
 expectations: $(RUNTIME)
 	PYTHONPATH=tests $(BIN)/python -m rigs.expectations

@@ -12,7 +12,7 @@ touched: ends when contact has been gone for `quiet_s`, or when the pad shows th
     it reads, which becomes the baseline; then quiet.
 
 A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. The
-figures behind the numbers are in docs/touch.md and docs/sessions.md.
+figures behind the numbers are in docs/sessions.md.
 """
 
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ CHANGED_AFTER_MS = 2000.0
 CHECK_FRAMES = 6
 
 # Quiet.
-# Contact that may be a touch: docs/touch.md compares levels. Above it the network alone begins no touch.
+# Contact that may be a touch: docs/sessions.md compares levels. Above it the network alone begins no touch.
 ONSET_COUNTS = 4.0
 # A loose wire lifts a row or column by up to this many counts in all, which do not count as contact.
 WIRE_COUNTS = 25.0
@@ -100,7 +100,7 @@ LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 
 
 class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When a touch begins and ends. The defaults were chosen by measurement: docs/touch.md.
+    """When a touch begins and ends. The defaults were chosen by measurement: docs/sessions.md.
 
     onset_threshold: contact that begins a touch, in counts summed over the pad above each taxel's noise
         floor; lower notices lighter touches and raises more false alarms. Above the default, none begins

@@ -402,18 +402,6 @@ def tables(measured: Measured) -> dict[str, str]:
                 for each in study.choices
             ],
         ),
-        "stages": table(
-            ("people", "touches", *STAGES, "calibration error"),
-            [
-                (
-                    title,
-                    study.touches,
-                    *(_percent(each.accuracy) for each in study.stages),
-                    ", ".join(f"{each.calibration_error:.2f}" for each in study.stages),
-                )
-                for title, study in measured.studies.items()
-            ],
-        ),
         "curve": table(
             ("`speak_above`", "told early", "right when told early", "right at the end", "changed", "harmed"),
             [

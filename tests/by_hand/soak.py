@@ -1,6 +1,6 @@
 """A day of sensor time, flat out: nothing grows, nothing is lost. By hand: make soak, or
 
-    MALLOC_MMAP_THRESHOLD_=131072 PYTHONPATH=.:tests python -m by_hand.soak --hours 24 --out docs/soak.json
+    MALLOC_MMAP_THRESHOLD_=131072 PYTHONPATH=.:tests python -m by_hand.soak --hours 24 --out soak.json
 
 with the memory settings of the service.
 

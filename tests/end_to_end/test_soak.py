@@ -67,7 +67,7 @@ def test_a_correct_touch_passes_the_audit() -> None:
 
 
 def test_the_published_soak_passed_under_the_services_settings() -> None:
-    published = json.loads((ROOT / "docs" / "soak.json").read_text(encoding="utf-8"))
+    published = json.loads((ROOT / "model/studies/stored/soak.json").read_text(encoding="utf-8"))
     assert published["sensor_hours"] >= 24.0
     assert [what for what, held in published["holds"].items() if not held] == []
     unit = (ROOT / "systemd" / "touchd.service").read_text(encoding="utf-8")

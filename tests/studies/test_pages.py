@@ -22,7 +22,7 @@ from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
 from touchd.model.studies.marked import PLACE, PageError, fill, table
 from touchd.model.studies.results import Results, ResultsError
-from touchd.model.studies.tracker import report as touch_page
+from touchd.model.studies.tracker import report as tracker
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.training.recipe import read_recipe
 from touchd.model.training.weights import SCORES_NAME
@@ -42,7 +42,7 @@ PAGES: dict[str, Tables] = {
         **paper.tables(Results(paper.FILE)),
     },
     "speed": lambda: speed.tables(stored(speed.FILE, speed.Measured)),
-    "touch": lambda: touch_page.tables(stored(DOCS / "touch.json", TouchReport)),
+    "sessions": lambda: tracker.tables(stored(tracker.FILE, TouchReport)),
 }
 
 

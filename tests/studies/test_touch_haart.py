@@ -7,7 +7,6 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.haart_folder import needs_haart
-from rigs.stored_report import DOCS
 
 from touchd.daemon.events import Prediction
 from touchd.daemon.tracker.tracker import TouchSettings
@@ -15,7 +14,7 @@ from touchd.drivers.frame import Frame
 from touchd.drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
 from touchd.model.classifier import Classifier
 from touchd.model.studies.play import play
-from touchd.model.studies.tracker import figures
+from touchd.model.studies.tracker import figures, report
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.studies.tracker.measure import spliced
 from touchd.model.training.haart import TRAINING_FILE, find
@@ -25,7 +24,7 @@ SAMPLE = "P6"
 
 @pytest.fixture(scope="module")
 def committed() -> TouchReport:
-    return msgspec.json.decode((DOCS / "touch.json").read_bytes(), type=TouchReport)
+    return msgspec.json.decode(report.FILE.read_bytes(), type=TouchReport)
 
 
 @pytest.fixture(scope="module")

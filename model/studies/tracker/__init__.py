@@ -1,1 +1,1 @@
-"""How well touches are noticed (docs/touch.md)."""
+"""How well touches are detected (docs/sessions.md)."""
