@@ -416,14 +416,6 @@ def tables(measured: Measured) -> dict[str, str]:
                 if p.revise_margin == default.revise_margin and (p == default or p.speak_above in SHOWN)
             ],
         ),
-        "challenge": table(
-            ("confidence after 1 s", "answered after", "macro accuracy"),
-            [
-                (f"{each.limit:.1f}", f"{each.mean_s:.2f}", _percent(each.accuracy))
-                for each in measured.challenge
-                if each.limit in SHOWN
-            ],
-        ),
     }
 
 

@@ -24,8 +24,8 @@ def tables(figures: TouchReport) -> dict[str, str]:
     return {
         "detected": table(("people", "rest", *COSTS), _detected(figures)),
         "levels": table(
-            ("onset threshold", *COSTS),
-            [(f"{point.onset_threshold:g}", *_costs(point)) for point in figures.curve[LEVELLED]],
+            ("onset threshold", *COSTS[1:]),
+            [(f"{point.onset_threshold:g}", *_costs(point)[1:]) for point in figures.curve[LEVELLED]],
         ),
         "quiet": table(
             ("quiet time, s", *figures.quiet[0].split, "all"),
