@@ -44,6 +44,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
+    final_above: the same for the final answer; None: 0.5 on a pad that `sensor.format` describes, else 0.
     ongoing: whether a change of gesture after the final answer is told.
     revise_margin: an answer that was told is replaced only by one more probable than it by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
@@ -54,6 +55,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     early: Literal["at_mark", "when_sure"] = "at_mark"
     sure: Sure = "balanced"
     speak_above: Probability = 0.65
+    final_above: Probability | None = None
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
     ongoing: bool = True
@@ -80,10 +82,9 @@ class Decision:
     """One touch: which answer stands, what the robot was told, and when to tell it.
 
     Until an answer is told, the most probable gesture stands, and it is told once its probability reaches
-    `speak_above`; at "final" it is told in any case. An answer that was told is replaced
-    only by a gesture that is now more probable than it by `revise_margin` and, except at "final", reaches
-    `speak_above`; otherwise it stands, and is not told again. "notouch" may stand, but is never told and
-    replaces no told answer.
+    `speak_above`, at "final" `final_above`. An answer that was told is replaced only by a gesture that is now
+    more probable than it by `revise_margin` and reaches the same confidence; otherwise it stands, and is not
+    told again. "notouch" may stand, but is never told and replaces no told answer.
     """
 
     def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
@@ -144,7 +145,8 @@ class Decision:
         return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
 
     def _may_tell(self, stage: Stage, confidence: float) -> bool:
-        return stage == "final" or confidence >= self._settings.speak_above
+        settings = self._settings
+        return confidence >= ((settings.final_above or 0.0) if stage == "final" else settings.speak_above)
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from msgspec import inspect
 
-from touchd.daemon.config import MAX_BYTES, ConfigError, Settings, load
+from touchd.daemon.config import MAX_BYTES, ConfigError, SceneSettings, SensorSettings, Settings, load
 from touchd.drivers.pad.format import PadFormat
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -167,3 +167,11 @@ def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
         levels.append(f"&{two} [{', '.join([f'*{one}'] * 9)}]")
     message = refusal(tmp_path, f"model: [{', '.join(levels)}]")
     assert message == "line 1, column 45: aliases (*name) are not allowed; write the value out"
+
+
+def test_on_a_pad_of_another_kind_an_unsure_final_answer_is_not_told_unless_asked_for() -> None:
+    another = SensorSettings(format=PadFormat(framing="text", rows=6, columns=6))
+    asked_for = SceneSettings(final_above=0.0)
+    assert Settings().pipeline.decision.final_above is None
+    assert Settings(sensor=another).pipeline.decision.final_above == 0.5
+    assert Settings(sensor=another, scene=asked_for).pipeline.decision.final_above == 0.0

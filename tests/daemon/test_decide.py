@@ -148,6 +148,14 @@ def test_stages_out_of_order_are_refused() -> None:
         DecisionSettings(answer_at_frames=(54, 54, 144))
 
 
+def test_a_final_answer_below_final_above_stays_untold_and_the_touch_ends_uncertain() -> None:
+    decision = Decision(DecisionSettings(final_above=0.5), LABELS)
+    assert not decision.answer("final", probabilities(stroke=0.49)).told
+    ended = decision.answer("uncertain", probabilities(stroke=0.49))
+    assert (ended.gesture, ended.told) == ("uncertain", True)
+    assert Decision(DecisionSettings(final_above=0.5), LABELS).answer("final", probabilities(stroke=0.5)).told
+
+
 @pytest.mark.parametrize("sure", SURE)
 def test_less_confidence_is_required_later_in_a_touch(sure: Sure) -> None:
     decision = Decision(DecisionSettings(early="when_sure", sure=sure, speak_above=0.0), LABELS)
