@@ -51,6 +51,8 @@ COMMANDS = (
     Command("train", "daemon.commands.train", "adapts the model to recordings of your own"),
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
     Command("convert", "daemon.commands.convert", "writes a journal or a recording as CSV or MCAP"),
+    Command("config", "daemon.commands.config", "prints an example configuration, every setting explained"),
+    Command("docs", "daemon.commands.docs", "prints a page of the documentation"),
     Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
     Command("bench", "daemon.commands.bench", "measures latency, processor, memory, start-up and speed"),
     Command("completion", "daemon.commands.completion", "has a shell complete commands and options"),
@@ -97,7 +99,7 @@ def _run(words: Sequence[str]) -> int:
         sys.stdout.write(_help())
         return 0 if words else USERS_MISTAKE
     name, *rest = words
-    if name == "--version":
+    if name in ("--version", "version"):
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
         return 0
     if name in MOVED:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Commands would find the configuration of whoever runs the tests.
+os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
 
 import pytest
 

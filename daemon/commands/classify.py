@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Write the events of the chosen recordings, in words to a terminal, else as JSON lines; returns 0."""
     options = parser().parse_args(arguments)
-    settings = settings_of(options)
+    settings = settings_of(options).settings
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
     tally = Tally(stream, settings.vocabulary)

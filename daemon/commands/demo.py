@@ -62,7 +62,7 @@ What to try next:
   {touchd} classify       all answers to the same recording at once
   {touchd} replay         the recording as a pad: prints the command that reads it
   {touchd} doctor         looks for a pad and a robot, and says what to do
-docs/install.md tells how to wire a real pad and a real Nao.
+  {touchd} docs install   how to wire a real pad and a real Nao
 """
 
 

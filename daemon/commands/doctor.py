@@ -43,7 +43,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Show a line for each check; returns 0 when there is nothing to do, else 1."""
     options = parser().parse_args(arguments)
-    settings = settings_of(options)
+    settings = settings_of(options).settings
     talk = Console(stderr=True, width=text_width(), highlight=False)
     console = Console(width=text_width(), highlight=False, quiet=options.json)
     checks = []

@@ -67,7 +67,9 @@ def main(arguments: Sequence[str]) -> int:
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
     found = _find(console, ports, bauds)
     if found is not None and found.described is None:
-        console.print("no configuration was written: docs/pads.md says how to describe a pad", style="bold")
+        console.print(
+            f"no configuration was written; how to describe a pad: {own_name()} docs pads", style="bold"
+        )
         return 1
     port, baud, described = found or Found(options.port or DEFAULT_PORT, bauds[0], None)
     robot = _ask_robot(console) if options.robot is None else options.robot

@@ -87,7 +87,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _record(console: Console, options: argparse.Namespace) -> None:
     """Record the pad; raises Stopped."""
-    settings = settings_of(options)
+    settings = settings_of(options).settings
     with PadReader(settings) as pad:
         prepare(options.folder)
         terms = Terms(options.seconds, options.countdown, options.licence)

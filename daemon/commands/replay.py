@@ -37,7 +37,8 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Print the path of a fake port and play the chosen recordings to whoever opens it; returns 0."""
     options = parser().parse_args(arguments)
-    sensor = settings_of(options).sensor
+    found = settings_of(options)
+    sensor = found.settings.sensor
     if options.format:
         sensor = msgspec.structs.replace(sensor, format=options.format)
     stream = chosen_stream(options)
@@ -45,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.write(f"{port.path}\n")
         sys.stdout.flush()
         if sys.stdout.isatty():
-            file = f" -c {shlex.quote(str(options.config))}" if options.config else ""
+            file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
             sys.stderr.write(f"In another terminal: {own_name()} run{file} --view --port {port.path}\n")
             if options.format:
                 sys.stderr.write(f"with `sensor: {{format: {options.format}}}` in its configuration (-c)\n")

@@ -8,11 +8,11 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.config import ConfigError, Settings, config_errors, load, only_pad
+from touchd.daemon.commands.settings import Found, add_config, find_settings
+from touchd.daemon.config import ConfigError, Settings, config_errors, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
@@ -73,7 +73,7 @@ def parser() -> argparse.ArgumentParser:
         description="Reads the pad, tells the robot, and writes events to standard output: in words to a "
         "terminal, as JSON lines to anything else.",
     )
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="settings; defaults without it")
+    add_config(parser)
     parser.add_argument("--port", help="read this port instead of the configured one")
     form = parser.add_mutually_exclusive_group()
     form.add_argument(
@@ -98,7 +98,8 @@ def main(arguments: Sequence[str]) -> int:
         parser().error("--view needs a terminal")
     in_words = is_terminal and not options.json
     with config_errors():
-        settings = _read(options)
+        found = _find(options)
+    settings = found.settings
     signals = Signals(has_terminal=any(os.isatty(fd) for fd in (0, 1, 2)))
     with ExitStack() as closing:
         signals.listen()
@@ -131,13 +132,15 @@ def main(arguments: Sequence[str]) -> int:
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)
         root.setLevel(settings.log_level.upper())
+        log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         service.run(signals.must_stop)
     return 0
 
 
-def _read(options: argparse.Namespace) -> Settings:
-    """Return the settings; raises ConfigError."""
-    settings = load(options.config) if options.config else Settings()
+def _find(options: argparse.Namespace) -> Found:
+    """Return the settings with the options applied; raises ConfigError."""
+    found = find_settings(options.config)
+    settings = found.settings
     if options.port:
         if settings.sensors:
             raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
@@ -145,7 +148,7 @@ def _read(options: argparse.Namespace) -> Settings:
     if options.live is not None:
         live = parse_address(options.live, settings.live)
         settings = msgspec.structs.replace(settings, live=live)
-    return settings
+    return found._replace(settings=settings)
 
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:

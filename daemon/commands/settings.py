@@ -1,21 +1,74 @@
-"""The settings of a command for one pad: those of a pad in a file, perhaps at another port."""
+"""Finds the configuration of a command, and the settings of one pad in it."""
 
 import argparse
+import os
+import sys
 from pathlib import Path
+from typing import NamedTuple
 
 from touchd.daemon.config import Settings, load, only_pad
+from touchd.daemon.terminal.own_name import PROGRAM
+from touchd.drivers.paths import written_out
+
+NAME = "touchd.yaml"
+SERVICE_FOLDER = Path("/etc/touchd")
+WHERE = f"{NAME} here, in ~/.config/touchd, in {SERVICE_FOLDER}"
 
 
-def add_settings(
-    parser: argparse.ArgumentParser, config: str = "settings; defaults without it", port: bool = True
-) -> None:
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=config)
+class Found(NamedTuple):
+    """Settings, and their file; None for the defaults. closed: a file that was passed over, since root's."""
+
+    settings: Settings
+    file: Path | None
+    closed: Path | None = None
+
+    def __str__(self) -> str:
+        """Say which settings these are."""
+        if self.file is not None:
+            return f"settings: {self.file.absolute()}"
+        closed = f"; {self.closed} can be read only with sudo" if self.closed else ""
+        return f"settings: the defaults{closed}"
+
+
+def add_settings(parser: argparse.ArgumentParser, what: str = "settings", port: bool = True) -> None:
+    add_config(parser, what)
     parser.add_argument("--pad", metavar="NAME", help="the pad to use, if several are configured")
     if port:
         parser.add_argument("--port", help="read this port instead of the configured one")
 
 
-def settings_of(options: argparse.Namespace) -> Settings:
-    """Return the settings of the pad that the arguments name, as `sensor`; raises ConfigError."""
-    settings = load(options.config) if options.config else Settings()
-    return only_pad(settings, options.pad, getattr(options, "port", None))
+def add_config(parser: argparse.ArgumentParser, what: str = "settings") -> None:
+    found = f"{what}; without it, the first {WHERE}; defaults without any"
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=found)
+
+
+def find_settings(given: Path | None) -> Found:
+    """Return the settings of a file, by default of the first one found where they are kept.
+
+    Raises ConfigError.
+    """
+    users = written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / PROGRAM / NAME
+    for path in [Path(NAME), users] if given is None else [given]:
+        if given or path.exists():
+            return Found(load(path), path)
+    service = SERVICE_FOLDER / NAME
+    try:
+        service.stat()
+        if os.access(service, os.R_OK):
+            return Found(load(service), service)
+    except PermissionError:
+        pass
+    except OSError:
+        return Found(Settings(), None)
+    return Found(Settings(), None, service)
+
+
+def settings_of(options: argparse.Namespace) -> Found:
+    """Return the settings of the pad that the arguments name, as `sensor`; raises ConfigError.
+
+    Says on standard error which file was found if the arguments name none.
+    """
+    found = find_settings(options.config)
+    if options.config is None and (found.file or found.closed):
+        sys.stderr.write(f"{found}\n")
+    return found._replace(settings=only_pad(found.settings, options.pad, getattr(options, "port", None)))

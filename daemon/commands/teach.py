@@ -12,7 +12,7 @@ import yaml
 from rich.console import Console
 
 from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
-from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
 from touchd.daemon.config import ConfigError, Settings, load, only_pad
 from touchd.daemon.kept.recording_file import prepare
 from touchd.daemon.recorder.capture import PadReader
@@ -27,7 +27,6 @@ from touchd.drivers.numbers import within
 from touchd.drivers.whole_file import whole_file
 
 ROUNDS = 2
-SERVICE_FOLDER = Path("/etc/touchd")
 # Fourteen recordings with a trimmed second at each end and the countdown take 2.5 minutes.
 SECONDS = 6.0
 COUNTDOWN_S = 2.0
@@ -64,14 +63,14 @@ def main(arguments: Sequence[str]) -> int:
     from touchd.model.adapt.ship import adapt_folder, check_output
 
     console = Console(width=text_width(), highlight=False, markup=False)
-    settings = settings_of(options)
+    found = settings_of(options)
     prepare(options.folder)
     output = _free_name(options.folder, options.folder.resolve().name)
     check_output(output)
     for path in files_of(options.folder):
         read_file(path)
     try:
-        _record(console, options, settings)
+        _record(console, options, found.settings)
         console.print("\nLearning from them takes about a minute.")
         adapted = adapt_folder(options.folder, output, AdaptSettings())
         for line in report_lines(adapted):
@@ -79,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
         console.print(f"\nThe new model is {output}")
         lengths = adapted.comparison.lengths
         is_worse = bool(lengths) and (lengths[-1].difference or 0.0) < 0.0
-        put_into_use(console, options.config, output, options.pad, is_worse=is_worse)
+        put_into_use(console, found.file, output, options.pad, is_worse=is_worse)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
     return 0

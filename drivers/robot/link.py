@@ -483,7 +483,7 @@ def load_qi() -> Any:
     except ImportError as error:
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
         has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
-        instead = how_to_install("nao") if has_wheel else "see docs/install.md"
+        instead = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
         raise RobotError(
             f"qi, the library that speaks to NAOqi, {why}; "
             f"{instead} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"

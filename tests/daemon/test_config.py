@@ -11,7 +11,7 @@ from touchd.daemon.config import MAX_BYTES, ConfigError, SceneSettings, SensorSe
 from touchd.drivers.pad.format import PadFormat
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
-EXAMPLE = Path(__file__).parents[2] / "systemd" / "touchd.example.yaml"
+EXAMPLE = Path(__file__).parents[2] / "daemon/setup/touchd.example.yaml"
 
 
 # Its settings that are commented out, taken in.

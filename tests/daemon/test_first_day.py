@@ -19,8 +19,9 @@ from rigs.robots import linked
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon import cli
-from touchd.daemon.config import JournalSettings, LiveSettings, SensorSettings, Settings, load
+from touchd.daemon import cli, commands
+from touchd.daemon.commands.settings import find_settings
+from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, SensorSettings, Settings, load
 from touchd.daemon.doctor.line import check_rate
 from touchd.daemon.doctor.listening import Heard
 from touchd.daemon.events import Prediction, TouchEnded
@@ -36,7 +37,7 @@ from touchd.drivers.robot.reactions import Action, ActionRule
 from touchd.drivers.robot.settings import RobotLimits
 
 ROOT = Path(__file__).parents[2]
-EXAMPLE = ROOT / "systemd" / "touchd.example.yaml"
+EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"
 # Makes every extra's modules fail to import.
 WITHOUT_EXTRAS = """
 import importlib, importlib.abc, sys
@@ -82,7 +83,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
         ("--help >&-", 0, ""),
         ("convert nowhere -o x.csv >&-", 2, "journal nowhere: cannot be read"),
         ("clasify 2>&-", 2, ""),
-        ("--version <&-", 0, ""),
+        ("version <&-", 0, ""),
         ("--help >/dev/full", 2, "standard output: cannot be written (No space left on device)"),
         ("--help | true", 0, ""),
         (f"classify {GESTURES} | true", 0, ""),
@@ -128,6 +129,73 @@ def test_the_example_configuration_runs_without_the_service(
 def test_the_service_keeps_its_journal_in_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd")
     assert JournalSettings().file == Path("/var/lib/touchd/events.jsonl")
+
+
+@pytest.fixture
+def homes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
+    """The paths of configurations here, in the user's folder and in the service's."""
+    folders = {
+        "here": tmp_path / "here",
+        "user": tmp_path / "user/touchd",
+        "service": tmp_path / "etc/touchd",
+    }
+    for folder in folders.values():
+        folder.mkdir(parents=True)
+    monkeypatch.chdir(folders["here"])
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "user"))
+    monkeypatch.setattr(commands.settings, "SERVICE_FOLDER", folders["service"])
+    return {name: folder / "touchd.yaml" for name, folder in folders.items()}
+
+
+def test_the_nearest_configuration_is_taken(homes: dict[str, Path]) -> None:
+    assert find_settings(None).file is None
+    for place in ("service", "user", "here"):
+        homes[place].write_text(f"sensor: {{port: {place}}}")
+        found = find_settings(None)
+        assert found.settings.sensor.port == place
+        assert str(found) == f"settings: {homes[place]}"
+    homes["here"].write_text("sensr: {}")
+    with pytest.raises(ConfigError, match="unknown setting"):
+        find_settings(None)
+    assert find_settings(homes["user"]).settings.sensor.port == "user"
+
+
+def test_commands_say_which_configuration_they_found(
+    homes: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    homes["user"].write_text("sensor: {port: spy://}")
+    assert cli.main(["doctor", "--seconds", "1"]) == 1
+    assert cli.main(["record", "lab", "--licence=none", "--participant=a", "--pad=x"]) == 2
+    said = capsys.readouterr()
+    assert said.err.count(f"settings: {homes['user']}\n") == 2
+    assert "spy" in said.out
+
+
+def test_run_says_where_settings_and_journal_are(homes: dict[str, Path], tmp_path: Path) -> None:
+    journal = tmp_path / "events.jsonl"
+    homes["here"].write_text(f"sensor: {{port: /dev/nowhere}}\njournal: {{path: {journal}}}")
+    with Program(*TOUCHD, "run", stderr=subprocess.PIPE) as daemon:
+        assert daemon.stderr is not None
+        lines = (line for line in daemon.stderr if "settings: " in line)
+        assert next(lines).endswith(f"settings: {homes['here']}; journal: {journal}\n")
+        daemon.terminate()
+
+
+def test_the_printed_example_is_a_configuration(
+    homes: dict[str, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["config"]) == 0
+    homes["here"].write_text(capsys.readouterr().out)
+    assert find_settings(None).settings == load(EXAMPLE)
+
+
+def test_pages_are_listed_and_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["docs"]) == 0
+    assert "pads" in capsys.readouterr().out.split()
+    assert cli.main(["docs", "pads"]) == 0
+    assert capsys.readouterr().out == (ROOT / "docs/pads.md").read_text()
+    with Terminal("docs", "pads") as terminal:
+        assert "| preset |" not in terminal.until("full_scale")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")

@@ -25,6 +25,7 @@ PACKAGES = [
     for path in (ROOT / floor).rglob("__init__.py")
     if not any(path.is_relative_to(folder) for folder in NOT_INSTALLED)
 ]
+EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"
 CONFIGURATION = "etc/touchd/touchd.yaml"
 INSTALLED = {
     "etc/systemd/system/touchd.service",
@@ -128,7 +129,20 @@ def pyproject() -> dict[str, Any]:
 
 def test_every_python_package_is_installed(pyproject: dict[str, Any]) -> None:
     packages = {"touchd." + str(path.parent.relative_to(ROOT)).replace("/", ".") for path in PACKAGES}
-    assert set(pyproject["tool"]["setuptools"]["packages"]) == packages
+    assert set(pyproject["tool"]["setuptools"]["packages"]) == {*packages, "touchd.docs"}
+
+
+def test_every_page_that_a_message_names_is_installed(pyproject: dict[str, Any]) -> None:
+    installed = set(pyproject["tool"]["setuptools"]["package-data"]["touchd.docs"])
+    named: set[str] = set()
+    for path in [*ROOT.glob("d*/**/*.py"), *ROOT.glob("model/*.py"), *ROOT.glob("model/adapt/*.py"), EXAMPLE]:
+        text = path.read_text()
+        named.update(f"{page}.md" for page in re.findall(r" docs ([a-z]+)[ `)\",]", text))
+        comments = re.compile(r'#.*|""".*?"""', re.DOTALL if path.suffix == ".py" else 0)
+        assert path == EXAMPLE or "docs/" not in re.sub(r"#.*", "", comments.sub("", text)), path
+    assert len(named) > 4
+    assert named <= installed
+    assert all((ROOT / "docs" / page).exists() for page in installed)
 
 
 @pytest.mark.skipif(shutil.which("systemd-tmpfiles") is None, reason="systemd-tmpfiles is not installed")
@@ -202,8 +216,10 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path, 
     ):
         done = ran(command, cwd="/")
         assert done.returncode == 0, done.stderr
-    done = ran([python.with_name("touchd"), "classify"], check=True, cwd="/")
-    assert '"type":"prediction"' in done.stdout
+    touchd = python.with_name("touchd")
+    assert '"type":"prediction"' in ran([touchd, "classify"], check=True, cwd="/").stdout
+    assert ran([touchd, "config"], check=True, cwd="/").stdout == EXAMPLE.read_text()
+    assert ran([touchd, "docs", "install"], check=True, cwd="/").stdout.startswith("# Installing touchd")
     loaded = subprocess.run([python, "-c", "import touchd.daemon.live.server"], check=False, cwd="/")
     assert loaded.returncode == 0
 
