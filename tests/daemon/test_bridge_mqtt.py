@@ -115,7 +115,7 @@ def test_a_daemon_that_is_killed_leaves_its_last_will(port: int, tmp_path: Path)
         wait_for(lambda: retained(port) == "lost")
 
 
-def test_after_a_broken_path_the_old_connections_will_does_not_stay(port: int, opened: Open) -> None:
+def test_a_reconnect_replaces_the_last_will_of_the_old_connection(port: int, opened: Open) -> None:
     with socket.create_server(("127.0.0.1", 0)) as door:
         carried: list[tuple[socket.socket, socket.socket]] = []
 
@@ -193,7 +193,7 @@ def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, opened: Open) 
         put(opened(port, host="localhost", tls=True, ca_file=ca_file, **login), 1, messages)
 
 
-def test_a_refusal_is_logged_once_and_a_corrected_password_taken(
+def test_a_refusal_is_logged_once_and_a_corrected_password_used(
     tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     password = tmp_path / "password"

@@ -117,9 +117,7 @@ def let_in_and_hang_up(port: int, sizes: list[int], ended: threading.Event) -> N
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_a_peer_that_hangs_up_is_not_stormed_and_told_of_once(
-    peer: Peer, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_peer_that_hangs_up_is_retried_slowly(peer: Peer, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     sizes: list[int] = []
     ended = threading.Event()
@@ -145,7 +143,7 @@ def test_a_peer_that_hangs_up_is_not_stormed_and_told_of_once(
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_a_mute_peer_does_not_block_the_bridge(peer: Peer) -> None:
+def test_a_silent_peer_does_not_block_the_bridge(peer: Peer) -> None:
     with socket.create_server(("127.0.0.1", peer.port)) as mute:
         bridge = peer.bridge()
         for number in range(20):

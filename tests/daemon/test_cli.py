@@ -98,7 +98,7 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
         *((name, f"python -m touchd.model.studies {name}") for name in cli.MOVED),
     ],
 )
-def test_a_mistake_is_told_in_one_line(refusal: Refusal, words: str, message: str) -> None:
+def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message: str) -> None:
     assert message in refusal(*words.split())
 
 
@@ -115,7 +115,7 @@ def test_a_mistake_is_told_in_one_line(refusal: Refusal, words: str, message: st
         ("plot --touches many", "'many' is not a number from "),
     ],
 )
-def test_an_option_that_cannot_be_is_refused_in_words(
+def test_an_invalid_option_is_refused_in_words(
     capsys: pytest.CaptureFixture[str], words: str, message: str
 ) -> None:
     with pytest.raises(SystemExit) as ended:
@@ -210,7 +210,7 @@ def test_classify_writes_the_events_as_json_lines() -> None:
     assert outline(decode(line) for line in done.stdout.splitlines()) == expected(GESTURES)
 
 
-def test_classify_takes_only_what_was_chosen_with_quiet_around_it() -> None:
+def test_classify_plays_only_the_selected_recordings_with_quiet_around_them() -> None:
     done = ran([*TOUCHD, "classify", GESTURES, "--gesture", "rub", "--gesture", "pat"])
     events = [decode(line) for line in done.stdout.splitlines()]
     began = [event.sensor_ms for event in events if isinstance(event, TouchBegan)]
@@ -231,14 +231,14 @@ def test_quiet_borrowed_from_another_person_costs_no_touch() -> None:
     np.testing.assert_array_equal(borrowed.counts, alike.counts)
 
 
-def test_a_fast_pads_quiet_lasts_as_long_as_a_slow_ones() -> None:
+def test_the_quiet_time_does_not_depend_on_the_pads_rate() -> None:
     touches, quiet = touches_and_quiet()
     fast = replace(quiet[0], counts=np.zeros((4000, 8, 8), np.uint16), sensor_ms=2 * np.arange(4000))
     spans = with_quiet(touches[:1], [fast]).spans
     assert [span.stop - span.start for span in spans if span.gesture == "notouch"] == [2000, 2000]
 
 
-def test_replay_and_run_work_together_as_two_commands() -> None:
+def test_run_reads_what_replay_plays() -> None:
     with Program(*TOUCHD, "replay", GESTURES, "--gesture", "rub", "--speed", "8") as replay:
         port = replay.stdout.readline().strip()
         with Program(*TOUCHD, "run", "--port", port) as run:

@@ -56,7 +56,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
         assert getattr(shown.scene, name) == getattr(default.scene, name)
 
 
-def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
+def test_the_example_names_every_setting_outside_the_pads_format() -> None:
     text, seen = EXAMPLE.read_text(), set()
 
     def names(kind: inspect.Type) -> Iterator[str]:
@@ -78,7 +78,7 @@ def test_the_example_names_every_setting_but_those_of_a_pads_format() -> None:
     assert {name for name in named if not re.search(rf"\b{name}:", text)} == set()
 
 
-def test_a_file_in_another_encoding_is_told_with_its_line(tmp_path: Path) -> None:
+def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     path.write_bytes("sensor:\n  port: /dev/ttyACM0\n# Größe\n".encode("latin-1"))
     with pytest.raises(ConfigError, match="line 3: invalid start byte; save the file as UTF-8 text"):
@@ -169,7 +169,7 @@ def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
     assert message == "line 1, column 45: aliases (*name) are not allowed; write the value out"
 
 
-def test_on_a_pad_of_another_kind_an_unsure_final_answer_is_not_told_unless_asked_for() -> None:
+def test_another_pads_unsure_final_answer_is_not_told() -> None:
     another = SensorSettings(format=PadFormat(framing="text", rows=6, columns=6))
     asked_for = SceneSettings(final_above=0.0)
     assert Settings().pipeline.decision.final_above is None

@@ -60,7 +60,7 @@ def test_a_journal_as_csv_has_a_row_an_event(journal: Path) -> None:
     )
 
 
-def test_lines_of_a_journal_that_are_no_events_are_left_out_and_counted(
+def test_journal_lines_that_are_not_events_are_skipped_and_counted(
     journal: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = journal.read_bytes().split(b"\n")
@@ -69,7 +69,7 @@ def test_lines_of_a_journal_that_are_no_events_are_left_out_and_counted(
     assert "skipped 2 lines that are not events" in capsys.readouterr().err
 
 
-def test_a_recording_whose_clock_began_anew_can_be_made_mcap(tmp_path: Path) -> None:
+def test_a_recording_whose_clock_restarted_becomes_mcap(tmp_path: Path) -> None:
     (first, *_) = read_recordings(DEMO)
     clock_ms = first.sensor_ms.copy()
     clock_ms[40:] -= clock_ms[40]

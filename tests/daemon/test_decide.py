@@ -148,7 +148,7 @@ def test_stages_out_of_order_are_refused() -> None:
         DecisionSettings(answer_at_frames=(54, 54, 144))
 
 
-def test_a_final_answer_below_final_above_stays_untold_and_the_touch_ends_uncertain() -> None:
+def test_a_final_answer_below_final_above_ends_uncertain() -> None:
     decision = Decision(DecisionSettings(final_above=0.5), LABELS)
     assert not decision.answer("final", probabilities(stroke=0.49)).told
     ended = decision.answer("uncertain", probabilities(stroke=0.49))

@@ -10,7 +10,7 @@ from rigs.wait import wait_for
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
 
-def test_the_python_example_hears_a_stroke_and_answers() -> None:
+def test_the_python_example_receives_a_stroke_and_answers() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:

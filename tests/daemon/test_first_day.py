@@ -55,7 +55,7 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
     return ran([sys.executable, "-c", WITHOUT_EXTRAS + code])
 
 
-def test_every_command_helps_without_any_extra() -> None:
+def test_every_command_prints_help_without_any_extra() -> None:
     done = python(
         "for command in cli.COMMANDS:\n"
         "    try: cli.main([command.name, '--help'])\n"
@@ -89,7 +89,7 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
         (f"classify {GESTURES} | true", 0, ""),
     ],
 )
-def test_closed_or_full_streams_are_no_internal_error(command: str, code: int, said: str) -> None:
+def test_closed_or_full_streams_cause_no_internal_error(command: str, code: int, said: str) -> None:
     done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m touchd.daemon {command}"])
     assert (done.returncode, said in done.stderr) == (code, True)
     assert len(done.stderr.splitlines()) == bool(said)
@@ -211,7 +211,7 @@ def test_a_pad_without_permission_or_busy_is_waited_for(monkeypatch: pytest.Monk
     check_pad(Settings(sensor=SensorSettings(port="/dev/null")))
 
 
-def test_a_restarting_clock_is_no_broken_pad() -> None:
+def test_a_clock_that_restarts_does_not_report_a_broken_pad() -> None:
     clock_ms = [*range(5000, 9000, 18), *range(0, 4000, 19)]
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame(n, ms, n / 54, counts) for n, ms in enumerate(clock_ms))
@@ -263,7 +263,7 @@ def test_the_network_address_is_shown_as_url_and_qr_code() -> None:
 
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
-def test_a_demo_that_is_told_to_end_leaves_nothing_behind(
+def test_a_terminated_demo_leaves_nothing_behind(
     tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TMPDIR", str(tmp_path))

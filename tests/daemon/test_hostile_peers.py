@@ -166,7 +166,7 @@ def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
 
 @pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SERVERS)
-def test_no_server_decides_how_much_memory_is_used(tmp_path: Path, name: str, seconds: float) -> None:
+def test_no_server_can_make_touchd_use_memory(tmp_path: Path, name: str, seconds: float) -> None:
     library, configure, attack = SERVERS[name]
     pytest.importorskip(library)
     port = free_port()
@@ -175,13 +175,13 @@ def test_no_server_decides_how_much_memory_is_used(tmp_path: Path, name: str, se
 
 @pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", STRANGERS)
-def test_no_stranger_decides_how_much_memory_is_used(tmp_path: Path, name: str, seconds: float) -> None:
+def test_no_stranger_can_make_touchd_use_memory(tmp_path: Path, name: str, seconds: float) -> None:
     library, configure, protocol, attack = STRANGERS[name]
     pytest.importorskip(library)
     endured(tmp_path, lambda pid: stranger(pid, protocol, attack), seconds, **configure(free_port()))
 
 
-def test_no_descriptors_left_neither_floods_the_log_nor_lasts(tmp_path: Path, port: int) -> None:
+def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: Path, port: int) -> None:
     pytest.importorskip("websockets")
     with Daemon(tmp_path, live=LiveSettings(port=port)) as daemon, ExitStack() as closing:
         wait_for(lambda: daemon.events)
@@ -220,7 +220,7 @@ def opened(closing: ExitStack, port: int, **settings: Any) -> Bridge:
 
 
 @needs_mosquitto
-def test_what_a_broker_does_not_allow_is_counted_and_named(
+def test_messages_that_a_broker_refuses_are_counted_and_named(
     tmp_path: Path, port: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("paho.mqtt")
@@ -237,7 +237,7 @@ def test_what_a_broker_does_not_allow_is_counted_and_named(
 
 
 @needs_mosquitto
-def test_one_event_that_is_too_large_holds_up_no_other(
+def test_an_event_that_is_too_large_delays_no_other(
     tmp_path: Path, port: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("paho.mqtt")
@@ -258,7 +258,7 @@ def test_one_event_that_is_too_large_holds_up_no_other(
     assert "Packet too large" in caplog.text
 
 
-def test_a_broker_that_knows_only_mqtt_3_is_spoken_to_in_it(port: int) -> None:
+def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int) -> None:
     pytest.importorskip("paho.mqtt")
     with attackers.server(port, attackers.acknowledge) as connections, ExitStack() as closing:
         bridge = opened(closing, port)
@@ -278,7 +278,7 @@ def test_a_broker_that_knows_only_mqtt_3_is_spoken_to_in_it(port: int) -> None:
         (b"\x20\x0b\x00\x97\x08\x1f\x00\x05a\n\x1b[m", "(Quota exceeded: a"),
     ],
 )
-def test_why_a_broker_is_away_is_said_in_words(
+def test_a_lost_broker_is_reported_with_its_reason(
     port: int, greeting: bytes, reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("paho.mqtt")
@@ -294,7 +294,7 @@ def test_why_a_broker_is_away_is_said_in_words(
     assert "Unspecified" not in caplog.text
 
 
-def test_what_a_rosbridge_refuses_is_counted_and_said_once(
+def test_messages_that_a_rosbridge_refuses_are_counted_and_logged_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("websockets")

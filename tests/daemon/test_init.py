@@ -70,7 +70,7 @@ def test_a_pad_is_found_at_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> Non
     assert load(FILE).sensor.baud == 57_600
 
 
-def test_what_nobody_presses_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pad_that_nobody_presses_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
     printed = PadFormat(framing="text", rows=8, columns=8)
     still = Stream(rest, ideal_clock_ms(len(rest)), ())
@@ -90,7 +90,7 @@ def test_no_address_can_break_the_file() -> None:
     assert settings.sensor.port == settings.robot.url == address
 
 
-def test_a_file_that_cannot_be_written_is_told() -> None:
+def test_a_file_that_cannot_be_written_is_reported() -> None:
     with pytest.raises(ConfigError, match=r"cannot be written .*; give another path"):
         write("missing/touchd.yaml", "--port", "Größe 😀", "--baud", "9600")
     assert os.listdir() == []
@@ -107,7 +107,7 @@ def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     assert os.listdir() == []
 
 
-def test_a_pad_that_only_answers_is_found() -> None:
+def test_a_pad_that_must_be_polled_is_found() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
     described = PRESETS["fsr-array"]

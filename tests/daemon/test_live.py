@@ -152,7 +152,7 @@ def test_a_hanging_page_thread_delays_no_event(served: Served) -> None:
         assert served.sink.dropped == 7
 
 
-def test_a_flood_of_frames_costs_a_later_viewer_no_state(served: Served, viewer: ClientConnection) -> None:
+def test_a_later_viewer_gets_the_state_despite_a_flood(served: Served, viewer: ClientConnection) -> None:
     with hung(served.sink):
         served.sink.put(PAD_UP)
         for _ in range(CAPACITY + 7):
@@ -194,7 +194,7 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
         assert (frames, dropped) == (len(stream.counts), 0)
 
 
-def test_the_demo_is_on_a_page_until_ctrl_c() -> None:
+def test_the_demo_serves_its_page_until_ctrl_c() -> None:
     with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         # The page is served once the pad is up.

@@ -55,7 +55,7 @@ def test_idle_connections_do_not_exhaust_descriptors(served: Served) -> None:
         frames_among(viewer, served.put_frame())
 
 
-def test_half_open_connections_keep_nobody_out(served: Served) -> None:
+def test_half_open_connections_do_not_lock_viewers_out(served: Served) -> None:
     with ExitStack() as closing:
         for _ in range(3 * MOST_CONNECTIONS):
             closing.enter_context(socket.create_connection(("127.0.0.1", served.port), timeout=WITHIN_S))

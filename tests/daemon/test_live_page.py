@@ -215,7 +215,7 @@ def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:
     assert text_of(played.chrome, "#vital-pad dd") == "down"
 
 
-def test_a_screen_reader_hears_each_answer_without_a_flood(played: WatchedPage) -> None:
+def test_a_screen_reader_gets_each_answer_without_a_flood(played: WatchedPage) -> None:
     def heard() -> list[str]:
         return [text.replace("\u00a0", " ") for text, _ in played.run("return heard")]
 

@@ -121,7 +121,7 @@ def page() -> Iterator[Chrome]:
         pytest.param("rub", quick_rub, marks=pytest.mark.slow),
     ],
 )
-def test_what_a_mouse_does_is_recognised(
+def test_gestures_of_a_mouse_are_recognised(
     page: Chrome, gesture: str, path: Callable[[random.Random], Route]
 ) -> None:
     rng = random.Random(7)
@@ -200,7 +200,7 @@ def test_messages_are_limited_in_number() -> None:
     assert touching.take("another viewer", TOUCH) == ""
 
 
-def test_a_viewer_who_leaves_or_hangs_presses_no_more() -> None:
+def test_a_viewer_who_leaves_or_hangs_stops_pressing() -> None:
     touching = Touching()
     for viewer in ("leaves", "hangs"):
         assert touching.take(viewer, TOUCH) == ""

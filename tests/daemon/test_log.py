@@ -49,7 +49,7 @@ def test_a_record_becomes_one_printable_line() -> None:
     assert logging.Formatter("%(message)s").format(gone).isprintable()
 
 
-def test_a_trace_forges_no_line_of_the_log() -> None:
+def test_a_trace_cannot_forge_a_log_line() -> None:
     try:
         raise ValueError(HOSTILE)
     except ValueError as error:

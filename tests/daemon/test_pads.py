@@ -146,7 +146,7 @@ def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> Non
         assert {event.state for event in on(pad, events) if isinstance(event, SensorEvent)} == {"down"}
 
 
-def test_the_robot_hears_up_of_a_pad_only_once_its_frames_come() -> None:
+def test_a_pads_status_is_up_only_after_its_first_frames() -> None:
     with Robot() as robot:
         settings = Settings(sensors={"head": PadSettings()}, robot=RobotSettings(url=robot.url))
         link = link_to_robot(settings, lambda _: None)
@@ -159,7 +159,7 @@ def test_the_robot_hears_up_of_a_pad_only_once_its_frames_come() -> None:
         assert robot.calls.raised("TouchGesture/head/Status") == ["down", "up", "down"]
 
 
-def test_the_robot_hears_of_each_pad_by_its_name() -> None:
+def test_the_robot_gets_each_pads_events_under_its_name() -> None:
     calls = CallLog()
     with StubRobot(calls.add) as robot:
         pads: dict[str, tuple[ActionRule, ...]] = {"head": (SAY,), "left_arm": ()}
@@ -218,7 +218,7 @@ def test_a_command_for_one_pad_asks_which() -> None:
             only_pad(settings, name)
 
 
-def test_doctor_record_and_classify_take_the_pad_that_is_named(
+def test_doctor_record_and_classify_use_the_named_pad(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "touchd.yaml"

@@ -88,7 +88,7 @@ def test_a_touch_is_answered_early_revised_and_final() -> None:
     )
 
 
-def test_a_prediction_says_everything_a_listener_needs() -> None:
+def test_a_prediction_has_every_field_a_listener_needs() -> None:
     (early,) = predictions(Bench().feel(palm(1.0)))
     assert early == Prediction(
         touch=1,
@@ -137,13 +137,13 @@ def test_an_answer_due_in_a_pause_is_deferred() -> None:
     bench.check_windows(54)
 
 
-def test_without_a_touch_the_model_only_glances() -> None:
+def test_without_a_touch_the_model_gets_no_frames() -> None:
     bench = Bench()
     assert bench.feel(nothing(60.0)) == []
     assert bench.model.asked == bench.model.stepped == []
 
 
-def test_the_model_is_given_frames_as_they_come_so_few_are_left_at_a_mark() -> None:
+def test_the_model_gets_frames_before_the_mark_is_reached() -> None:
     bench = Bench()
     bench.feel(palm(4.0), nothing(2.0))
     lengths = [len(window) for window in bench.model.stepped]
@@ -250,7 +250,7 @@ def test_a_gesture_in_one_window_alone_is_not_told() -> None:
     assert len(bench.model.asked) > 5
 
 
-def test_a_scene_can_keep_to_the_final_answer() -> None:
+def test_a_scene_can_switch_off_answers_after_the_final_one() -> None:
     bench = Bench(decision=DecisionSettings(ongoing=False))
     assert told(bench.feel(pat(8.0, counts=90.0))) == [("early", "stroke")]
     assert bench.model.asked == []
@@ -308,7 +308,7 @@ def test_a_frame_missing_before_the_onset_degrades_the_touch() -> None:
     assert early.degraded
 
 
-def test_an_answer_due_in_a_bridged_gap_is_whole() -> None:
+def test_an_answer_due_in_a_bridged_gap_is_not_lost() -> None:
     bench = Bench(touch=TouchSettings(quiet_s=0.1))
     events = bench.feel(palm(4.0), skip=range(140, 147))
     assert answered(events) == [EARLY, REVISED, FINAL]
@@ -335,7 +335,7 @@ def test_touches_after_a_reset_of_the_board_are_told() -> None:
         *((quiet_s, 0.4, 1.8, [round(54 * (4 * 0.4 + 3 * 1.8)) + 1]) for quiet_s in (2.0, 5.0)),
     ],
 )
-def test_only_pauses_longer_than_the_quiet_time_part_touches(
+def test_only_pauses_longer_than_the_quiet_time_separate_touches(
     quiet_s: float, hand_s: float, pause_s: float, frames: list[int]
 ) -> None:
     bench = Bench(Classifier.load(), touch=TouchSettings(quiet_s=quiet_s))
@@ -343,7 +343,7 @@ def test_only_pauses_longer_than_the_quiet_time_part_touches(
     assert [(end.frames, end.reason) for end in ended(events)] == [(number, "released") for number in frames]
 
 
-def test_a_raised_threshold_feels_no_lighter_touch_and_firm_ones_at_once() -> None:
+def test_a_raised_threshold_ignores_light_touches_and_detects_firm_ones() -> None:
     bench = Bench(Classifier.load(), touch=TouchSettings(onset_threshold=200.0))
     assert bench.feel(palm(2.0, 12.0), nothing(3.0)) == []
     assert [end.frames for end in ended(bench.feel(palm(2.0, 100.0), nothing(3.0)))] == [108]
@@ -441,7 +441,7 @@ def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     assert audit.touches > 0
 
 
-def test_a_leaving_hand_does_not_count_as_restlessness() -> None:
+def test_light_touches_after_firm_ones_are_detected() -> None:
     # The recording ends with a resting hand's pats, far lighter than the pressure before.
     twice = splice(read_recordings(LENGTHS) * 2)
     events = answers(twice, Classifier.load())

@@ -43,7 +43,7 @@ def session(folder: Path, **changes: object) -> Session:
         ("uncertain,pat", "'uncertain' cannot name a gesture"),
     ],
 )
-def test_gestures_that_cannot_be_learned_are_refused_before_they_are_recorded(
+def test_gestures_that_cannot_be_learned_are_refused_before_recording(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], gestures: str, why: str
 ) -> None:
     with pytest.raises(SystemExit):
@@ -66,7 +66,7 @@ def test_the_setting_alone_decides_the_order(tmp_path: Path) -> None:
     assert len({take.path for take in again}) == 12
 
 
-def test_a_kept_recording_reads_back_and_replaces_what_a_crash_left(tmp_path: Path) -> None:
+def test_a_kept_recording_reads_back_and_replaces_a_partial_file(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
     (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
     keep(path, [recording()], {"sensor": "a pad"})
@@ -94,7 +94,7 @@ def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> No
     assert list((tmp_path / "new" / "folder").iterdir()) == []
 
 
-def test_a_file_that_holds_no_recording_is_not_counted_as_made(tmp_path: Path) -> None:
+def test_a_file_without_a_recording_is_not_counted(tmp_path: Path) -> None:
     one = session(tmp_path, gestures=("pat",), rounds=2)
     first, second = one.takes()
     keep(first.path, [recording()], {})
@@ -107,14 +107,12 @@ def test_a_file_that_holds_no_recording_is_not_counted_as_made(tmp_path: Path) -
 
 
 @needs_small_disk
-def test_a_recording_that_finds_no_room_is_told_by_its_own_name_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_recording_on_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
     told = log_on_small_disk(tmp_path, 40, FILL)
     assert told == ["x.csv.gz: cannot be written (No space left on device)", "['filler']", "kept x.csv.gz"]
 
 
-def test_a_recording_that_finds_no_room_waits_until_there_is_some(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recording_waits_until_the_disk_has_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     one = session(tmp_path, gestures=("pat",), rounds=1)
     (take,) = one.takes()
     take.path.mkdir()

@@ -74,7 +74,7 @@ class Lab:
         return [touch.began.touch for touch in read_since(self.journal, since)]
 
 
-def test_a_touch_that_is_given_up_meanwhile_does_not_end_the_labelling(lab: Lab) -> None:
+def test_a_touch_deleted_during_labelling_does_not_end_it(lab: Lab) -> None:
     for number, gesture in ((1, "pat"), (2, "rub")):
         lab.touched(number, gesture)
     with Terminal(*lab.arguments(*SAY_WHO)) as terminal:
@@ -86,7 +86,7 @@ def test_a_touch_that_is_given_up_meanwhile_does_not_end_the_labelling(lab: Lab)
         terminal.answer("q")
 
 
-def test_a_journal_that_began_before_the_clock_was_set_hides_no_older_one(lab: Lab) -> None:
+def test_a_journal_with_an_early_clock_hides_no_older_one(lab: Lab) -> None:
     early = TouchBegan(touch=9, time="1970-01-01T00:00:07.000Z", sensor_ms=0)
     lab.journal.with_name(f"{lab.journal.name}.1").write_bytes(lines_of(felt(1)))
     lab.journal.write_bytes(encode(early) + b"\n" + lines_of(felt(2)))
@@ -256,7 +256,7 @@ def test_a_label_can_be_undone_and_a_session_resumed(lab: Lab) -> None:
         assert terminal.process.wait(WITHIN_S) == 0
 
 
-def test_without_anybody_to_answer_it_lists_and_ends(
+def test_without_a_terminal_it_lists_the_touches_and_ends(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lab.touched(17)

@@ -140,7 +140,7 @@ def test_quitting_shows_how_to_resume(record: list[str]) -> None:
         assert terminal.process.wait(WITHIN_S) == 0
 
 
-def test_without_anybody_to_answer_it_ends(
+def test_without_a_terminal_it_ends(
     tmp_path: Path, record: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with Path("/dev/null").open() as nobody:

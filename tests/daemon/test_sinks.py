@@ -72,7 +72,7 @@ def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
     ],
     ids=["states", "answers"],
 )
-def test_a_stalled_reader_blocks_nobody_and_its_losses_are_told(
+def test_a_stalled_reader_blocks_nobody_and_its_losses_are_logged(
     pipe: tuple[int, int], caplog: pytest.LogCaptureFixture, long: Event
 ) -> None:
     sink = ShortSink("stdout", pipe[1], encode)
@@ -88,7 +88,7 @@ def test_a_stalled_reader_blocks_nobody_and_its_losses_are_told(
     assert 45 <= sum(told) <= 50
 
 
-def test_losses_that_go_on_are_told_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
+def test_continuing_losses_are_logged_once_a_minute(caplog: pytest.LogCaptureFixture) -> None:
     class SlowSink(QueuedSink[int]):
         capacity = 2
         written = 0
@@ -182,7 +182,7 @@ def write(path: Path, lines: list[bytes], **limits: int) -> None:
 
 
 @pytest.mark.parametrize("keep", [0, 2])
-def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path, keep: int) -> None:
+def test_the_journal_rotates_within_its_limits(tmp_path: Path, keep: int) -> None:
     path = tmp_path / "events.jsonl"
     write(path, numbered(200), max_bytes=1000, keep=keep)
     files = [*(tmp_path / f"events.jsonl.{number}" for number in range(keep, 0, -1)), path]
@@ -192,7 +192,7 @@ def test_the_journal_rotates_and_keeps_only_what_it_may(tmp_path: Path, keep: in
     assert lines == numbered(200)[-len(lines) :] != []
 
 
-def test_fewer_older_journals_are_left_when_fewer_are_to_be_kept(tmp_path: Path) -> None:
+def test_lowering_keep_deletes_older_journals(tmp_path: Path) -> None:
     for number in (1, 2, 3, 4):
         (tmp_path / f"events.jsonl.{number}").write_bytes(encode(PREDICTION) + b"\n")
     write(tmp_path / "events.jsonl", [encode(PREDICTION)] * 4)
@@ -214,7 +214,7 @@ def test_half_a_line_left_by_a_power_cut_is_removed(tmp_path: Path) -> None:
     assert path.read_bytes().splitlines() == numbered(2)
 
 
-def test_a_journal_that_cannot_be_opened_is_one_clear_line(tmp_path: Path) -> None:
+def test_an_unusable_journal_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match=r"cannot be written \(No such file or directory\)"):
         Journal(tmp_path / "nowhere" / "events.jsonl", max_bytes=1000, keep=1)
 
@@ -276,7 +276,7 @@ while True:
 
 
 @pytest.mark.parametrize("times", [1, pytest.param(50, marks=pytest.mark.slow)])
-def test_a_journal_killed_at_any_point_is_whole_after_it_is_opened(tmp_path: Path, times: int) -> None:
+def test_a_kill_at_any_point_leaves_a_whole_journal(tmp_path: Path, times: int) -> None:
     path, chance = tmp_path / "events.jsonl", random.Random(1)
     for attempt in range(times):
         with Program(sys.executable, "-c", KILL_MID_WRITE, path) as process:

@@ -138,14 +138,14 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("content", [b"%PDF-1.7\n" + os.urandom(50_000), b'{"name": "settings"}', b"\n"])
-def test_a_file_that_is_no_journal_is_refused_untouched(path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_journal_is_refused_untouched(path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(JournalError, match="is no journal of touchd, and left as it is"):
         Journal(path, max_bytes=1000, keep=1)
     assert path.read_bytes() == content
 
 
-def test_a_device_or_pipe_is_no_journal(path: Path) -> None:
+def test_a_device_or_pipe_is_refused_as_journal(path: Path) -> None:
     os.mkfifo(path)
     for wrong in (Path("/dev/null"), path, path.parent):
         with pytest.raises(JournalError, match="is no file"):
@@ -177,9 +177,7 @@ def test_a_journal_taken_away_is_recreated_and_reported(
     assert caplog.text.count("was taken away") == 1
 
 
-def test_a_journal_whose_folder_is_deleted_is_warned_of_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_deleted_journal_folder_is_warned_of_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (folder := tmp_path / "state").mkdir()
     journal = Journal(folder / "events.jsonl", max_bytes=10_000, keep=1)
     shutil.rmtree(folder)
@@ -218,7 +216,7 @@ BAD_LINES = [
 
 @pytest.mark.parametrize("suffix", ["csv", "mcap", "png"])
 @pytest.mark.parametrize("line", BAD_LINES, ids=range(len(BAD_LINES)))
-def test_one_bad_line_ends_no_reading_of_a_journal(path: Path, suffix: str, line: bytes) -> None:
+def test_a_bad_line_does_not_stop_a_journals_readers(path: Path, suffix: str, line: bytes) -> None:
     pytest.importorskip({"csv": "csv", "mcap": "mcap", "png": "matplotlib"}[suffix])
     ended = TouchEnded(touch=1, gesture="pat", frames=9, reason="released", time="2026-11-20T10:00:01.000Z")
     path.write_bytes(b"\n".join([encode(touch(1)), line, encode(ended)]) + b"\n")
@@ -231,7 +229,7 @@ def test_one_bad_line_ends_no_reading_of_a_journal(path: Path, suffix: str, line
 
 
 @pytest.mark.parametrize("name", ["2026-11-20T10-00-00.000Z-1-1.csv.gz", f"{PARTIAL}x"])
-def test_a_folder_named_like_a_touch_defeats_no_bound(tmp_path: Path, name: str) -> None:
+def test_a_folder_named_like_a_touch_does_not_stop_deletion(tmp_path: Path, name: str) -> None:
     (tmp_path / "touches" / name).mkdir(parents=True)
     store = TouchStore(tmp_path / "touches", 3, "a made pad")
     for number in range(8):
@@ -262,7 +260,7 @@ def test_a_hole_in_the_numbers_hides_no_older_file(path: Path) -> None:
     assert [kept.began.touch for kept in read_since(path, "")] == [1, 2, 3]
 
 
-def test_a_clock_that_was_ahead_does_not_cost_new_touches(tmp_path: Path) -> None:
+def test_a_clock_that_was_ahead_does_not_delete_new_touches(tmp_path: Path) -> None:
     store = TouchStore(tmp_path, 3, "")
     for number in (1, 2, 3):
         store.add(felt(number, after_s=1e8))
@@ -311,7 +309,7 @@ def test_old_touches_are_not_told_and_carry_their_age() -> None:
     assert again.age_ms < 500
 
 
-def test_a_pad_played_at_half_its_pace_is_not_taken_for_late() -> None:
+def test_a_pad_played_at_half_speed_is_not_late() -> None:
     answers = Line(step_ms=2000 / 54, clock_factor=0.5).feel(nothing(1.5), *[palm(1.2), nothing(1.5)] * 5)
     assert all(answer.age_ms < 1000 for answer in answers)
     assert any(answer.told for answer in answers)
@@ -325,7 +323,7 @@ def test_a_pad_played_at_half_its_pace_is_not_taken_for_late() -> None:
     ],
     ids=["5 Hz", "two boards"],
 )
-def test_a_pad_that_cannot_be_felt_is_degraded_and_says_why(line: Line, why: str) -> None:
+def test_a_pad_without_detectable_touches_is_degraded_with_a_reason(line: Line, why: str) -> None:
     line.feel(nothing(6.0))
     (event,) = line.events
     assert event.state == "degraded"

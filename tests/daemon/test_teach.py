@@ -54,7 +54,7 @@ def test_setting_the_model_leaves_the_rest_as_it_was(tmp_path: Path, before: str
         "model: old.onnx\nsensors:\n  left:\n    # mine\n    port: /dev/a\n  right: {port: /dev/b}\n",
     ],
 )
-def test_of_several_pads_the_one_that_was_taught_gets_the_model(tmp_path: Path, before: str) -> None:
+def test_only_the_taught_pad_gets_the_model(tmp_path: Path, before: str) -> None:
     path = tmp_path / "touchd.yaml"
     path.write_text(before)
     old = load(path).pads
@@ -88,7 +88,7 @@ def used_after(answer: str, config: Path, *, is_worse: bool = False) -> str | No
     return load(config).model
 
 
-def test_a_configuration_that_is_a_link_stays_one(tmp_path: Path, config: Path) -> None:
+def test_a_linked_configuration_stays_a_link(tmp_path: Path, config: Path) -> None:
     kept = config.rename(tmp_path / "kept.yaml")
     config.symlink_to(kept)
     used = used_after("", config)
@@ -97,9 +97,7 @@ def test_a_configuration_that_is_a_link_stays_one(tmp_path: Path, config: Path) 
 
 
 @pytest.mark.parametrize("before", [b"{robot: null}\n", "robot: null\n".encode("utf-16")])
-def test_a_configuration_that_cannot_be_changed_stays_and_its_person_is_told(
-    config: Path, before: bytes
-) -> None:
+def test_a_configuration_that_cannot_be_changed_stays_and_is_reported(config: Path, before: bytes) -> None:
     config.write_bytes(before)
     with pytest.raises(ConfigError, match=r"touchd.yaml stays as it was; set `model: .*lab-2.onnx` in it"):
         used_after("", config)
@@ -112,7 +110,7 @@ def test_line_ends_stay_as_they_are(config: Path) -> None:
     assert config.read_bytes().startswith(b"robot: null\r\nlanguage: de")
 
 
-def test_a_file_in_the_folder_that_is_no_recording_is_told_before_recording(tmp_path: Path) -> None:
+def test_a_foreign_file_in_the_folder_is_reported_before_recording(tmp_path: Path) -> None:
     pytest.importorskip("torch")
     (tmp_path / "participants.csv").write_text("name,age\nAnn,30\n")
     with pytest.raises(ExtraError, match=r"participants.csv: no known layout .*move it to another folder"):
@@ -138,7 +136,7 @@ def test_the_service_gets_a_model_outside_home_folders(tmp_path: Path, of_servic
         assert (tmp_path / copy).read_bytes() == SHIPPED_MODEL.read_bytes()
 
 
-def test_a_model_that_the_scene_refuses_is_not_used_nor_copied(tmp_path: Path, of_service: Path) -> None:
+def test_a_model_unfit_for_the_scene_is_not_installed(tmp_path: Path, of_service: Path) -> None:
     of_service.write_text("scene: {gestures: [hug, pat]}\n")
     with pytest.raises(ConfigError, match=r"stays as it was; .* scene.gestures: hug is no gesture"):
         used_after("", of_service)

@@ -50,7 +50,7 @@ def pad() -> TrackedPad:
 
 
 @pytest.mark.parametrize(("counts", "within_s"), [(12.0, 0.1), (6.0, 0.5)], ids=["firm", "light"])
-def test_a_touch_is_noticed_at_its_first_frame(pad: TrackedPad, counts: float, within_s: float) -> None:
+def test_a_touch_is_detected_at_its_first_frame(pad: TrackedPad, counts: float, within_s: float) -> None:
     began = pad.index
     assert pad.feel(palm(within_s, counts)) == [Onset(began)]
 
@@ -63,24 +63,24 @@ def test_a_touch_ends_at_its_last_contact(pad: TrackedPad) -> None:
 @pytest.mark.parametrize(
     "hand", [pat(8.0), palm(20.0, 6.0), palm(60.0, 60.0)], ids=["lift-offs", "light and long", "trembling"]
 )
-def test_a_hand_that_stays_is_one_touch(pad: TrackedPad, hand: Scans) -> None:
+def test_a_hand_that_keeps_still_is_one_touch(pad: TrackedPad, hand: Scans) -> None:
     _, release = pad.touched(hand, 2.0)
     assert release.reason == "released"
 
 
-def test_a_touch_that_begins_gently_is_dated_to_its_first_counts(pad: TrackedPad) -> None:
+def test_a_gentle_beginning_is_dated_to_its_first_counts(pad: TrackedPad) -> None:
     began, rising = pad.index, np.minimum(np.arange(54, dtype=np.float32) / 27, 1)
     (onset,) = pad.feel(palm(1.0) * rising[:, None, None])
     assert 0 <= onset.first_index - began <= 5
 
 
-def test_a_hand_that_presses_less_is_still_there(pad: TrackedPad) -> None:
+def test_a_hand_that_eases_off_does_not_end_the_touch(pad: TrackedPad) -> None:
     onset, release = pad.touched(palm(2.0, counts=200.0), palm(8.0, counts=100.0), 2.0)
     assert release.last_index - onset.first_index == 10 * 54 - 1
 
 
 @pytest.mark.parametrize("deviation_counts", [2.0, 3.0])
-def test_a_noisier_pad_at_rest_is_no_touch(deviation_counts: float) -> None:
+def test_more_noise_at_rest_begins_no_touch(deviation_counts: float) -> None:
     noise = np.random.default_rng(7).normal(0, deviation_counts, (54 * 20, 8, 8)).astype(np.float32)
     assert TrackedPad().feel(noise + 10) == []
 
@@ -133,7 +133,7 @@ def test_a_hand_present_at_the_start_counts_as_rest() -> None:
     assert pad.feel(palm(0.2)) == [Onset(pad.index - 11)]
 
 
-def test_a_hand_moving_at_the_start_is_felt() -> None:
+def test_a_hand_moving_at_the_start_is_detected() -> None:
     pad = TrackedPad()
     pad.touched(pat(3.0), 3.0)
     pad.touched(palm(1.0), 2.0)
@@ -299,9 +299,7 @@ def test_the_network_ends_a_touch_on_a_pad_that_drifts(seen: TrackedPad, network
     assert release.reason == "released"
 
 
-def test_the_network_is_asked_between_contacts_whether_a_touch_is_over(
-    seen: TrackedPad, network: Network
-) -> None:
+def test_the_network_is_asked_between_contacts_too(seen: TrackedPad, network: Network) -> None:
     network.no_touch = 0.02
     seen.feel(pat(3.0))
     network.windows.clear()
@@ -309,7 +307,7 @@ def test_the_network_is_asked_between_contacts_whether_a_touch_is_over(
     assert network.windows.count(54) >= 2
 
 
-def test_a_touch_that_only_the_network_sees_is_felt(seen: TrackedPad, network: Network) -> None:
+def test_a_touch_that_only_the_network_sees_is_detected(seen: TrackedPad, network: Network) -> None:
     began = seen.index
     network.no_touch = 0.02
     (onset,) = seen.feel(faint(1.5))
@@ -354,7 +352,7 @@ def test_the_network_forgets_a_pad_with_its_sensor(seen: TrackedPad, network: Ne
     assert seen.feel(nothing(10.0) + 20.0, restarted=True) == []
 
 
-def test_a_light_hand_that_keeps_still_is_felt_after_a_second(seen: TrackedPad, network: Network) -> None:
+def test_a_light_still_hand_is_detected_after_a_second(seen: TrackedPad, network: Network) -> None:
     # Too little for the network's looks alone to begin a touch.
     network.no_touch = 0.25
     began = seen.index
@@ -369,7 +367,7 @@ def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, netwo
     assert [type(change) for change in [*changes, *seen.feel(2.0)]] == [Onset, Release]
 
 
-def test_slow_movement_of_a_body_is_no_touch(seen: TrackedPad) -> None:
+def test_slow_movement_of_a_body_begins_no_touch(seen: TrackedPad) -> None:
     assert seen.feel(breath(20.0, counts=2.3)) == []
 
 
@@ -384,7 +382,7 @@ def test_light_contact_needs_the_network_to_see_a_touch() -> None:
 
 @pytest.mark.parametrize("vibrating", [HUM, HUM_UPWARDS, MOTOR])
 @pytest.mark.parametrize("still_s", [1.0, 1.1])
-def test_the_start_of_a_vibration_is_no_touch(
+def test_the_start_of_a_vibration_begins_no_touch(
     pad: TrackedPad, vibrating: Callable[[Scans], Scans], still_s: float
 ) -> None:
     assert pad.feel(still_s, vibrating(nothing(10.0))) == []
@@ -392,13 +390,13 @@ def test_the_start_of_a_vibration_is_no_touch(
 
 
 @pytest.mark.parametrize("vibrating", [HUM, HUM_UPWARDS])
-def test_a_taxel_that_vibrates_by_more_is_no_touch(vibrating: Callable[[Scans], Scans]) -> None:
+def test_a_taxel_that_vibrates_more_begins_no_touch(vibrating: Callable[[Scans], Scans]) -> None:
     scans = vibrating(nothing(4.0))
     scans[:, 0, 0] *= 4.5
     assert TrackedPad(p_no_touch=lambda window: 0.9).feel(2.0, scans) == []
 
 
-def test_a_pad_that_became_noisy_is_disturbed(pad: TrackedPad) -> None:
+def test_a_pad_is_disturbed_while_it_is_noisy(pad: TrackedPad) -> None:
     assert not pad.tracker.is_disturbed
     pad.feel(with_noise(nothing(10.0), 2.0))
     assert pad.tracker.is_disturbed
@@ -420,7 +418,7 @@ def test_light_contact_of_a_second_hardly_moves_the_rest(read: float, moved: flo
     np.testing.assert_allclose(baseline.counts, 10.0 + moved, atol=0.02)
 
 
-def test_the_rest_follows_a_drift_of_a_third_count_a_second() -> None:
+def test_the_rest_follows_a_slow_drift() -> None:
     baseline = known()
     for frame in range(54 * 30):
         baseline.track(np.full(64, 10.0 + 0.3 * frame / 54, np.float32))
@@ -444,7 +442,7 @@ def test_the_noise_floor_lies_above_the_sway() -> None:
     assert baseline.mean_noise_floor == pytest.approx(1.6)
 
 
-def test_the_newer_half_of_the_last_second_comes_second() -> None:
+def test_the_last_seconds_newer_half_comes_second() -> None:
     recent = LastSecond()
     for read in range(60):
         recent.push(np.full(64, read, np.float32))
@@ -462,7 +460,7 @@ def loose(seconds: float) -> Scans:
     return scans
 
 
-def test_a_loose_wire_that_jumps_is_known_in_three_seconds_and_no_touch() -> None:
+def test_a_loose_wire_is_found_without_a_touch() -> None:
     pad = TrackedPad()
     assert pad.feel(2.0, loose(3.0)) == []
     assert pad.tracker.loose_lines == ("column 6",)
@@ -477,7 +475,7 @@ def test_touches_on_a_pad_with_a_loose_wire_begin_and_end(hand: Scans) -> None:
         pad.touched(hand + loose(3.0), loose(3.0))
 
 
-def test_what_the_network_is_asked_about_keeps_still_where_a_loose_wire_jumps() -> None:
+def test_the_network_does_not_see_a_loose_wires_jumps() -> None:
     pad = TrackedPad()
     pad.feel(2.0, loose(6.0))
     jumping = loose(2.0) + pad.rest.astype(np.float32)
@@ -496,7 +494,7 @@ def strokes_on_a_row(seconds: float) -> Scans:
     [nothing(10.0), fold(10.0), drift(0.5), pat(10.0), strokes_on_a_row(10.0)],
     ids=["nothing", "fold", "drift", "pat", "strokes on a row"],
 )
-def test_what_jumps_there_and_not_back_or_not_at_once_is_no_loose_wire(pad: TrackedPad, scans: Scans) -> None:
+def test_a_slow_or_lasting_step_is_not_a_loose_wire(pad: TrackedPad, scans: Scans) -> None:
     pad.feel(scans, 3.0)
     assert pad.tracker.loose_lines == ()
     assert pad.tracker.without_loose_wire(scans) is scans

@@ -203,7 +203,7 @@ def test_a_touch_begun_before_keeping_is_not_kept(bench: StoreBench) -> None:
 
 
 @pytest.mark.parametrize("state", ["degraded", "up"])
-def test_a_touch_stays_whole_though_the_pads_state_changes(bench: StoreBench, state: PadState) -> None:
+def test_a_touch_stays_whole_when_the_pads_state_changes(bench: StoreBench, state: PadState) -> None:
     bench.feel(palm(0.5))
     bench.sink.put(SensorEvent(state=state, time=timestamp(bench.now_s)))
     bench.feel(palm(0.5), nothing(1.5))
@@ -229,7 +229,7 @@ def test_a_deleted_folder_is_made_again(store: TouchStore, tmp_path: Path) -> No
     assert (tmp_path / "touches").stat().st_mode & 0o007 == 0
 
 
-def test_an_unusable_folder_is_one_line_naming_the_setting(tmp_path: Path) -> None:
+def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
         with pytest.raises(ConfigError, match=rf"journal\.keep_touches: .*{why}"):

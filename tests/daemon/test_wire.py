@@ -43,7 +43,7 @@ def elsewhere(counts: float) -> Frames:
     ("jump", "line"),
     [(column(HEIGHTS), "column 3"), (column(HEIGHTS, 7).T, "row 8"), (column(-HEIGHTS), "column 3")],
 )
-def test_a_line_that_jumps_there_and_back_is_known_and_taken_out(jump: Frames, line: str) -> None:
+def test_a_line_that_jumps_and_returns_is_corrected(jump: Frames, line: str) -> None:
     wire = known_after(jump)
     assert wire.lines == (line,)
     assert wire.take_out(REST + jump, REST) == pytest.approx(REST, abs=2.0)
@@ -60,7 +60,7 @@ def test_a_line_that_jumps_there_and_back_is_known_and_taken_out(jump: Frames, l
         pytest.param(column(HEIGHTS), column(3 * HEIGHTS[::-1]), id="by more and elsewhere on the way back"),
     ],
 )
-def test_other_jumps_are_no_loose_wire(up: Frames, down: Frames | None) -> None:
+def test_other_jumps_are_not_a_loose_wire(up: Frames, down: Frames | None) -> None:
     assert known_after(up, down).lines == ()
 
 

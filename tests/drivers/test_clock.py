@@ -73,7 +73,7 @@ def test_a_reset_forgets_half_a_frame_and_the_clock() -> None:
 
 
 @pytest.mark.parametrize("is_reset", [True, False])
-def test_a_frame_with_a_wrong_clock_waits_for_the_next_no_longer_than_its_run(is_reset: bool) -> None:
+def test_a_frame_with_an_odd_clock_is_not_revived_later(is_reset: bool) -> None:
     parser = FabricGrid()
     parser.feed(packets([0, 1, 900]), 0.0)
     if is_reset:
@@ -84,7 +84,7 @@ def test_a_frame_with_a_wrong_clock_waits_for_the_next_no_longer_than_its_run(is
     assert parser.feed(packets([901]), 2.0) == []
 
 
-def test_stamps_of_arrival_rise_though_frames_come_at_once() -> None:
+def test_arrival_stamps_rise_even_in_a_burst() -> None:
     clock = ArrivalClock(54.0)
     stamps = [clock.stamp_ms(1.0) for _ in range(40)]
     assert all(earlier < later for earlier, later in pairwise(stamps))
@@ -96,7 +96,7 @@ def test_a_pad_off_its_stated_rate_is_followed_within_seconds() -> None:
     assert max(map(abs, off_ms[108:])) <= 1.0
 
 
-def test_a_flood_of_frames_does_not_leave_the_clock_of_arrivals_ahead() -> None:
+def test_after_a_flood_the_arrival_clock_is_not_ahead() -> None:
     clock = ArrivalClock(54.0)
     for number in range(50_000):
         clock.stamp_ms(number / 10_000)
@@ -104,7 +104,7 @@ def test_a_flood_of_frames_does_not_leave_the_clock_of_arrivals_ahead() -> None:
     assert max(map(abs, after[81:])) <= 20.0
 
 
-def test_a_gap_restarts_the_clock_of_arrivals() -> None:
+def test_a_gap_restarts_the_arrival_clock() -> None:
     clock = ArrivalClock(54.0)
     before = [clock.stamp_ms(number / 54) for number in range(54)]
     assert before[-1] == round(1000 * 53 / 54)
@@ -163,7 +163,7 @@ def test_a_clock_is_used_in_the_unit_that_it_counts(counts_a_second: float) -> N
     ],
     ids=["frames", "half", "twice", "tenths", "constant", "whole seconds", "temperature", "backwards"],
 )
-def test_a_number_that_is_no_clock_is_skipped(stamp: Callable[[float], float], why: str) -> None:
+def test_a_number_that_is_not_a_clock_is_skipped(stamp: Callable[[float], float], why: str) -> None:
     clock, frames = dated(stamp)
     assert why in clock.note
     assert clock.note.endswith("it is not used, and frames are dated by their arrival")

@@ -57,13 +57,13 @@ def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> N
 @pytest.mark.parametrize(
     "words", [b"hello\n", b"I (123) wifi: rssi=-61\n", b"\xff\xfe\x00\n", line(2)[:100] + b"\n"]
 )
-def test_what_else_the_pad_prints_is_not_damage(words: bytes) -> None:
+def test_other_output_of_the_pad_is_not_counted_as_damage(words: bytes) -> None:
     parser = CsvLines()
     assert_are(parser.feed(lines([0, 1]) + words + line(3), 0.0), [0, 1, 3])
     assert parser.counts.bad == 0
 
 
-def test_a_number_of_thousands_of_digits_is_cut_like_any_large_one() -> None:
+def test_a_number_of_thousands_of_digits_is_clipped() -> None:
     parser = parser_of(PadFormat(framing="text", rows=32, columns=32))
     (frame,) = parser.feed(b"\n" + b"0," * 1023 + b"1" * 5000 + b"\n", 0.0)
     assert frame.pressure[-1, -1] == 64
@@ -110,7 +110,7 @@ NUMBERED = [f"{row},{','.join(map(str, cells))}" for row, cells in enumerate(ROW
         "hex",
     ],
 )
-def test_numbers_are_numbers_whatever_stands_around_them(printed: str, skip: int) -> None:
+def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -> None:
     described = PadFormat(framing="text", rows=5, columns=6, skip=skip)
     parser = parser_of(described)
     frames = parser.feed(printed.encode() * 4, 0.0)
@@ -122,7 +122,7 @@ def test_numbers_are_numbers_whatever_stands_around_them(printed: str, skip: int
     assert parser.counts.bad == 0
 
 
-def test_a_damaged_line_spoils_its_own_frame_only() -> None:
+def test_a_damaged_line_loses_only_its_own_frame() -> None:
     described = PadFormat(framing="text", rows=5, columns=6)
     frame = "\n".join(",".join(map(str, cells)) for cells in ROWS) + "\n\n"
     for damaged in (

@@ -36,7 +36,7 @@ def test_a_10x10_pad_gives_the_8x8_of_haart() -> None:
     assert frames[0].host_s == 3.5
 
 
-def test_the_border_of_a_larger_grid_feels_nothing() -> None:
+def test_the_border_of_a_larger_grid_is_ignored() -> None:
     data = encode_fabric_grid(counts_of(1), 0)
     raw = np.frombuffer(data, "<u2", 100, 8).reshape(10, 10)
     assert len(data) == SIZE
@@ -75,7 +75,7 @@ def test_a_stream_joined_midway_begins_with_the_next_frame(cut: int) -> None:
     ],
     ids=["header", "clock", "checksum", "two", "ff", "garbage", "cut in clock", "cut in checksum"],
 )
-def test_damage_is_counted_by_kind_and_costs_itself_alone(damaged: bytes, counts: dict[str, int]) -> None:
+def test_damage_is_counted_by_kind_and_loses_nothing_else(damaged: bytes, counts: dict[str, int]) -> None:
     parser = FabricGrid()
     assert_are(parser.feed(packets([0, 1]) + damaged + packets([4, 5]), 0.0), [0, 1, 4, 5])
     assert {name: getattr(parser.counts, name) for name in counts} == counts

@@ -72,7 +72,7 @@ def test_the_recordings_pace_is_kept_without_drift() -> None:
     assert abs(np.median(late_s[20:]) - np.median(late_s[:20])) < 0.05
 
 
-def test_a_looped_stream_goes_on_and_so_does_its_clock() -> None:
+def test_a_looped_stream_continues_with_its_clock() -> None:
     stream = stream_of(5)
     parser = FabricGrid()
     with FakePort(stream, encode_fabric_grid, speed=None, loop=True) as port, opened(port) as reader:
@@ -142,7 +142,7 @@ def test_it_stops_at_once_in_every_state_and_leaves_nothing() -> None:
         assert time.monotonic() - begun_s < AT_ONCE_S
 
 
-def test_a_clock_that_starts_anew_does_not_change_the_pace() -> None:
+def test_a_clock_that_restarts_does_not_change_the_pace() -> None:
     once = stream_of(20)
     twice = Stream(np.concatenate([once.counts] * 2), np.concatenate([once.sensor_ms] * 2), once.spans)
     with FakePort(twice, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:

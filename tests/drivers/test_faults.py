@@ -122,7 +122,7 @@ def test_a_fault_that_comes_back_soon_is_logged_once_it_lasts(caplog: pytest.Log
     assert len(lines(caplog, (0, 1), (20, 21 + LASTS_S), (100, 101))) == 4
 
 
-def test_a_fault_that_was_away_for_long_is_a_new_one(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_after_a_long_absence_is_new(caplog: pytest.LogCaptureFixture) -> None:
     assert len(lines(caplog, (0, 1), (2 + FORGOTTEN_S, 3 + FORGOTTEN_S))) == 4
 
 
@@ -132,7 +132,7 @@ def test_an_hour_of_flapping_is_a_few_lines(caplog: pytest.LogCaptureFixture, la
     assert len(lines(caplog, *spans)) <= 24
 
 
-def test_a_fault_that_never_ends_for_long_is_logged_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_without_long_pauses_is_logged_again(caplog: pytest.LogCaptureFixture) -> None:
     gone = [line for line in lines(caplog, *((at, at + 0.75) for at in range(60))) if "gone" in line]
     # At first, and after 10 and 20 seconds more.
     assert len(gone) == 3

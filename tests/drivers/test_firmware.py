@@ -171,7 +171,7 @@ def test_a_pad_of_resistors_reads_as_the_circuit_predicts(board: MakeBoard) -> N
 
 
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
-def test_on_a_teensy_touchd_feels_the_same(folder: Path, size: int) -> None:
+def test_a_teensy_gives_the_same_frames(folder: Path, size: int) -> None:
     program = folder / f"teensy-{size}"
     flags = ["-Wall", "-Wextra", "-Werror", "-DTEENSYDUINO=159", f"-DROWS={size}", f"-DCOLUMNS={size}"]
     subprocess.run(["c++", *flags, f"-I{TEENSY}", TEENSY / "main.cpp", "-o", program], check=True)

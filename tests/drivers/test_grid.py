@@ -106,7 +106,7 @@ def test_lost_frames_are_bridged_and_marked(lost: list[int]) -> None:
     ],
     ids=["gap too long to bridge", "reboot"],
 )
-def test_a_clock_that_jumps_starts_the_grid_anew(clock_ms: Sequence[int]) -> None:
+def test_a_clock_that_jumps_restarts_the_grid(clock_ms: Sequence[int]) -> None:
     laid = push(new_ring(), stream_of(len(clock_ms)).counts, clock_ms)
     assert [frame.index for frame in laid] == list(range(len(clock_ms)))
     assert [frame.index for frame in laid if frame.restarted] == [0, 50]
@@ -123,7 +123,7 @@ def test_duplicates_and_late_frames_leave_no_trace() -> None:
     np.testing.assert_array_equal(ring.window(100, 100), counts)
 
 
-def test_after_a_reset_the_next_frame_starts_anew() -> None:
+def test_a_reset_restarts_the_grid_at_the_next_frame() -> None:
     ring, counts = new_ring(), stream_of(40).counts
     push(ring, counts[:20], ideal_clock_ms(20))
     ring.reset()

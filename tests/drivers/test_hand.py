@@ -92,7 +92,7 @@ def test_a_simulated_pad_at_rest_is_like_a_real_one() -> None:
         assert counts.max() < 28
 
 
-def test_the_demo_has_each_touch_once_within_45_seconds(demo: list[Recording]) -> None:
+def test_the_demo_has_each_gesture_once_within_45_seconds(demo: list[Recording]) -> None:
     gestures = [recording.gesture for recording in demo]
     assert sorted(gestures[1::2]) == TOUCHES
     assert set(gestures[::2]) == {"notouch"}

@@ -107,19 +107,19 @@ def test_a_broken_pad_and_its_repair_are_reported_once(
     assert is_begin_and_end(logged(counts, caplog), begin)
 
 
-def test_a_heavy_still_hand_is_no_fault() -> None:
+def test_a_heavy_still_hand_is_not_a_fault() -> None:
     counts = sound_pad(20)
     counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
     assert faults_in(counts) == []
 
 
-def test_a_hand_that_covers_the_pad_for_45_s_is_no_drift() -> None:
+def test_a_hand_covering_the_pad_is_not_drift() -> None:
     counts = sound_pad(240)
     counts[100 * RATE_HZ : 145 * RATE_HZ] += 30
     assert faults_in(counts) == []
 
 
-def test_a_load_at_the_limit_two_thirds_of_the_time_is_no_fault() -> None:
+def test_a_load_often_at_the_limit_is_not_a_fault() -> None:
     counts = sound_pad(30)
     for first in range(0, 30 * RATE_HZ, 9):
         counts[first : first + 6][SATURATED] = 1023
@@ -134,14 +134,14 @@ def test_a_load_that_wavers_at_the_limit_is_one_finding() -> None:
     assert [is_begin for _, _, is_begin in faults_in(counts)] == [True]
 
 
-def test_a_firm_fingertip_at_the_limit_is_no_fault() -> None:
+def test_a_firm_fingertip_at_the_limit_is_not_a_fault() -> None:
     counts = sound_pad(20)
     fingertip = counts[5 * RATE_HZ :, 2:5, 2:5]
     fingertip[:] = np.random.default_rng(1).integers(1000, 1024, fingertip.shape)
     assert faults_in(counts) == []
 
 
-def test_a_stuck_taxel_that_twitches_now_and_then_is_one_finding() -> None:
+def test_a_stuck_taxel_that_twitches_is_one_finding() -> None:
     counts = sound_pad(90)
     counts[5 * RATE_HZ :, 3, 3] = 100
     # In a twentieth of the frames, for ten seconds at a time.
@@ -184,7 +184,7 @@ def test_a_creeping_rest_and_its_return_are_reported_once(caplog: pytest.LogCapt
 
 
 @pytest.mark.parametrize("levels", [(0, 14, 7, 14), (14, 0, 14, 7)], ids=["wavers", "falls first"])
-def test_a_rest_that_has_risen_is_one_finding_while_it_wavers(levels: tuple[int, ...]) -> None:
+def test_a_raised_rest_that_wavers_is_one_finding(levels: tuple[int, ...]) -> None:
     counts = sound_pad(400)
     counts += np.repeat(np.array(levels, np.uint16), 100 * RATE_HZ)[:, None, None]
     assert [is_begin for _, _, is_begin in faults_in(counts)] == [True]
@@ -272,7 +272,7 @@ def faulty(**every: int) -> list[bytes]:
     ],
     ids=["firm presses", "damage", "damage on a network", "sound", "little damage", "repeats"],
 )
-def test_what_a_line_loses_is_logged_with_what_to_do(
+def test_frames_lost_on_the_line_are_logged_with_advice(
     parser: FrameParser,
     packets: list[bytes],
     where: str,
@@ -283,12 +283,12 @@ def test_what_a_line_loses_is_logged_with_what_to_do(
     assert caplog.messages == ([warning] if warning else [])
 
 
-def test_a_line_that_goes_on_losing_frames_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_continuing_losses_on_the_line_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     watch(parser_of(CONFIGURED), FIRM_PRESSES, turns=20)
     assert caplog.messages == [ABOVE]
 
 
-def test_frames_refused_while_the_pad_was_away_are_no_fault(caplog: pytest.LogCaptureFixture) -> None:
+def test_frames_refused_during_an_outage_are_not_a_fault(caplog: pytest.LogCaptureFixture) -> None:
     parser, still = FabricGrid(), np.zeros((8, 8), np.uint16)
     monitor = PadMonitor(parser=parser)
     monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
@@ -319,7 +319,7 @@ def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -
     return [state for state in states if state is not None]
 
 
-def test_a_pad_that_loses_frames_in_runs_is_degraded_until_they_come() -> None:
+def test_losing_frames_in_runs_degrades_the_pad() -> None:
     monitor = PadMonitor()
     # 20 of 30 frames arrive, at 54 Hz.
     (state,) = states_of(monitor, [round(1000 / 54 * i) for i in range(600) if i % 30 < 20])
@@ -335,7 +335,7 @@ def test_a_pad_that_is_too_slow_is_degraded() -> None:
     assert "5.0 frames a second come, and more than 7 are needed" in state.reason
 
 
-def test_stale_frames_after_a_pause_of_the_daemon_are_no_evidence() -> None:
+def test_stale_frames_after_a_pause_are_not_judged() -> None:
     monitor = PadMonitor()
     assert states_of(monitor, range(0, 5000, 18)) == []
     # Ten frames waited in the port's buffer; those after them were lost.
@@ -368,7 +368,7 @@ def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
         assert [now.state for now in states_of(monitor, [0])] == [state]
 
 
-def test_each_cause_of_an_outage_is_reported_once_and_passing_ones_never(
+def test_each_lasting_cause_of_an_outage_is_reported_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     monitor = PadMonitor()

@@ -34,7 +34,7 @@ def send(give: Callable[[bytes], object], numbers: range) -> None:
         time.sleep(0.001)
 
 
-def test_a_tcp_pad_that_went_away_is_found_again() -> None:
+def test_a_lost_tcp_pad_is_found_again() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         check_port(address, 9600)
@@ -50,7 +50,7 @@ def test_a_tcp_pad_that_went_away_is_found_again() -> None:
                 assert down.reason == f"{address} went away: unplugged or switched off?"
 
 
-def test_no_frame_is_made_up_across_a_reconnect() -> None:
+def test_no_frame_spans_a_reconnect() -> None:
     lines = list(map(encode_csv_line, STREAM.counts[:40], STREAM.sensor_ms.tolist()))
     begun, rest = lines[20].rsplit(b",", 50)[0], lines[21].split(b",", 51)[-1]
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -92,7 +92,7 @@ def udp_pad() -> Iterator[tuple[str, Callable[[bytes], object]]]:
     yield f"udp://127.0.0.1:{where[1]}", give
 
 
-def test_a_lost_datagram_costs_its_frame_alone() -> None:
+def test_a_lost_datagram_loses_only_its_frame() -> None:
     parser = FabricGrid()
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
         kept = [number for number in range(60) if number % 7 != 2]
@@ -106,7 +106,7 @@ def test_a_lost_datagram_costs_its_frame_alone() -> None:
     assert parser.counts.bad == 60 - len(kept)
 
 
-def test_each_datagram_is_given_at_once_and_an_empty_one_does_no_harm() -> None:
+def test_datagrams_are_passed_on_at_once_and_empty_ones_ignored() -> None:
     parser = FabricGrid()
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
         give(b"")
@@ -116,7 +116,7 @@ def test_each_datagram_is_given_at_once_and_an_empty_one_does_no_harm() -> None:
         assert time.monotonic() - begun_s < 0.08
 
 
-def test_datagrams_that_came_too_early_are_all_dropped() -> None:
+def test_resetting_the_input_drops_all_earlier_datagrams() -> None:
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
         for packet in PACKETS[:3]:
             give(packet)
@@ -125,7 +125,7 @@ def test_datagrams_that_came_too_early_are_all_dropped() -> None:
         assert read_waiting(opened, FabricGrid()) == PACKETS[3]
 
 
-def test_a_udp_pad_is_heard_and_found_again_after_silence() -> None:
+def test_a_udp_pad_is_found_again_after_silence() -> None:
     with udp_pad() as (address, give), sensing(address) as queue:
         for first in (0, 200):
             send(give, range(first, first + 50))
@@ -136,7 +136,7 @@ def test_a_udp_pad_is_heard_and_found_again_after_silence() -> None:
             assert state.reason.startswith(f"{address}: no data for 0.5 s")
 
 
-def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
+def test_the_first_of_two_udp_boards_is_read_until_gone(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parser = FabricGrid()
@@ -171,7 +171,7 @@ def test_of_two_boards_at_one_udp_address_the_first_is_read_until_it_is_gone(
 
 
 @pytest.mark.parametrize("stray", [b"", b"hello", PACKETS[0][:50]], ids=["empty", "text", "half a frame"])
-def test_strays_from_elsewhere_do_not_hold_a_udp_pad_out(stray: bytes) -> None:
+def test_stray_datagrams_do_not_displace_a_udp_pad(stray: bytes) -> None:
     with udp_pad() as (address, give), sensing(address, silence_s=2.0) as queue:
         for number in range(200):
             give(stray, "127.0.0.2")
@@ -256,7 +256,7 @@ def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
 
 
 @pytest.mark.parametrize("described", POLLED, ids=["u8", "u16", "clock"])
-def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
+def test_a_polled_pad_is_polled_for_each_frame(described: PadFormat) -> None:
     with polled_on_a_pty(described) as (path, pad), sensing(path, parser_of(described)) as queue:
         frames = next_frames(queue, 30)
         for number, frame in enumerate(frames):
@@ -266,7 +266,7 @@ def test_a_polled_pad_is_asked_for_each_frame(described: PadFormat) -> None:
         assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
 
 
-def test_a_late_reply_is_not_taken_for_another() -> None:
+def test_a_late_reply_does_not_answer_the_next_poll() -> None:
     described = msgspec.structs.replace(POLLED[0], rate_hz=500)
     parser = parser_of(described)
     with polled_on_a_pty(described) as (path, pad), open_port(path, 9600) as opened:
@@ -290,7 +290,7 @@ def test_a_damaged_reply_is_refused_whole_and_once() -> None:
     assert (parser.counts.bad, parser.counts.bad_checksum, parser.counts.bytes_dropped) == (1, 1, len(reply))
 
 
-def test_a_polled_pad_on_tcp_is_asked_too() -> None:
+def test_a_pad_on_tcp_is_polled_too() -> None:
     described = POLLED[1]
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"

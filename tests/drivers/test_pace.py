@@ -23,13 +23,13 @@ def test_frames_lost_in_a_gap_are_counted() -> None:
     assert pace.jitter_ms == 0.0
 
 
-def test_a_clock_that_wraps_goes_on() -> None:
+def test_a_clock_that_wraps_continues() -> None:
     stamps = [CLOCK_MODULUS - 100 + STEP_MS * number for number in range(20)]
     assert clock_ms(frames_at(stamps)).tolist() == stamps
     assert pace_of(frames_at(stamps)).lost == 0
 
 
-def test_a_clock_that_starts_anew_goes_on_by_the_usual_step() -> None:
+def test_a_clock_that_restarts_continues_by_the_usual_step() -> None:
     stamps = [5000 + STEP_MS * number for number in range(20)]
     frames = frames_at([*stamps[:10], *range(0, 10 * STEP_MS, STEP_MS)])
     assert clock_ms(frames).tolist() == stamps

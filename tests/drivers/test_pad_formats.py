@@ -99,7 +99,7 @@ def assert_are(described: PadFormat, frames: Sequence[Frame], numbers: Sequence[
 @every_stream
 @given(cuts=st.lists(st.integers(0, 20_000), max_size=12))
 @FEW
-def test_frames_come_whole_and_in_order_however_cut(described: PadFormat, cuts: list[int]) -> None:
+def test_frames_come_whole_and_in_order_in_any_chunks(described: PadFormat, cuts: list[int]) -> None:
     parser = parser_of(described)
     assert_are(described, feed(parser, stream(described, range(5)), cuts), range(5))
     # The half frame before the first footer counts as one lost.
@@ -108,7 +108,7 @@ def test_frames_come_whole_and_in_order_however_cut(described: PadFormat, cuts: 
 
 @every_stream
 @pytest.mark.parametrize("kept", [0.02, 0.4, 0.97])
-def test_a_frame_cut_off_costs_itself_and_is_counted(described: PadFormat, kept: float) -> None:
+def test_a_truncated_frame_is_lost_alone_and_counted(described: PadFormat, kept: float) -> None:
     parser = parser_of(described)
     whole = sent(described, 2)
     broken = whole[: max(1, round(kept * len(whole)))]
@@ -124,7 +124,7 @@ def test_a_frame_cut_off_costs_itself_and_is_counted(described: PadFormat, kept:
 
 
 @every_stream
-def test_garbage_is_counted_and_costs_no_intact_frame(described: PadFormat) -> None:
+def test_garbage_is_counted_and_loses_no_intact_frame(described: PadFormat) -> None:
     parser = parser_of(described)
     rng = random.Random(1)
     garbage = bytes(rng.choice(b"\x00\x07uxyz") for _ in range(3 * longest(described)))
@@ -213,7 +213,7 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     assert parser.ask_in_s(1.3) == 0.0
 
 
-def test_no_frame_is_made_up_of_two() -> None:
+def test_no_frame_mixes_two() -> None:
     described = PadFormat(header="aa55aa55", cell="u8", rows=8, columns=8, full_scale=255)
     parser = parser_of(described)
     cut_off = encode_frame(described, counts_of(0), None)[:40]

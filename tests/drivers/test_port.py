@@ -56,7 +56,7 @@ def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, me
         (errno.EADDRINUSE, "is busy"),
     ],
 )
-def test_what_the_system_says_of_a_port_is_told_in_words(
+def test_system_errors_of_a_port_are_reported_in_words(
     number: int, reason: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -67,7 +67,7 @@ def test_what_the_system_says_of_a_port_is_told_in_words(
         open_port("/dev/ttyACM0", BAUD)
 
 
-def test_a_device_that_is_no_terminal_is_named() -> None:
+def test_a_device_that_is_not_a_terminal_is_named() -> None:
     with sensing("/dev/null") as queue:
         assert "/dev/null cannot be opened" in next_state(queue).reason
 

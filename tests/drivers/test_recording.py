@@ -112,7 +112,7 @@ def test_each_of_haarts_layouts_gives_all_64_cells(pad: Path, header: str, rows:
 @pytest.mark.parametrize(
     ("old", "new"), [("", ""), (",", ";"), ("\n", "\r\n")], ids=["comma", "semicolon", "CRLF"]
 )
-def test_what_a_spreadsheet_saved_again_is_read(pad: Path, old: str, new: str) -> None:
+def test_a_file_that_a_spreadsheet_saved_is_read(pad: Path, old: str, new: str) -> None:
     recordings = [made("Ännchen", "rub", 50)]
     write_recordings(pad, recordings, {"source": "made for a test"})
     text = pad.read_text(encoding="utf-8").replace(old, new)
@@ -139,7 +139,7 @@ def test_what_a_spreadsheet_saved_again_is_read(pad: Path, old: str, new: str) -
         ),
     ],
 )
-def test_a_file_that_is_no_recording_names_its_line(pad: Path, text: str | bytes, message: str) -> None:
+def test_a_file_that_is_not_a_recording_names_its_line(pad: Path, text: str | bytes, message: str) -> None:
     pad.write_bytes(text.encode() if isinstance(text, str) else text)
     with pytest.raises(RecordingError, match=f"pad.csv.*{message}"):
         read_recordings(pad)
@@ -170,7 +170,7 @@ def test_a_file_with_too_many_lines_is_refused(pad: Path, monkeypatch: pytest.Mo
         read_recordings(pad)
 
 
-def test_realigning_puts_the_two_halves_of_each_scan_together_again() -> None:
+def test_realigning_joins_the_two_halves_of_each_scan() -> None:
     scans = np.arange(6 * 64, dtype=np.uint16).reshape(6, 8, 8)
     published = np.roll(scans.reshape(-1, 8), 2, axis=0).reshape(6, 8, 8)[:5]
     recording = Recording("P3", "foam", "fur", "rub", published, ideal_clock_ms(5), "published")
@@ -228,7 +228,7 @@ def test_a_replaced_file_keeps_its_permissions(before: Path) -> None:
 
 
 @pytest.mark.parametrize("may_write", [True, False])
-def test_a_file_of_anothers_is_replaced_where_it_may_be_written(
+def test_a_writable_file_of_another_user_is_replaced(
     before: Path, monkeypatch: pytest.MonkeyPatch, may_write: bool
 ) -> None:
     def chown(path: Path, user: int, group: int) -> None:
@@ -243,7 +243,7 @@ def test_a_file_of_anothers_is_replaced_where_it_may_be_written(
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS])
-def test_a_new_file_can_be_written_to_a_stick_or_share_without_links(
+def test_a_disk_without_links_takes_a_new_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     def refuse(*_: object) -> None:
@@ -269,7 +269,7 @@ def test_an_error_while_writing_leaves_the_old_file_alone(before: Path) -> None:
 @pytest.mark.parametrize(
     ("step", "said"), [(18_500, "are these microseconds"), (0, "stands still"), (-18, "sensor_ms falls")]
 )
-def test_a_clock_that_counts_no_milliseconds_is_refused(tmp_path: Path, step: int, said: str) -> None:
+def test_a_clock_not_in_milliseconds_is_refused(tmp_path: Path, step: int, said: str) -> None:
     path = tmp_path / "own.csv"
     clock_ms = 10**6 + step * np.arange(20, dtype=np.int64)
     counts = np.zeros((20, 8, 8), np.uint16)
@@ -278,7 +278,7 @@ def test_a_clock_that_counts_no_milliseconds_is_refused(tmp_path: Path, step: in
         read_recordings(path)
 
 
-def test_a_file_that_a_spreadsheet_saved_is_read_or_its_extra_column_named(tmp_path: Path) -> None:
+def test_an_extra_column_of_a_spreadsheet_is_named(tmp_path: Path) -> None:
     path = tmp_path / "own.csv"
     recording = Recording(
         "P1", "none", "none", "rub", np.zeros((9, 8, 8), np.uint16), ideal_clock_ms(9), "live"

@@ -81,7 +81,7 @@ def test_stopping_removes_the_gesture_from_memory(robot: Robot) -> None:
     robot.calls.wait_for(lambda call: call.method == "removeData")
 
 
-def test_everything_told_fits_the_robots_four_bytes(robot: Robot) -> None:
+def test_every_value_sent_fits_the_robots_four_bytes(robot: Robot) -> None:
     with linked(robot) as (link, _):
         # Beyond 2038, after more touches than there will be, and from numpy, whose scalars qi cannot send.
         link.publish(
@@ -154,7 +154,7 @@ def test_unsupported_actions_are_skipped(caplog: pytest.LogCaptureFixture) -> No
 
 
 @pytest.mark.parametrize(("python", "advice"), [((3, 12), ".*pip install"), ((3, 14), "see docs/install.md")])
-def test_without_qi_a_configured_robot_is_one_clear_line(
+def test_without_qi_a_configured_robot_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, python: tuple[int, int], advice: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "qi", None)
@@ -186,7 +186,7 @@ def test_without_qi_a_configured_robot_is_one_clear_line(
         ({"url": "tcps://nao:9503", "user": "nao", "token_file": "/dev/null"}, "/dev/null is empty"),
     ],
 )
-def test_a_failed_login_is_one_clear_line(settings: dict[str, Any], complaint: str) -> None:
+def test_a_failed_login_is_reported_in_one_line(settings: dict[str, Any], complaint: str) -> None:
     with pytest.raises(RobotError, match=complaint):
         RobotLink(RobotSettings(**settings), open_session=lambda *_: pytest.fail("a session was opened"))
 

@@ -56,7 +56,7 @@ def test_the_example_in_the_documentation_is_valid() -> None:
         ("[{do: [{say: a}], stages: [final], gestures: [uncertain]}]", "never acts"),
     ],
 )
-def test_a_wrong_rule_is_refused_with_what_is_wrong(text: str, complaint: str) -> None:
+def test_a_wrong_rule_is_refused_with_the_reason(text: str, complaint: str) -> None:
     with pytest.raises(msgspec.ValidationError) as error:
         rules(text)
     assert complaint in str(error.value)
@@ -67,7 +67,7 @@ def test_a_confidence_is_spoken_in_whole_percent() -> None:
     assert spoken("{{{gesture}}} {confidence}", "pat", 0.994, {}) == "{pat} 99"
 
 
-def test_the_robot_speaks_of_gestures_as_people_do() -> None:
+def test_the_robot_speaks_with_the_gestures_phrases() -> None:
     says = "{name}: that feels like {phrase}."
     assert spoken(says, "pat", 1.0, vocabulary("en", {})) == "pat: that feels like a pat."
     assert spoken(says, "tickle", 1.0, vocabulary("en", {})) == "tickle: that feels like tickling."
@@ -111,7 +111,7 @@ def test_simultaneous_touches_are_kept_apart() -> None:
     assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
 
 
-def test_of_touches_without_end_the_latest_are_remembered() -> None:
+def test_only_the_latest_unended_touches_are_remembered() -> None:
     chosen = Reactions(rules("[{do: [{say: any}]}]"))
     assert all(done(chosen, "stroke", touch) == ["any"] for touch in range(2 * MOST_TOUCHES))
     assert done(chosen, "stroke", 2 * MOST_TOUCHES - 1) == []

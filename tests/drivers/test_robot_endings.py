@@ -26,7 +26,7 @@ def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
         link.stop()
 
 
-def test_a_silent_listener_is_down_and_can_be_left() -> None:
+def test_a_silent_listener_is_down_and_can_be_disconnected() -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with linked(robot, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):

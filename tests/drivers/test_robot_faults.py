@@ -48,7 +48,7 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
         hears(robot, link)
 
 
-def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
+def test_a_slow_robot_is_up_once_call_s_allows() -> None:
     with Robot(call_s=0.4) as robot:
         with linked(robot, call_s=0.2) as (_, states):
             assert "no answer within 0.2 s" in states.wait_for("down")
@@ -57,7 +57,7 @@ def test_a_slow_robot_is_heard_once_call_s_allows() -> None:
             states.wait_for("up")
 
 
-def test_a_robot_that_refuses_is_not_stormed() -> None:
+def test_a_robot_that_refuses_is_retried_slowly() -> None:
     tried: list[float] = []
 
     def refused(*_: object) -> RobotSession:
@@ -72,7 +72,7 @@ def test_a_robot_that_refuses_is_not_stormed() -> None:
     assert tried[3] - tried[0] >= 0.35
 
 
-def test_a_robot_switched_off_is_noticed_and_later_told_the_status() -> None:
+def test_a_robot_that_returns_gets_the_status() -> None:
     with Robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (link, states):
         states.wait_for("up")
         link.set_status("down")
@@ -129,7 +129,7 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
             process.kill()
 
 
-def test_a_service_that_ends_and_comes_back_is_spoken_to_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture) -> None:
     with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, actions=(SAY,)) as (link, states):
         states.wait_for("up")
         actions = link._actions
@@ -146,7 +146,7 @@ def test_a_service_that_ends_and_comes_back_is_spoken_to_again(caplog: pytest.Lo
         states.wait_for("up")
 
 
-def test_an_action_that_takes_too_long_is_told_with_what_is_left_out(
+def test_an_action_that_takes_too_long_is_cut_and_reported(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     limits = RobotLimits(action_s=0.3)
@@ -160,7 +160,7 @@ def test_an_action_that_takes_too_long_is_told_with_what_is_left_out(
     assert "(see robot.action_s)" in caplog.text
 
 
-def test_the_heartbeat_does_without_the_service_it_asks() -> None:
+def test_the_heartbeat_works_without_its_service() -> None:
     limits = RobotLimits(heartbeat_s=0.02)
     with Robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
@@ -222,7 +222,7 @@ def test_publishing_to_a_hung_robot_returns_at_once() -> None:
         assert robot.calls.raised(GESTURE) == [f"gesture {number}" for number in range(495, 500)]
 
 
-def test_an_absent_robot_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_absent_robot_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     limits = RobotLimits(backoff_first_s=0.001, backoff_cap_s=0.001)
     robot = StubRobot()
@@ -236,7 +236,7 @@ def test_an_absent_robot_is_one_warning(caplog: pytest.LogCaptureFixture) -> Non
     assert "is up again (after " in lines[1][1]
 
 
-def test_a_robot_that_comes_and_goes_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_robot_that_comes_and_goes_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     limits = RobotLimits(backoff_first_s=0.001, backoff_cap_s=0.001)
     robot = StubRobot()

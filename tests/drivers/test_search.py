@@ -96,7 +96,7 @@ def test_usual_pads_are_found(described: PadFormat) -> None:
     assert "\n" not in as_yaml(finding.proposed)
 
 
-def test_the_labs_pad_is_known_with_its_clock_checksum_and_border() -> None:
+def test_the_labs_pad_is_found_with_clock_checksum_and_border() -> None:
     fabric = PRESETS["fabric-grid"]
     chunks = chunks_of(fabric, seed=1)
     assert search(chunks).proposed == fabric
@@ -178,7 +178,7 @@ def test_two_pads_in_one_line_are_not_one() -> None:
     assert "two pads" in finding.missing
 
 
-def test_two_pads_by_turns_are_not_one() -> None:
+def test_two_alternating_pads_are_not_one() -> None:
     one = PadFormat(framing="text", rows=8, columns=8)
     turns = two(chunks_of(one, 1), chunks_of(one, 2), b"\n")
     assert search(turns).proposed is None
@@ -219,7 +219,7 @@ def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
 
 
 @needs_third_study
-def test_light_touches_of_a_coarse_pad_are_never_taken_for_another_grid() -> None:
+def test_light_touches_on_a_coarse_pad_suggest_no_other_grid() -> None:
     streams: dict[str, list[Chunk]] = defaultdict(list)
     with gzip.open(Path(str(THIRD_STUDY)) / "streams.csv.gz", "rt") as file:
         for row in csv.DictReader(file):

@@ -113,7 +113,7 @@ def test_it_stops_at_once_before_and_while_waiting(tmp_path: Path) -> None:
     Sensor("/dev/none", BAUD, FabricGrid(), FrameQueue()).stop()
 
 
-def test_it_stops_at_once_while_frames_pour_in() -> None:
+def test_it_stops_at_once_under_a_flood_of_frames() -> None:
     with (
         FakePort(stream_of(), encode_fabric_grid, speed=None, loop=True) as port,
         sensing(port.path) as queue,

@@ -45,7 +45,7 @@ def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels:
     assert [record.levelname for record in caplog.records] == list(levels)
 
 
-def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_silent_pad_is_down_until_it_sends_again(caplog: pytest.LogCaptureFixture) -> None:
     switch = Switch(encode_fabric_grid)
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
         next_frames(queue, 5)
@@ -56,7 +56,7 @@ def test_a_silent_pad_is_down_until_it_goes_on(caplog: pytest.LogCaptureFixture)
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again; ")
 
 
-def test_a_port_that_is_silent_for_long_is_opened_anew() -> None:
+def test_a_long_silent_port_is_reopened() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(WITHIN_S)
         with (
@@ -68,7 +68,7 @@ def test_a_port_that_is_silent_for_long_is_opened_anew() -> None:
 
 
 @pytest.mark.parametrize("sent", [noise, b"", b"no frame, but text\n"], ids=["noise", "silence", "text"])
-def test_a_port_without_frames_for_long_is_opened_anew(sent: Encode | bytes) -> None:
+def test_a_port_long_without_frames_is_reopened(sent: Encode | bytes) -> None:
     data = sent if isinstance(sent, bytes) else sent(stream_of(1).counts[0], 7)
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(WITHIN_S)
@@ -79,7 +79,7 @@ def test_a_port_without_frames_for_long_is_opened_anew(sent: Encode | bytes) -> 
                 pass
 
 
-def test_a_line_that_another_program_set_wrongly_is_set_again() -> None:
+def test_a_port_that_another_program_reconfigured_is_restored() -> None:
     with FakePort(stream_of(), encode_fabric_grid) as port, sensing(port.path, frameless_s=1.0) as queue:
         next_frames(queue, 5)
         # What `stty istrip` does: the header's bytes lose their highest bit.
@@ -103,7 +103,7 @@ def test_a_server_that_speaks_telnet_is_named() -> None:
             assert next_state(queue).reason == f"{address}: {reason}; set its raw mode"
 
 
-def test_a_reader_told_to_stop_while_it_waits_for_an_address_says_nothing_more() -> None:
+def test_a_reader_stopped_during_a_lookup_reports_nothing() -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=0) as deaf, ExitStack() as waiting:
         # A full backlog: further connections are neither taken nor refused, as by a board that is off.
         for _ in range(3):
@@ -163,7 +163,7 @@ def test_a_loose_plug_is_warned_of_once(caplog: pytest.LogCaptureFixture, tmp_pa
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
 
 
-def test_a_busy_port_is_taken_once_it_is_free(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_busy_port_is_opened_once_it_is_free(caplog: pytest.LogCaptureFixture) -> None:
     with FakePort(stream_of(), encode_fabric_grid) as port:
         other = serial.Serial(port.path, exclusive=True)
         with sensing(port.path) as queue:
@@ -172,7 +172,7 @@ def test_a_busy_port_is_taken_once_it_is_free(caplog: pytest.LogCaptureFixture) 
             assert_is_over(queue, caplog, "WARNING", "INFO")
 
 
-def test_an_internal_error_is_reported_until_it_is_gone() -> None:
+def test_an_internal_error_is_reported_while_it_lasts() -> None:
     class Fragile(FabricGrid):
         broken = True
 

@@ -63,7 +63,7 @@ def steps_of_the_whole_pad() -> Scans:
     ],
     ids=["rest", "pat", "palm", "hand", "steps", "2 Hz", "26 Hz", "81.2 Hz"],
 )
-def test_what_is_no_vibration_is_left_alone(pressure: Scans) -> None:
+def test_frames_without_vibration_are_left_alone(pressure: Scans) -> None:
     counts = MadePad().counts(pressure)
     assert np.array_equal(laid(counts), counts)
 
@@ -76,7 +76,7 @@ def test_a_vibration_of_the_whole_pad_is_removed(vibration: Scans) -> None:
 
 @pytest.mark.parametrize("stuck_at", [0, 200])
 @pytest.mark.parametrize("vibration", [hum(540), motor(540)])
-def test_a_broken_row_follows_nothing_and_hides_no_vibration(vibration: Scans, stuck_at: int) -> None:
+def test_a_broken_row_hides_no_vibration(vibration: Scans, stuck_at: int) -> None:
     clean, shaken = at_rest_and(vibration)
     clean[:, 3] = shaken[:, 3] = stuck_at
     assert (laid(shaken)[-108:, 3] == stuck_at).all()
@@ -85,7 +85,7 @@ def test_a_broken_row_follows_nothing_and_hides_no_vibration(vibration: Scans, s
 
 
 @pytest.mark.parametrize("hz", [18.0, 180.0])
-def test_a_sine_of_few_values_is_taken_out(hz: float) -> None:
+def test_a_coarsely_quantised_sine_is_removed(hz: float) -> None:
     raw, left = off(*at_rest_and(hum(540, hz)))
     assert left < 0.7 * raw
 

@@ -33,7 +33,7 @@ def test_reliability_names_only_existing_tests() -> None:
 
 
 @pytest.mark.parametrize("study", STUDIES)
-def test_every_study_says_what_it_takes(study: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_study_prints_help(study: str, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("torch")
     with pytest.raises(SystemExit) as ended:
         main([study, "--help"])

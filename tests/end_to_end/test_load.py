@@ -62,7 +62,7 @@ def test_the_final_counts_add_up(play: Play) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("busy")
-def test_on_busy_cores_no_frame_is_lost(play: Play) -> None:
+def test_no_frame_is_lost_on_busy_cores(play: Play) -> None:
     events, processed, dropped = play(1.0)
     assert (processed, dropped) == (len(stream_of(LENGTHS).counts), 0)
     assert outline(events) == expected(LENGTHS)
@@ -83,7 +83,7 @@ HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
 
 
 @pytest.mark.slow
-def test_overrun_it_counts_losses_and_recovers(tmp_path: Path) -> None:
+def test_after_an_overrun_losses_are_counted_and_answers_right(tmp_path: Path) -> None:
     # Stopped for eight repetitions of the recording, it then gets them as fast as the line can carry.
     stream = splice(read_recordings(LENGTHS) * TURNS)
     held_up_s = HELD_UP_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / SPEED

@@ -190,7 +190,7 @@ def test_no_burst_of_signals_hangs_or_fails_the_daemon(tmp_path: Path, pad: Fake
     assert "Traceback" not in log_text
 
 
-def test_under_nohup_a_terminal_that_closes_ends_nothing(pad: FakePort) -> None:
+def test_under_nohup_a_closed_terminal_does_not_end_it(pad: FakePort) -> None:
     with Program("nohup", *TOUCHD, "run", "--port", pad.path, "--json") as daemon:
         next(daemon.stdout)
         daemon.send_signal(signal.SIGHUP)
@@ -209,7 +209,7 @@ def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, man
 
 
 @needs_qi
-def test_stalled_reader_and_dead_robot_cost_no_journal_line(spawn: Spawn, tmp_path: Path) -> None:
+def test_a_stalled_reader_and_dead_robot_lose_no_journal_line(spawn: Spawn, tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with playing(LENGTHS, 50.0) as pad:
         robot, journal = RobotSettings(url="tcp://127.0.0.1:9"), JournalSettings(path=str(path))

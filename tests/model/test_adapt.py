@@ -117,7 +117,7 @@ def adapted_file(trained: tuple[Path, str]) -> Path:
     return trained[0]
 
 
-def test_the_file_knows_the_labs_gestures_and_origin_but_no_person(adapted_file: Path) -> None:
+def test_the_file_names_gestures_and_origin_but_no_person(adapted_file: Path) -> None:
     metadata = Classifier.load(adapted_file).metadata
     assert metadata.labels == ("hug", "notouch", "pat", "scratch", "stroke")
     assert metadata.name == "lab"
@@ -170,7 +170,7 @@ def test_a_kill_while_writing_leaves_a_whole_model_or_none(tmp_path: Path, disk:
 
 
 @pytest.mark.parametrize("file", ["Labor Müller (2).onnx", "ö.onnx", f"{'long' * 40}.onnx"])
-def test_a_file_may_be_named_as_people_like(file: str) -> None:
+def test_a_file_may_have_any_name(file: str) -> None:
     assert msgspec.convert(model_name(Path(file)), Name)
 
 
@@ -299,9 +299,7 @@ def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Featur
     assert said in words(report_lines(adapted))
 
 
-def test_others_are_forgotten_less_with_what_is_remembered(
-    pretrained: Pretrained, material: Features
-) -> None:
+def test_rehearsal_keeps_others_from_being_forgotten(pretrained: Pretrained, material: Features) -> None:
     def right(rehearsed: float) -> float:
         settings = msgspec.structs.replace(SETTINGS, rehearsed=rehearsed)
         head = adapt(pretrained, material, settings, keep_all=True).head
@@ -314,7 +312,7 @@ def test_others_are_forgotten_less_with_what_is_remembered(
     assert right(0.5) > right(0.04) + 0.02
 
 
-def test_what_is_remembered_has_the_moments_of_what_was_seen(tmp_path: Path) -> None:
+def test_remembered_samples_have_the_moments_of_the_originals(tmp_path: Path) -> None:
     rng = torch.Generator().manual_seed(0)
     along = torch.randn(50, 8, 4, 2, generator=rng)
     seen = 3.0 + along @ torch.tensor([[2.0, 0.0, 1.0], [0.0, 0.5, 0.0]])
@@ -346,13 +344,13 @@ def labelled(text: str) -> list[Recording]:
     ]
 
 
-def test_with_two_participants_whole_participants_are_left_out() -> None:
+def test_with_two_participants_whole_participants_are_held_out() -> None:
     planned = plan(labelled("A:pat B:pat A:hug B:hug"))
     assert planned.left_out == "participants"
     assert {(fold.trained, fold.evaluated) for fold in planned.folds} == {((1, 3), (0, 2)), ((0, 2), (1, 3))}
 
 
-def test_with_one_participant_whole_recordings_are_left_out() -> None:
+def test_with_one_participant_whole_recordings_are_held_out() -> None:
     planned = plan(labelled("A:pat A:hug A:pat A:hug A:pat A:hug"))
     assert planned.left_out == "recordings"
     assert sorted(i for fold in planned.folds for i in fold.evaluated) == list(range(6))
@@ -364,7 +362,7 @@ def test_a_gesture_is_evaluated_only_if_trained_on_elsewhere() -> None:
     assert sorted(i for fold in planned.folds for i in fold.evaluated) == [0, 1, 2, 3]
 
 
-def test_one_recording_a_gesture_leaves_nothing_out() -> None:
+def test_one_recording_a_gesture_holds_nothing_out() -> None:
     assert plan(labelled("A:pat A:hug")).left_out == "nothing"
 
 
@@ -507,7 +505,7 @@ def test_a_folder_with_too_much_is_refused(
         read_folder(keep(tmp_path / "lab", simulated(("A",), 1)), ())
 
 
-def test_no_model_is_made_with_more_gestures_than_the_daemon_loads(tmp_path: Path) -> None:
+def test_more_gestures_than_the_daemon_loads_are_refused(tmp_path: Path) -> None:
     known = [f"known{i}" for i in range(8)]
     lab = keep(tmp_path / "lab", simulated(("A",), 1))
     assert len(read_folder(lab, known)) == 5

@@ -47,7 +47,7 @@ def test_a_body_that_sways_moves_the_pad_slowly() -> None:
 
 
 @pytest.mark.parametrize("name", ["warp", "gain_field"])
-def test_a_bent_pad_neither_loses_nor_moves_even_pressure_in_time(name: str) -> None:
+def test_bending_keeps_the_pressure_and_its_timing(name: str) -> None:
     bent = varied(**{name: 0.5})
     assert float((bent - bent[:, :1]).abs().max()) < 1e-3
     if name == "warp":
@@ -55,7 +55,7 @@ def test_a_bent_pad_neither_loses_nor_moves_even_pressure_in_time(name: str) -> 
 
 
 @pytest.mark.parametrize("name", DISTURBANCES)
-def test_a_disturbed_window_stays_in_a_pads_range(name: str) -> None:
+def test_a_disturbed_window_stays_in_range(name: str) -> None:
     windows = np.stack([hand(54), checkerboard(54)])
     disturbed = DISTURBANCES[name](windows)
     assert disturbed.shape == windows.shape
@@ -119,7 +119,7 @@ def test_a_coarse_pad_blurs_a_single_taxel() -> None:
     assert float(read.amax(dim=(1, 2, 3)).max()) < 150.0
 
 
-def test_other_pads_are_as_many_as_asked_for() -> None:
+def test_the_share_of_other_pads_is_as_configured() -> None:
     some = msgspec.structs.replace(SOFT, another_pad=0.25)
     read = as_another_pad(PATS.repeat(20, 1, 1, 1), some, torch.Generator().manual_seed(0))
     changed = (read != PATS[:1]).flatten(1).any(dim=1).float().mean()

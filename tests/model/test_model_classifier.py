@@ -212,7 +212,7 @@ class TestOtherModels:
         ],
         ids=["nan", "too large", "scalar", "rank"],
     )
-    def test_answers_that_are_no_probabilities_are_refused(
+    def test_outputs_that_are_not_probabilities_are_refused(
         self, values: list[float], shape: list[int], message: str
     ) -> None:
         proto, helper, kind = self.tiny(), self.onnx.helper, self.onnx.TensorProto.FLOAT
@@ -243,7 +243,7 @@ class TestOtherModels:
         proto.graph.node[0].CopyFrom(loop)
         assert "no answer within 0.5 s" in refusal(self.saved(proto))
 
-    def test_without_metadata_it_is_no_touchd_model(self) -> None:
+    def test_a_file_without_metadata_is_refused(self) -> None:
         proto = self.tiny()
         del proto.metadata_props[:]
         assert "not a touchd model (it carries no metadata)" in refusal(self.saved(proto))

@@ -159,7 +159,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_exported_file_says_what_it_is_not_where_made(exported: Path) -> None:
+def test_the_exported_file_names_itself_and_no_folder(exported: Path) -> None:
     assert Classifier.load(exported).metadata == metadata()
     assert str(Path(__file__).parents[2]).encode() not in exported.read_bytes()
 

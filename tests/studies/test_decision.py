@@ -89,7 +89,7 @@ def test_a_corrected_answer_is_right_at_the_end_and_harmless() -> None:
     assert not told.harmed
 
 
-def test_a_touch_detected_after_a_mark_is_answered_at_the_next(late: Streams) -> None:
+def test_a_touch_detected_late_is_answered_at_the_next_mark(late: Streams) -> None:
     gentle = replace(late, noticed=np.full(len(late.truth), 60))
     assert {t.answers[0][:2] for t in tell(gentle, DecisionSettings())} == {("revised", 1.5)}
 

@@ -99,7 +99,7 @@ def test_a_full_folder_is_checked_without_a_network(tmp_path: Path) -> None:
     assert obtain(tmp_path, quiet(), NOWHERE, EXPECTED) == EXPECTED
 
 
-def test_only_the_missing_file_is_put_in_from_an_archive_at_hand(tmp_path: Path) -> None:
+def test_only_the_missing_file_is_unpacked_from_a_local_archive(tmp_path: Path) -> None:
     (tmp_path / ARCHIVE_NAME).write_bytes(GOOD)
     (tmp_path / TRAINING_FILE).write_text(TRAINING_CSV)
     before = (tmp_path / TRAINING_FILE).stat().st_ino
@@ -182,7 +182,7 @@ def test_a_zip_bomb_is_refused_unpacked(tmp_path: Path) -> None:
         unpack(bomb, tmp_path, EXPECTED, max_bytes=900_000)
 
 
-def test_a_lying_zip_bomb_is_cut_off(tmp_path: Path) -> None:
+def test_a_zip_bomb_with_a_false_size_is_cut_off(tmp_path: Path) -> None:
     honest = archive({"training.csv": "0" * 1_000_000, "testWITHLABELS.csv": TEST_CSV})
     lie = honest.replace((1_000_000).to_bytes(4, "little"), (1000).to_bytes(4, "little"))
     (tmp_path / ARCHIVE_NAME).write_bytes(lie)

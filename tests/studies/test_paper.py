@@ -57,7 +57,7 @@ def training(cell: PaperCell = CELL) -> PaperTraining:
     return PaperTraining(cell, windows(0), windows(1), "cpu")
 
 
-def test_a_cut_off_training_goes_on_to_the_same_weights(tmp_path: Path) -> None:
+def test_an_interrupted_training_reaches_the_same_weights(tmp_path: Path) -> None:
     cell = PaperCell("printed", blocks=1, frames=9, epochs=2, seed=0)
     whole = training(cell)
     whole.run_epoch()

@@ -81,7 +81,7 @@ def test_a_model_file_names_its_training_data(
     assert metadata.training.get("learnt_from") == people
 
 
-def test_everyone_is_left_out_exactly_once() -> None:
+def test_everybody_is_held_out_exactly_once() -> None:
     left_out = sorted(participant for fold in read_recipe().folds for participant in fold)
     assert left_out == sorted([*HAART_PEOPLE, *SECOND_STUDY_PEOPLE, *SCORED_ONLY, *THIRD_STUDY_PEOPLE])
 
@@ -123,7 +123,7 @@ def test_the_test_participants_score_as_published(scores: Scores, person: str | 
 @needs_haart
 @pytest.mark.timeout(300)
 @on("P4")
-def test_the_left_out_participants_score_as_published(scores: Scores, person: str | None) -> None:
+def test_the_held_out_participants_score_as_published(scores: Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), TRAINING_FILE), person))
     again = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
     published = stored(scores.left_out.realigned, 144)
@@ -211,7 +211,7 @@ def test_writing_scores_needs_every_study(small_haart: Path, capsys: pytest.Capt
     assert "needs all studies: --second-study" in capsys.readouterr().err
 
 
-def test_a_gesture_that_a_study_lacks_is_no_answer(classifier: Classifier) -> None:
+def test_a_gesture_that_a_study_lacks_is_not_an_answer(classifier: Classifier) -> None:
     tickled = [replace(each, gesture="scratch") for each in simulate([("tickle", 8.0)] * 3, 3)]
     others = simulate([("pat", 8.0), ("constant", 8.0)], 3)
     tickle = classifier.labels.index("tickle")

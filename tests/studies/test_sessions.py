@@ -89,7 +89,7 @@ def test_touches_of_the_second_study_stay_apart() -> None:
 
 
 @needs_second_study
-def test_a_breathing_robots_touches_are_told_as_they_were_measured() -> None:
+def test_a_breathing_robots_answers_are_as_measured() -> None:
     people = ("R02", "R04", "R06")
     path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
     recordings = read_recordings(path, Selection(participants=people, substrates=("dynamic",)))

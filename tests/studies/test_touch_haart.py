@@ -34,7 +34,7 @@ def recordings() -> list[Recording]:
 
 
 @pytest.mark.parametrize("splice", ["as recorded", "rest levelled"])
-def test_the_committed_figures_meet_the_targets_on_participants_left_out(
+def test_the_committed_figures_meet_the_targets_on_people_held_out(
     committed: TouchReport, splice: str
 ) -> None:
     points = [row.figures for row in committed.held_out[splice]]

@@ -76,7 +76,7 @@ def test_a_training_begins_with_the_weights_that_it_names(
     assert same(train(recordings(), still, tmp_path / "second", DEVICE), finished[0])
 
 
-def test_a_first_stage_that_saw_somebody_left_out_is_refused(
+def test_a_first_stage_that_saw_held_out_people_is_refused(
     finished: tuple[Checkpoint, Path], tmp_path: Path
 ) -> None:
     save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
@@ -85,7 +85,7 @@ def test_a_first_stage_that_saw_somebody_left_out_is_refused(
         train(recordings(), second, tmp_path / "second", DEVICE)
 
 
-def test_the_recipe_begins_with_networks_that_leave_out_as_many() -> None:
+def test_the_first_stage_holds_out_the_same_people() -> None:
     recipe, first = read_recipe(), read_recipe(FIRST_RECIPE)
     names = [job.name for job in (*final_jobs(first), *fold_jobs(first))]
     assert list(recipe.begins_from) == names
@@ -93,7 +93,7 @@ def test_the_recipe_begins_with_networks_that_leave_out_as_many() -> None:
         assert {name for name in fold if name[0] != "S"} == {*earlier}
 
 
-def test_a_pad_without_tickle_is_no_evidence_against_tickle() -> None:
+def test_a_study_without_tickle_does_not_teach_against_it() -> None:
     training = Training([*recordings(), *recordings(("S03",))], SETTINGS, DEVICE)
     training.labels = ("notouch", "rub", "tickle")
     targets = torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.5, 0.5]])
@@ -118,7 +118,7 @@ def test_the_rate_may_end_above_zero() -> None:
     assert group["lr"] > 0.4 * SETTINGS.learning_rate
 
 
-def test_the_network_is_the_mean_of_those_set_aside(tmp_path: Path) -> None:
+def test_the_network_averages_the_saved_epochs(tmp_path: Path) -> None:
     training = Training(recordings(), msgspec.structs.replace(SETTINGS, averaged_epochs=(2, 3)), DEVICE)
     training.run_epoch()
     training.run_epoch()
