@@ -5,10 +5,9 @@ from __future__ import annotations
 import gc
 import time
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
@@ -52,7 +51,7 @@ class Service:
         """Run until `must_stop` returns True; then end current touches and stop every sink."""
         # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
         gc.freeze()
-        self._events.sinks = (*self._parts.sinks, *self._more_sinks)
+        self._events.hand_to((*self._more_sinks, *self._parts.sinks))
         for sink in self._events.sinks:
             sink.start()
         for pad in self._parts.pads:
@@ -91,7 +90,7 @@ class Service:
             pad.pipeline.flush()
         left = sum(len(pad.queue) for pad in self._parts.pads)
         self._health.end(self._events.touches, sum(self._dropped().values()) + left)
-        _stop(self._events.sinks)
+        self._stop_sinks()
 
     def _dropped(self) -> dict[str, int]:
         return {pad.name: pad.queue.dropped for pad in self._parts.pads}
@@ -121,14 +120,13 @@ class Service:
         for bridge in parts.bridges:
             bridge.put_frame(frame, pad.name)
 
-
-def _stop(sinks: Sequence[Sink]) -> None:
-    """Stop sinks within SINKS_STOP_S: one after the other, then the bridges, perhaps many, at once."""
-    deadline_s = time.monotonic() + SINKS_STOP_S
-    bridges = [sink for sink in sinks if isinstance(sink, Bridge)]
-    others = [sink for sink in sinks if sink not in bridges]
-    for left, sink in zip(range(len(others), 0, -1), others, strict=True):
-        sink.stop(max(0.0, deadline_s - time.monotonic()) / (left + bool(bridges)))
-    with ThreadPoolExecutor(len(bridges) or 1) as ending:
-        for bridge in bridges:
-            ending.submit(bridge.stop, max(0.0, deadline_s - time.monotonic()))
+    def _stop_sinks(self) -> None:
+        """Stop sinks within SINKS_STOP_S: the robot first, the bridges, perhaps many, last and at once."""
+        deadline_s = time.monotonic() + SINKS_STOP_S
+        bridges = self._parts.bridges
+        others = [sink for sink in reversed(self._events.sinks) if sink not in bridges]
+        for left, sink in zip(range(len(others), 0, -1), others, strict=True):
+            sink.stop(max(0.0, deadline_s - time.monotonic()) / (left + bool(bridges)))
+        with ThreadPoolExecutor(len(bridges) or 1) as ending:
+            for bridge in bridges:
+                ending.submit(bridge.stop, max(0.0, deadline_s - time.monotonic()))

@@ -9,7 +9,7 @@ import threading
 import time
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Generic, TypeVar
 
 import msgspec
@@ -20,10 +20,8 @@ from touchd.daemon.events import (
     RobotEvent,
     SensorEvent,
     TouchBegan,
-    encode,
     epoch_s,
 )
-from touchd.daemon.kept.journal import Journal
 from touchd.drivers.queue import DroppingQueue
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import RobotMessage
@@ -64,12 +62,15 @@ class EventFanout:
         self.sinks: tuple[Sink, ...] = ()
         self.touches = 0
 
+    def hand_to(self, sinks: Iterable[Sink]) -> None:
+        """Set who gets events; the robot last, since its threads report at once what it does about one."""
+        self.sinks = tuple(sorted(sinks, key=lambda sink: isinstance(sink, RobotSink)))
+
     def emit(self, event: Event) -> None:
         # Robots tell theirs from threads of their own; only one thread may count.
         if isinstance(event, TouchBegan):
             self.touches += 1
-        # The robot last: its threads may tell at once what it does about an event.
-        for sink in sorted(self.sinks, key=lambda sink: isinstance(sink, RobotSink)):
+        for sink in self.sinks:
             sink.put(event)
 
 
@@ -216,23 +217,6 @@ class LogHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         self._take(record)
-
-
-class JournalSink(QueuedSink[Event]):
-    """One JSON line an event to the journal, which it closes at its end."""
-
-    def __init__(self, journal: Journal) -> None:
-        super().__init__("journal")
-        self.journal = journal
-
-    def write(self, item: Event) -> None:
-        self.journal.append(encode(item))
-
-    def stop(self, timeout_s: float) -> None:
-        super().stop(timeout_s)
-        # A disk that hangs keeps the thread; the file is then left as it is.
-        if not self._thread.is_alive():
-            self.journal.close()
 
 
 class RobotSink:

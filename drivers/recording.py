@@ -8,6 +8,7 @@ Consecutive rows that share participant, substrate, cover and gesture are one re
 
 import csv
 import gzip
+import os
 import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,10 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts, Frame
+from touchd.drivers.pad.grid import Ring
+from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
 
 CELLS = ROWS * COLUMNS
 SUFFIXES = (".csv", ".csv.gz")
+# Of recordings that touchd makes.
+SUFFIX = ".csv.gz"
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
 # Fewer frames show no usual step; frames further apart than this are not in milliseconds.
@@ -131,21 +136,40 @@ def read_provenance(path: Path) -> dict[str, str]:
 
 
 def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
-    """Write recordings in our own layout (.csv or .csv.gz), provenance first.
+    """Write recordings to a new file (.csv or .csv.gz) in our own layout, whole or not at all.
 
     Raises RecordingError when the file exists or cannot be written, or when two recordings in a row share all
     four keys, as they would be read back as one.
     """
     if any(_keys(earlier) == _keys(later) for earlier, later in pairwise(recordings)):
         raise RecordingError(f"{path}: two in a row share participant, condition and gesture")
-    with os_errors_as(RecordingError, f"{path}: cannot be written"), _open_text(path, "x") as file:
-        for key, value in provenance.items():
-            file.write(f"# {key}: {' '.join(value.split())}\n")
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*KEYS, "sensor_ms", *(f"cell{i}" for i in range(1, CELLS + 1))])
-        for recording in recordings:
-            for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
-                writer.writerow([*_keys(recording), int(ms), *frame.ravel().tolist()])
+    try:
+        with (
+            whole_file(path, replace=False, mode=PRIVATE_MODE) as partial,
+            _open_text(partial, "x") as file,
+        ):
+            for key, value in provenance.items():
+                file.write(f"# {key}: {' '.join(value.split())}\n")
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow([*KEYS, "sensor_ms", *(f"cell{i}" for i in range(1, CELLS + 1))])
+            for recording in recordings:
+                for ms, frame in zip(recording.sensor_ms, recording.counts, strict=True):
+                    writer.writerow([*_keys(recording), int(ms), *frame.ravel().tolist()])
+    except FileExistsError as error:
+        raise RecordingError(f"{path}: is there already, and is never written over") from error
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
+
+
+def prepare(folder: Path) -> None:
+    """Make a folder for recordings, and check that files can be made in it; raises RecordingError."""
+    probe = folder / f".touchd-probe-{os.getpid()}"
+    with os_errors_as(RecordingError, f"{folder}: recordings cannot be kept there", "name another folder"):
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            probe.touch()
+        finally:
+            probe.unlink(missing_ok=True)
 
 
 def realign(recording: Recording) -> Recording:
@@ -165,6 +189,22 @@ def realign(recording: Recording) -> Recording:
     rows = recording.counts.reshape(-1, COLUMNS)
     counts = rows[SEAM_ROWS : SEAM_ROWS - ROWS].reshape(-1, ROWS, COLUMNS)
     return replace(recording, counts=counts, sensor_ms=recording.sensor_ms[: len(counts)], framing="live")
+
+
+def on_grid(recording: Recording) -> Recording:
+    """Return the longest stretch of a recording that the stream would not interrupt, as the stream lays it.
+
+    Counts become float32, as interpolated frames lie between whole counts.
+    """
+    ring = Ring(capacity=1)
+    stretches: list[list[NDArray[np.float32]]] = []
+    for number, (scan, ms) in enumerate(zip(recording.counts, recording.sensor_ms.tolist(), strict=True)):
+        for laid in ring.push(Frame(number, ms % CLOCK_MODULUS, 0.0, scan.astype(np.uint16))):
+            if laid.restarted:
+                stretches.append([])
+            stretches[-1].append(laid.pressure)
+    counts = np.stack(max(stretches, key=len))
+    return replace(recording, counts=counts, sensor_ms=ideal_clock_ms(len(counts)))
 
 
 def set_up(recording: Recording) -> tuple[str, str, str]:

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from touchd.daemon.events import Event
-from touchd.daemon.kept.journal import JournalError
+from touchd.daemon.journal import JournalError
 from touchd.daemon.kept.touches import read_events
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings

@@ -20,9 +20,8 @@ from rich.console import Console
 from touchd.daemon.config import LiveSettings, SceneSettings, Settings
 from touchd.daemon.events import Event, Prediction, RobotAction, RobotEvent, TouchEnded, timestamp
 from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
-from touchd.daemon.playback.rig import SpawnedDaemon
+from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.setup.destinations import encoder_for
 from touchd.daemon.setup.words import name_of
 from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.describe import describe

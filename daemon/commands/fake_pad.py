@@ -10,7 +10,7 @@ from numpy.random import RandomState
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.fakes.fake_port import LivePort
 from touchd.drivers.fakes.hand import GESTURES, SimulatedHand, repeated

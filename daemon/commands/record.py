@@ -7,7 +7,6 @@ from pathlib import Path
 from rich.console import Console
 
 from touchd.daemon.commands.settings import add_settings, settings_of
-from touchd.daemon.kept.recording_file import prepare
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
 from touchd.daemon.recorder.label import label, label_of
@@ -15,6 +14,7 @@ from touchd.daemon.recorder.session import Session, name
 from touchd.daemon.terminal.ask import Stopped, ask_setting
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.numbers import within
+from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with
 
 MOST_ROUNDS = 100

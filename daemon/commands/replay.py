@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import msgspec
 
 from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
-from touchd.daemon.setup.destinations import encoder_for
 from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.numbers import within

@@ -15,7 +15,6 @@ from touchd.daemon.commands.settings import Found, add_config, find_settings
 from touchd.daemon.config import ConfigError, Settings, config_errors, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
-from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from touchd.daemon.log import LogGate
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink, LogHandler, LogSink
@@ -108,7 +107,7 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(notifier.close)
         service = Service(settings, Health(notifier))
         favour_latency()
-        page = urls_of(settings.live, settings.live.port)[0] if settings.live and settings.live.port else ""
+        page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
             from touchd.daemon.terminal.view import View
 
@@ -125,8 +124,8 @@ def main(arguments: Sequence[str]) -> int:
             handler = LogHandler(log_sink.log)
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
-            if in_words and page and settings.live and settings.live.host in EVERY_ADDRESS:
-                sys.stderr.write(qr_code(page))
+            if in_words:
+                sys.stderr.write(code)
         handler.addFilter(LogGate())
         root = logging.getLogger()
         root.addHandler(handler)
@@ -146,9 +145,21 @@ def _find(options: argparse.Namespace) -> Found:
             raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
         settings = only_pad(settings, None, options.port)
     if options.live is not None:
+        from touchd.daemon.live.address import parse_address
+
         live = parse_address(options.live, settings.live)
         settings = msgspec.structs.replace(settings, live=live)
     return found._replace(settings=settings)
+
+
+def _live_page(settings: Settings) -> tuple[str, str]:
+    """Return the live page's address, and its QR code if other computers and phones reach it."""
+    from touchd.daemon.live.address import EVERY_ADDRESS, qr_code, urls_of
+
+    if not settings.live or not settings.live.port:
+        return "", ""
+    page = urls_of(settings.live, settings.live.port)[0]
+    return page, qr_code(page) if settings.live.host in EVERY_ADDRESS else ""
 
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:

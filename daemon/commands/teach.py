@@ -14,7 +14,6 @@ from rich.console import Console
 from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
 from touchd.daemon.config import ConfigError, Settings, load, only_pad
-from touchd.daemon.kept.recording_file import prepare
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
 from touchd.daemon.recorder.session import Session, Setting, name
@@ -24,6 +23,7 @@ from touchd.daemon.terminal.own_name import own_name
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.numbers import within
+from touchd.drivers.recording import prepare
 from touchd.drivers.whole_file import whole_file
 
 ROUNDS = 2

@@ -21,13 +21,23 @@ from pathlib import Path
 
 import numpy as np
 
+from touchd.daemon.config import ConfigError, SensorSettings
 from touchd.daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.kept.recording_file import SUFFIX, keep, prepare
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.pad.pace import clock_ms, pace_of
-from touchd.drivers.recording import NO_TOUCH, UNLABELLED, Recording, RecordingError, read_recordings
+from touchd.drivers.pad.port import at_baud
+from touchd.drivers.recording import (
+    NO_TOUCH,
+    SUFFIX,
+    UNLABELLED,
+    Recording,
+    RecordingError,
+    prepare,
+    read_recordings,
+    write_recordings,
+)
 from touchd.drivers.whole_file import PARTIAL
 
 log = logging.getLogger(__name__)
@@ -175,7 +185,7 @@ class TouchStore:
             self._count = (self._take_over() if self._count is None else self._count) + 1
             path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
             pieces = cut(touch)
-            keep(path, pieces.recordings(), self._provenance(touch, pieces))
+            write_recordings(path, pieces.recordings(), self._provenance(touch, pieces))
             _delete(older.path for older in kept_touches(self._folder)[: -self._most])
         except (OSError, RecordingError) as error:
             self.lost += 1
@@ -203,6 +213,23 @@ class TouchStore:
             "rate": pieces.rate,
             "part": "the whole touch" if pieces.is_whole else "the beginning of a longer touch",
         }
+
+
+def open_stores(journal: Path, most: int, pads: Mapping[str, SensorSettings]) -> dict[str, TouchStore]:
+    """Return a store for each pad, beside the journal; raises ConfigError."""
+    try:
+        return {
+            name: TouchStore(folder_of(journal, name), most, description_of(sensor))
+            for name, sensor in pads.items()
+        }
+    except RecordingError as error:
+        raise ConfigError(f"journal.keep_touches: {error}") from error
+
+
+def description_of(sensor: SensorSettings) -> str:
+    """Return a line that says which pad it is and how it is read, for recordings."""
+    pad = sensor.described
+    return f"{pad}, crop {pad.crop}, invert {pad.invert},{at_baud(sensor.port, sensor.baud)} on {sensor.port}"
 
 
 def _delete(files: Iterable[Path]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from touchd.daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
-from touchd.daemon.kept.journal import MAX_LINE_BYTES, JournalError
+from touchd.daemon.journal import MAX_LINE_BYTES, JournalError
 from touchd.drivers.errors import os_errors_as
 
 # Only the end of a journal is read, thousands of touches; a journal may have gigabytes.

@@ -3,15 +3,18 @@
 import os
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import IO
 
 import msgspec
 import yaml
 
-from touchd.daemon.config import Settings
+from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import Event, decode
+from touchd.drivers.frame import Counts
+from touchd.drivers.pad.format import encode_frame
 
 STOP_S = 10.0
 
@@ -57,3 +60,8 @@ class SpawnedDaemon:
         finally:
             if self.process.stdout is not None:
                 self.process.stdout.close()
+
+
+def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:
+    """Return an encoder from counts (8, 8) and the sensor's clock in ms to the pad's bytes."""
+    return partial(encode_frame, sensor.described)

@@ -18,17 +18,16 @@ from rich.text import Text
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import timestamp
-from touchd.daemon.kept.recording_file import keep
+from touchd.daemon.kept.touch_store import description_of
 from touchd.daemon.recorder.capture import Capture, Contact, PadLost, PadReader, complaints
 from touchd.daemon.recorder.session import Session, Take
-from touchd.daemon.setup.destinations import description_of
 from touchd.daemon.terminal.ask import ask
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
 from touchd.drivers.frame import COLUMNS, ROWS, Counts
 from touchd.drivers.pad.pace import pace_of
-from touchd.drivers.recording import RecordingError
+from touchd.drivers.recording import RecordingError, write_recordings
 
 # Trim both ends, as HAART does: it keeps the middle eight of ten seconds.
 EDGE_S = 1.0
@@ -122,7 +121,7 @@ class Dialogue:
         recording = capture.recording(self._session.setting, take.gesture)
         while True:
             try:
-                keep(take.path, [recording], self._provenance(take, capture))
+                write_recordings(take.path, [recording], self._provenance(take, capture))
             except RecordingError as error:
                 self._print(f"  not kept yet: {error}", style="yellow")
                 if self._ask("  Enter to try again, s to skip it, q to stop: ", ("", "s")) == "s":

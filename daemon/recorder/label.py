@@ -15,7 +15,6 @@ import numpy as np
 from rich.console import Console
 
 from touchd.daemon.events import timestamp
-from touchd.daemon.kept.recording_file import SUFFIX, keep, prepare
 from touchd.daemon.kept.touch_store import KeptTouch, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
 from touchd.daemon.recorder.session import Setting
@@ -23,7 +22,15 @@ from touchd.daemon.recorder.touch_picture import Offered, draw, list_touches
 from touchd.daemon.terminal.ask import ask, ask_setting
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.recording import NO_TOUCH, Recording, RecordingError, read_provenance
+from touchd.drivers.recording import (
+    NO_TOUCH,
+    SUFFIX,
+    Recording,
+    RecordingError,
+    prepare,
+    read_provenance,
+    write_recordings,
+)
 
 RIGHT = ".right"
 # Digits first, then letters; l, q, u and w are commands.
@@ -68,7 +75,7 @@ class LabelFolder:
         counts = np.concatenate([part.counts for part in parts])
         sensor_ms = np.concatenate([part.sensor_ms for part in parts])
         recording = Recording(*setting, gesture, counts, sensor_ms, frames.touch.framing)
-        keep(path, [recording], self._provenance(kept))
+        write_recordings(path, [recording], self._provenance(kept))
         return path
 
     def find_right(self, kept: KeptTouch) -> None:

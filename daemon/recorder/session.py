@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from touchd.daemon.kept.recording_file import SUFFIX
-from touchd.drivers.recording import RecordingError, read_recordings
+from touchd.drivers.recording import SUFFIX, RecordingError, read_recordings
 
 # Names become parts of file names, separated by "_", and cells of CSV files.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")

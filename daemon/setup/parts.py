@@ -1,31 +1,37 @@
-"""Makes the daemon's parts from a configuration."""
+"""Makes the daemon's parts from a configuration; what is not configured is not imported."""
 
 from __future__ import annotations
 
+import time
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.config import ConfigError, SceneSettings, Settings, config_errors
+from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
 from touchd.daemon.decide import NO_TOUCH
-from touchd.daemon.events import UNCERTAIN, Event
-from touchd.daemon.kept.touch_store import TouchSink
+from touchd.daemon.events import MAX_REASON_BYTES, UNCERTAIN, Event, RobotAction, RobotEvent, timestamp
+from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.pipeline import Pipeline, Viewers
-from touchd.daemon.setup.destinations import link_to_robot, open_journal, open_live_page, open_touch_stores
-from touchd.daemon.sinks import JournalSink, RobotSink, Sink
+from touchd.daemon.sinks import RobotSink, Sink
+from touchd.drivers.errors import one_line
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.monitor import PadMonitor
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
 from touchd.drivers.queue import Signal
+from touchd.drivers.robot.link import LinkState, RobotLink
+from touchd.drivers.robot.reactions import Kind, RobotMessage
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 if typing.TYPE_CHECKING:
+    from touchd.daemon.bridges.bridge import Bridge
+    from touchd.daemon.kept.touch_store import TouchSink
     from touchd.daemon.live.server import LiveServer
+
+BYTES_PER_MB = 1_000_000
 
 Emit = Callable[[Event], None]
 
@@ -47,14 +53,14 @@ class Parts:
 
     pads: tuple[Pad, ...]
     journal: JournalSink | None
-    robot: RobotSink | None
     live: LiveServer | None
     kept: TouchSink | None
+    robot: RobotSink | None
     bridges: tuple[Bridge, ...]
 
     @property
     def sinks(self) -> tuple[Sink, ...]:
-        one_each = (self.journal, self.robot, self.live, self.kept)
+        one_each = (self.journal, self.live, self.kept, self.robot)
         return (*(sink for sink in one_each if sink is not None), *self.bridges)
 
 
@@ -80,17 +86,90 @@ def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal
             monitor=PadMonitor(name, sensor.parser, sensor.where),
         )
         pads.append(Pad(name, models[name], queue, sensor, pipeline))
-    stores = open_touch_stores(settings)
-    link = link_to_robot(settings, emit)
-    journal = open_journal(settings.journal)
     return Parts(
         pads=tuple(pads),
-        journal=JournalSink(journal) if journal else None,
-        robot=RobotSink(link) if link else None,
+        kept=keep_touches(settings),
+        robot=link_to_robot(settings, emit),
+        journal=open_journal(settings.journal),
         live=open_live_page(settings, models),
-        kept=TouchSink(stores) if stores else None,
-        bridges=tuple(make_bridges(settings, models)),
+        bridges=bridges_to_others(settings, models),
     )
+
+
+def open_journal(settings: JournalSettings | None) -> JournalSink | None:
+    """Return the configured journal, if any; raises JournalError."""
+    if settings is None:
+        return None
+    _make_state_folder(settings)
+    max_bytes = round(settings.max_mb * BYTES_PER_MB)
+    return JournalSink(Journal(settings.file, max_bytes=max_bytes, keep=settings.keep))
+
+
+def keep_touches(settings: Settings) -> TouchSink | None:
+    """Return what keeps the frames of touches, if configured; raises ConfigError."""
+    journal = settings.journal
+    if journal is None or journal.keep_touches is None:
+        return None
+    from touchd.daemon.kept.touch_store import TouchSink, open_stores
+
+    _make_state_folder(journal)
+    pads = {name: pad.sensor for name, pad in settings.pads.items()}
+    return TouchSink(open_stores(journal.file, journal.keep_touches, pads))
+
+
+def _make_state_folder(settings: JournalSettings) -> None:
+    """Make the default state folder when it is missing, but not the folder of a configured path."""
+    if settings.path is None:
+        with suppress(OSError):
+            settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+
+
+def link_to_robot(settings: Settings, emit: Emit) -> RobotSink | None:
+    """Return the link to the configured robot, if any; raises RobotError.
+
+    emit: gets an event when the robot comes, goes or does something, from the link's threads.
+    """
+
+    def report(state: LinkState, reason: str) -> None:
+        why = one_line(reason, MAX_REASON_BYTES)
+        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
+
+    def act(message: RobotMessage, kind: Kind, what: str) -> None:
+        now = timestamp(time.time())
+        shown = one_line(what, MAX_REASON_BYTES)
+        emit(RobotAction(touch=message.touch, action=kind, what=shown, time=now, pad=message.pad))
+
+    if settings.robot is None:
+        return None
+    actions = {name: pad.scene.actions for name, pad in settings.pads.items()}
+    link = RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
+    for name in settings.pads:
+        # Until frames come: a program that waits for "up" must not find a pad that is not there.
+        link.set_status("down", name)
+    return RobotSink(link)
+
+
+def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> LiveServer | None:
+    """Return the server of the live page, if one is configured; raises LiveError."""
+    if settings.live is None:
+        return None
+    from touchd.daemon.live.address import listen, require_library
+
+    require_library()
+    from touchd.daemon.live.memory import Scene
+    from touchd.daemon.live.server import LiveServer
+
+    scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
+    return LiveServer(listen(settings.live), settings.live, scenes)
+
+
+def bridges_to_others(settings: Settings, models: Mapping[str, Classifier]) -> tuple[Bridge, ...]:
+    """Return the configured bridges; raises BridgeError."""
+    if not any(settings.bridges.values()):
+        return ()
+    from touchd.daemon.bridges.bridges import make_bridges
+
+    return tuple(make_bridges(settings, models))
 
 
 def load_model(settings: Settings) -> Classifier:

@@ -1,4 +1,4 @@
-"""The model's 54 Hz grid: frames of a pad, or of a recording, laid on it by the sensor's own clock.
+"""The model's 54 Hz grid: frames of a pad laid on it by the sensor's own clock.
 
 A pad whose frames keep step with the grid (54 Hz within about 1 %, whole-millisecond stamps and a little
 jitter allowed for) passes unchanged, one sensor frame to one grid frame: interpolating it would only blur it.
@@ -7,7 +7,6 @@ model learned on single scans and their noise.
 """
 
 from collections import deque
-from dataclasses import replace
 from itertools import islice
 
 import msgspec
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, ROWS, Frame
 from touchd.drivers.pad.vibration import Vibration
-from touchd.drivers.recording import Recording, ideal_clock_ms
 
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
 # At 5 Hz, faster than a hand pats, a frame 2 ms off its time errs by 6 %; linear interpolation errs by 4 %.
@@ -161,19 +159,3 @@ class Ring:
         self._next_index += 1
         self._grid_ms = float(at_ms)
         return laid
-
-
-def on_grid(recording: Recording) -> Recording:
-    """Return the longest stretch of a recording that the stream would not interrupt, as the stream lays it.
-
-    Counts become float32, as interpolated frames lie between whole counts.
-    """
-    ring = Ring(capacity=1)
-    stretches: list[list[NDArray[np.float32]]] = []
-    for number, (scan, ms) in enumerate(zip(recording.counts, recording.sensor_ms.tolist(), strict=True)):
-        for laid in ring.push(Frame(number, ms % CLOCK_MODULUS, 0.0, scan.astype(np.uint16))):
-            if laid.restarted:
-                stretches.append([])
-            stretches[-1].append(laid.pressure)
-    counts = np.stack(max(stretches, key=len))
-    return replace(recording, counts=counts, sensor_ms=ideal_clock_ms(len(counts)))

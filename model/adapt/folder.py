@@ -7,13 +7,13 @@ from pathlib import Path
 
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.pad.grid import on_grid
 from touchd.drivers.recording import (
     NO_TOUCH,
     SUFFIXES,
     UNLABELLED,
     Recording,
     RecordingError,
+    on_grid,
     read_recordings,
     realign,
 )

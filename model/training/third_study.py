@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from touchd.drivers.pad.format import PadFormat, layout_of
-from touchd.drivers.pad.grid import on_grid
-from touchd.drivers.recording import Recording
+from touchd.drivers.recording import Recording, on_grid
 from touchd.model.training.haart import find
 
 FILE = "recordings.csv"

@@ -28,19 +28,19 @@ from rigs.sockets import free_port
 
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, TouchEnded, encode
-from touchd.daemon.kept.journal import Journal
+from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.kept.touch_store import (
     FeltTouch,
     TouchSink,
     TouchStore,
+    description_of,
     folder_of,
     kept_touches,
     read_frames,
 )
 from touchd.daemon.pipeline import Pipeline
-from touchd.daemon.setup.destinations import description_of, open_live_page
-from touchd.daemon.setup.parts import load_model
-from touchd.daemon.sinks import JournalSink, RobotSink
+from touchd.daemon.setup.parts import load_model, open_live_page
+from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.pad.protocol import parser_of

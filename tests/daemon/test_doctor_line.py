@@ -15,7 +15,7 @@ from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
 from touchd.daemon.doctor.listening import Heard, listen
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PRESETS

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rigs.call_log import CallLog
 from rigs.expectations import DEMO, GESTURES, answers, stream_of
+from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
 from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import linked
@@ -24,10 +25,9 @@ from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, SensorSettings, Settings, load
 from touchd.daemon.doctor.line import check_rate
 from touchd.daemon.doctor.listening import Heard
-from touchd.daemon.events import Prediction, TouchEnded
+from touchd.daemon.events import Prediction, TouchEnded, encode
 from touchd.daemon.live.address import qr_code, urls_of
-from touchd.daemon.setup.destinations import open_journal
-from touchd.daemon.setup.parts import check_pad, load_model
+from touchd.daemon.setup.parts import check_pad, load_model, open_journal
 from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.extras import how_to_install
@@ -119,11 +119,12 @@ def test_the_example_configuration_runs_without_the_service(
 ) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    journal = open_journal(load(EXAMPLE).journal)
-    assert journal is not None
-    journal.append(b'{"type":""}')
-    journal.close()
-    assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes().strip() == b'{"type":""}'
+    sink = open_journal(load(EXAMPLE).journal)
+    assert sink is not None
+    sink.start()
+    sink.put(PREDICTION)
+    sink.stop(WITHIN_S)
+    assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes() == encode(PREDICTION) + b"\n"
 
 
 def test_the_service_keeps_its_journal_in_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,7 +25,7 @@ from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settin
 from touchd.daemon.config import LiveSettings, SensorSettings
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.log import MOST_LINES
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.robot.settings import RobotSettings
 

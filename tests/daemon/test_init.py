@@ -22,7 +22,7 @@ from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.config import ConfigError, SensorSettings, load
 from touchd.daemon.events import SensorEvent, decode
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.recording import Stream, ideal_clock_ms

@@ -34,9 +34,8 @@ from touchd.daemon.config import (
 from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.daemon.kept.touches import read_journal
-from touchd.daemon.playback.rig import SpawnedDaemon
-from touchd.daemon.setup.destinations import encoder_for, link_to_robot
-from touchd.daemon.setup.parts import make_parts
+from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
+from touchd.daemon.setup.parts import link_to_robot, make_parts
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
@@ -149,13 +148,13 @@ def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> Non
 def test_a_pads_status_is_up_only_after_its_first_frames() -> None:
     with Robot() as robot:
         settings = Settings(sensors={"head": PadSettings()}, robot=RobotSettings(url=robot.url))
-        link = link_to_robot(settings, lambda _: None)
-        assert link is not None
-        link.start()
+        sink = link_to_robot(settings, lambda _: None)
+        assert sink is not None
+        sink.start()
         robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
-        RobotSink(link).put(SensorEvent(state="up", time=TIME, pad="head"))
+        sink.put(SensorEvent(state="up", time=TIME, pad="head"))
         robot.calls.wait_for_raise("TouchGesture/head/Status", "up")
-        link.stop(WITHIN_S)
+        sink.stop(WITHIN_S)
         assert robot.calls.raised("TouchGesture/head/Status") == ["down", "up", "down"]
 
 

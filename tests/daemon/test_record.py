@@ -14,7 +14,6 @@ from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from touchd.daemon import cli
 from touchd.daemon.config import Settings
-from touchd.daemon.kept.recording_file import keep, prepare
 from touchd.daemon.recorder import dialogue
 from touchd.daemon.recorder.capture import Capture, PadReader, complaints
 from touchd.daemon.recorder.dialogue import Dialogue, Terms
@@ -22,7 +21,7 @@ from touchd.daemon.recorder.session import Session, Setting
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame
-from touchd.drivers.recording import Recording, RecordingError, read_recordings
+from touchd.drivers.recording import Recording, RecordingError, prepare, read_recordings, write_recordings
 
 
 def recording() -> Recording:
@@ -69,7 +68,7 @@ def test_the_setting_alone_decides_the_order(tmp_path: Path) -> None:
 def test_a_kept_recording_reads_back_and_replaces_a_partial_file(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
     (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
-    keep(path, [recording()], {"sensor": "a pad"})
+    write_recordings(path, [recording()], {"sensor": "a pad"})
     (read,) = read_recordings(path)
     np.testing.assert_array_equal(read.counts, recording().counts)
     np.testing.assert_array_equal(read.sensor_ms, recording().sensor_ms)
@@ -81,7 +80,7 @@ def test_nothing_is_ever_written_over(tmp_path: Path) -> None:
     path = tmp_path / "x.csv.gz"
     path.write_text("precious")
     with pytest.raises(RecordingError, match="never written over"):
-        keep(path, [recording()], {})
+        write_recordings(path, [recording()], {})
     assert path.read_text() == "precious"
     assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
 
@@ -97,7 +96,7 @@ def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> No
 def test_a_file_without_a_recording_is_not_counted(tmp_path: Path) -> None:
     one = session(tmp_path, gestures=("pat",), rounds=2)
     first, second = one.takes()
-    keep(first.path, [recording()], {})
+    write_recordings(first.path, [recording()], {})
     assert one.missing() == [second]
     for make in (second.path.touch, second.path.mkdir, lambda: second.path.write_bytes(b"\x1f\x8b half")):
         make()
@@ -133,19 +132,18 @@ def test_a_recording_waits_until_the_disk_has_room(tmp_path: Path, monkeypatch: 
 FILL = """
 import sys
 from pathlib import Path
-from touchd.daemon.kept.recording_file import keep
 from touchd.drivers.fakes.hand import simulate
-from touchd.drivers.recording import RecordingError
+from touchd.drivers.recording import RecordingError, write_recordings
 folder = Path(sys.argv[1])
 (recording,) = simulate((("pat", 0.5),), seed=1)
 (folder / "filler").write_bytes(bytes(40 * 1024))
 try:
-    keep(folder / "x.csv.gz", [recording], {})
+    write_recordings(folder / "x.csv.gz", [recording], {})
 except RecordingError as error:
     print(str(error).replace(f"{folder}/", ""), file=sys.stderr)
 print([path.name for path in folder.iterdir()], file=sys.stderr)
 (folder / "filler").unlink()
-keep(folder / "x.csv.gz", [recording], {})
+write_recordings(folder / "x.csv.gz", [recording], {})
 print(*(f"kept {path.name}" for path in folder.iterdir()), file=sys.stderr)
 """
 

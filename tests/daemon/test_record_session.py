@@ -13,13 +13,12 @@ from rigs.wait import WITHIN_S
 
 from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.kept.recording_file import keep
 from touchd.daemon.recorder.capture import PadLost, PadReader
 from touchd.daemon.recorder.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
-from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings
+from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, write_recordings
 
 SPEED = 6.0
 
@@ -123,7 +122,7 @@ def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
 def test_a_session_resumes_after_a_crash(tmp_path: Path, record: list[str]) -> None:
     kept = tmp_path / "anna_foam_fur_notouch_1.csv.gz"
     (recording,) = simulate((("notouch", 0.5),), seed=1)
-    keep(kept, [recording], {})
+    write_recordings(kept, [recording], {})
     with Terminal(*record, *ANNA, "--rounds", "2") as terminal:
         assert "1 of 2" not in terminal.until("2 of 2: notouch")
         terminal.until("Enter to begin")

@@ -19,8 +19,8 @@ from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.events import Event, RobotAction, SensorEvent, decode, encode
-from touchd.daemon.kept.journal import Journal, JournalError
-from touchd.daemon.sinks import EventFanout, JournalSink, LinesSink, QueuedSink, RobotSink
+from touchd.daemon.journal import Journal, JournalError, JournalSink
+from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink, RobotSink
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import RobotMessage
 
@@ -125,7 +125,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
             fanout.emit(done)
 
     lines = LinesSink("stdout", writer, encode)
-    fanout.sinks = (RobotSink(Link()), lines)
+    fanout.hand_to((RobotSink(Link()), lines))
     fanout.emit(PREDICTION)
     lines.start()
     lines.stop(WITHIN_S)
@@ -222,7 +222,7 @@ def test_an_unusable_journal_is_reported_in_one_line(tmp_path: Path) -> None:
 FILL_THE_DISK = """
 import json, logging, resource, signal, sys
 from pathlib import Path
-from touchd.daemon.kept.journal import Journal
+from touchd.daemon.journal import Journal
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 path = Path(sys.argv[1]) / "events.jsonl"
@@ -267,7 +267,7 @@ def test_a_journal_survives_a_really_full_disk(tmp_path: Path) -> None:
 KILL_MID_WRITE = """
 import random, sys
 from pathlib import Path
-from touchd.daemon.kept.journal import Journal
+from touchd.daemon.journal import Journal
 journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
 print("writing", flush=True)
 while True:

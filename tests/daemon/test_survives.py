@@ -25,12 +25,12 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings, load
 from touchd.daemon.events import Event, Prediction, TouchEnded, encode
-from touchd.daemon.kept.journal import Journal, JournalError
+from touchd.daemon.journal import Journal, JournalError
 from touchd.daemon.kept.touch_store import TouchStore, kept_touches
 from touchd.daemon.kept.touches import read_journal, read_since
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
-from touchd.daemon.playback.rig import SpawnedDaemon
-from touchd.daemon.setup.destinations import encoder_for, link_to_robot
+from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
+from touchd.daemon.setup.parts import link_to_robot
 from touchd.daemon.sinks import LinesSink, LogSink
 from touchd.daemon.staleness import Staleness
 from touchd.drivers.errors import TouchdError

@@ -26,12 +26,14 @@ from touchd.daemon.kept.touch_store import (
     TouchSink,
     TouchStore,
     cut,
+    description_of,
     file_name,
     kept_touches,
+    open_stores,
     read_frames,
 )
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
-from touchd.daemon.setup.destinations import description_of, open_touch_stores
+from touchd.daemon.setup.parts import keep_touches
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
 from touchd.drivers.whole_file import PARTIAL
@@ -233,7 +235,7 @@ def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
         with pytest.raises(ConfigError, match=rf"journal\.keep_touches: .*{why}"):
-            open_touch_stores(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
+            keep_touches(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
     assert not Path("/nowhere").exists()
 
 
@@ -379,12 +381,8 @@ def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
 
 
 def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> None:
-    settings = Settings(
-        sensor=SensorSettings(port="/dev/pad"),
-        journal=JournalSettings(path=str(tmp_path / "events.jsonl"), keep_touches=2),
-    )
-    store = open_touch_stores(settings)["pad"]
-    store.add(felt(1))
+    pads = {"pad": SensorSettings(port="/dev/pad")}
+    open_stores(tmp_path / "events.jsonl", 2, pads)["pad"].add(felt(1))
     (kept,) = kept_touches(tmp_path / "events.jsonl.touches")
     assert read_provenance(kept.path)["sensor"].endswith("at 512000 baud on /dev/pad")
     assert description_of(SensorSettings(port="tcp://pad:4000")).endswith("invert True, on tcp://pad:4000")

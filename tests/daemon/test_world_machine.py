@@ -34,11 +34,11 @@ from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 from touchd.daemon.bridges.settings import MqttSettings, RosbridgeSettings
 from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
 from touchd.daemon.events import Event
-from touchd.daemon.kept.journal import Journal
+from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
-from touchd.daemon.setup.destinations import encoder_for
-from touchd.daemon.sinks import EventFanout, JournalSink, LogSink, RobotSink
+from touchd.daemon.playback.rig import encoder_for
+from touchd.daemon.sinks import EventFanout, LogSink, RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame, SensorState
@@ -141,11 +141,13 @@ class World(RuleBasedStateMachine):
             RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=10.0), "pad"),
         )
         self.fanout = EventFanout()
-        self.fanout.sinks = (
-            JournalSink(Journal(self.path, max_bytes=20_000, keep=1)),
-            RobotSink(link),
-            self.page,
-            *self.bridges,
+        self.fanout.hand_to(
+            (
+                JournalSink(Journal(self.path, max_bytes=20_000, keep=1)),
+                RobotSink(link),
+                self.page,
+                *self.bridges,
+            )
         )
         for sink in (*self.fanout.sinks, self.log):
             sink.start()

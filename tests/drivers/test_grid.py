@@ -13,8 +13,15 @@ from rigs.sensor_rig import next_frames, sensing, stream_of
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
-from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring, on_grid
-from touchd.drivers.recording import Recording, Stream, ideal_clock_ms, read_recordings, write_recordings
+from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring
+from touchd.drivers.recording import (
+    Recording,
+    Stream,
+    ideal_clock_ms,
+    on_grid,
+    read_recordings,
+    write_recordings,
+)
 
 SWING_COUNTS = 200.0
 SWING_HZ = 3.5

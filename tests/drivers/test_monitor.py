@@ -20,7 +20,7 @@ from rigs.sensor_rig import stream_of
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import SensorEvent
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import LASTS_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState

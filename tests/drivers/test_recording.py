@@ -77,7 +77,7 @@ def test_only_what_is_selected_is_read(pad: Path) -> None:
 
 def test_a_file_is_never_written_over(pad: Path) -> None:
     write_recordings(pad, [made("P1", "rub")], {})
-    with pytest.raises(RecordingError, match=r"pad\.csv: cannot be written"):
+    with pytest.raises(RecordingError, match=r"pad\.csv: is there already"):
         write_recordings(pad, [made("P2", "rub")], {})
 
 

@@ -15,8 +15,8 @@ from rigs.running_daemon import run_daemon
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.setup.destinations import encoder_for
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import (
     Recording,

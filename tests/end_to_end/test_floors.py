@@ -81,8 +81,9 @@ WHAT_IS_LOADED = """
 import sys
 from touchd.daemon.commands import run
 from touchd.daemon.config import Settings
-from touchd.daemon.setup.parts import load_model
-load_model(Settings())
+from touchd.daemon.setup.parts import make_parts
+from touchd.drivers.queue import Signal
+make_parts(Settings(), print, tuple, Signal())
 print(*sys.modules)
 """
 
@@ -108,7 +109,10 @@ def test_every_wing_exists() -> None:
     [
         pytest.param({"torch", "onnx", "sklearn", "matplotlib", "scipy"}, id="training, pictures"),
         pytest.param({"rich", "qi", "websockets", "asyncio"}, id="view, page, robot"),
-        pytest.param({"paho", "pylsl", "cyclonedds", "mcap"}, id="bridges"),
+        pytest.param({"paho", "pylsl", "cyclonedds", "mcap", "touchd.daemon.bridges.bridge"}, id="bridges"),
+        pytest.param(
+            {"touchd.daemon.live", "touchd.daemon.kept", "touchd.drivers.recording"}, id="page, kept touches"
+        ),
     ],
 )
 def test_the_running_daemon_imports_only_what_is_configured(loaded: set[str], names: set[str]) -> None:

@@ -19,8 +19,7 @@ from rigs.service_manager import Manager
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, TouchBegan
-from touchd.daemon.playback.rig import SpawnedDaemon
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import read_recordings, splice

@@ -21,8 +21,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings
 from touchd.daemon.events import SensorEvent, TouchEnded, decode
 from touchd.daemon.health import Health, Notifier
-from touchd.daemon.playback.rig import SpawnedDaemon
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import splice

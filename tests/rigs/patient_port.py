@@ -9,7 +9,7 @@ from rigs.expectations import stream_of
 from rigs.line_faults import FaultyPort
 
 from touchd.daemon.config import SceneSettings, SensorSettings
-from touchd.daemon.setup.destinations import encoder_for
+from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.recording import Stream
 
 # A tenth of the daemon's queue.

@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from touchd.daemon.config import SensorSettings
+from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.setup.destinations import encoder_for
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Selection, Stream, read_recordings, realign, splice

@@ -6,6 +6,8 @@ import logging
 import os
 from pathlib import Path
 
+from touchd.daemon.events import Event, encode
+from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError, os_errors_as
 
 log = logging.getLogger(__name__)
@@ -106,6 +108,23 @@ class Journal:
 
     def _numbered(self, number: int) -> Path:
         return self._path.with_name(f"{self._path.name}.{number}") if number else self._path
+
+
+class JournalSink(QueuedSink[Event]):
+    """One JSON line an event to the journal, which it closes at its end."""
+
+    def __init__(self, journal: Journal) -> None:
+        super().__init__("journal")
+        self.journal = journal
+
+    def write(self, item: Event) -> None:
+        self.journal.append(encode(item))
+
+    def stop(self, timeout_s: float) -> None:
+        super().stop(timeout_s)
+        # A disk that hangs keeps the thread; the file is then left as it is.
+        if not self._thread.is_alive():
+            self.journal.close()
 
 
 def _open(path: Path) -> int:
