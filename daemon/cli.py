@@ -22,7 +22,7 @@ USERS_MISTAKE = 2
 OUR_MISTAKE = 1
 INTERRUPTED = 130
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
-"""Commands that go on until a signal ends them, which is then no interruption."""
+"""Commands that run until a signal ends them; their exit code is then 0."""
 
 
 class Command(NamedTuple):
@@ -40,22 +40,22 @@ class Command(NamedTuple):
 
 COMMANDS = (
     Command("init", "daemon.commands.init", "finds the pad, asks for the robot, writes a configuration"),
-    Command("run", "daemon.commands.run", "the daemon: reads the pad, tells the robot"),
-    Command("demo", "daemon.commands.demo", "shows the daemon at work on a simulated hand, then ends"),
+    Command("run", "daemon.commands.run", "the daemon: reads the pad, reports touches to the robot"),
+    Command("demo", "daemon.commands.demo", "runs the daemon on a simulated pad, then ends"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
-    Command("fake-pad", "daemon.commands.fake_pad", "stands in for a pad, and prints the path of its port"),
-    Command("fake-robot", "drivers.fakes.fake_robot", "stands in for a robot, prints what it is asked"),
-    Command("classify", "daemon.commands.classify", "answers for recordings, without a port, flat out"),
-    Command("record", "daemon.commands.record", "guides through making recordings of your own"),
+    Command("fake-pad", "daemon.commands.fake_pad", "simulates a pad and prints the path of its port"),
+    Command("fake-robot", "drivers.fakes.fake_robot", "simulates a robot and prints every call"),
+    Command("classify", "daemon.commands.classify", "prints the answers to recordings, without a port"),
+    Command("record", "daemon.commands.record", "guides you through making recordings"),
     Command("teach", "daemon.commands.teach", "records your gestures and adapts the model, in three minutes"),
     Command("train", "daemon.commands.train", "adapts the model to recordings of your own"),
     Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
     Command("convert", "daemon.commands.convert", "writes a journal or a recording as CSV or MCAP"),
     Command("config", "daemon.commands.config", "prints an example configuration, every setting explained"),
     Command("docs", "daemon.commands.docs", "prints a page of the documentation"),
-    Command("doctor", "daemon.commands.doctor", "looks at pad, model, robot and service; says what to do"),
+    Command("doctor", "daemon.commands.doctor", "checks pad, model, robot and service; says what to do"),
     Command("bench", "daemon.commands.bench", "measures latency, processor, memory, start-up and speed"),
-    Command("completion", "daemon.commands.completion", "has a shell complete commands and options"),
+    Command("completion", "daemon.commands.completion", "prints the script for a shell's completion"),
 )
 
 MOVED = ("data", "export", "evaluate", "stability", "speed")
@@ -173,6 +173,6 @@ def _complain(error: Exception) -> int:
 def _help() -> str:
     width = max(len(command.name) for command in COMMANDS)
     lines = [f"  touchd {command.name:<{width}}  {command.help}" for command in COMMANDS]
-    first = "touchd feels social touch on an 8x8 pressure pad and tells a Nao robot what it was, early."
+    first = "touchd recognises social touch on a pressure pad and reports it to a Nao robot within a second."
     last = f"{own_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
     return "\n".join([first, "", *lines, "", last, ""])

@@ -37,8 +37,8 @@ STAMP_S = 0.002
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
     """What was measured; a name ends in its unit.
 
-    latency: from writing the last byte of the frame that completes an answer's window to the port, until the
-    answer's line was read from the daemon's output. inner: the part of it that the daemon itself measures.
+    latency: from writing the last byte of the frame that completes an answer's window to reading the answer's
+    line from the daemon's output. inner: the part of it that the daemon itself measures.
     cpu: of one core. memory: peak resident. same_predictions: `run` and `classify` agree.
     """
 
@@ -141,7 +141,7 @@ def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
 def touched(touch_s: float, quiet_s: float = QUIET_S) -> Stream:
     """Return a stream that rests for `quiet_s` and then repeats the demo's touches for about `touch_s`."""
     rest, *others = read_recordings(DEMO_RECORDING)
-    # A touch, and the rest after it.
+    # Each touch with the rest that follows it.
     turn_frames = len(others[0].counts) + len(others[1].counts)
     turns = max(1, round(touch_s * FRAME_RATE_HZ / turn_frames))
     rests = round(quiet_s * FRAME_RATE_HZ / len(rest.counts))
@@ -164,8 +164,8 @@ def _stages(events: Sequence[Event]) -> list[tuple[object, ...]]:
 def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
     """Return, for each answer, the time from writing the frame that made it due to reading its line.
 
-    sent_s: (T,) when each frame was written. The event gives its frame: it says when it was handed over and
-    how long after its frame.
+    sent_s: (T,) when each frame was written. An event identifies its frame: it carries the time of its
+    hand-over and the latency since that frame.
     """
     latencies_ms = []
     for event, read_s, read_epoch_s in received:

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str]) -> int:
 
     play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)
     sys.stdout.flush()
-    # Beside JSON lines in a pipe, the table goes where people see it.
+    # JSON lines go to the pipe, the table to standard error, where people see it.
     (sys.stdout if in_words else sys.stderr).write(tally.summary())
     return 0
 

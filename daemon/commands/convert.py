@@ -82,7 +82,7 @@ def _convert_journal(file: Path, out: Path) -> None:
             # Readable by pandas and spreadsheets.
             table = csv.DictWriter(target, columns, lineterminator="\n")
             table.writeheader()
-            # Build the rows a second time: all at once, the rows of a journal of years take gigabytes.
+            # Build the rows a second time; held in memory, those of a journal of years take gigabytes.
             table.writerows(map(_flat, events))
         return
     from touchd.daemon.convert import mcap

@@ -42,11 +42,11 @@ from touchd.model.classifier import Classifier
 if typing.TYPE_CHECKING:
     from touchd.daemon.playback.touched import TouchPage
 
-# The recording lasts 37 s; whatever goes wrong, the demo ends within a minute.
+# The recording lasts 37 s; the demo ends within a minute even if something fails.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
 PACE = 1.0
-# Answers that are counted at the end.
+# Most answers kept for the summary at the end.
 KEPT = 1000
 
 # The robot says what it detects, and corrects itself.
@@ -66,7 +66,7 @@ What to try next:
 
 
 class PlainLines:
-    """The show without a terminal: one line for each thing that happens."""
+    """Output without a terminal: one line for each event."""
 
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
@@ -75,7 +75,7 @@ class PlainLines:
         """Do nothing: lines cannot show a moving pad."""
 
     def note(self, text: str) -> None:
-        """Write a line, from any thread; `put` is what notices a closed output."""
+        """Write a line, from any thread; a closed output is ignored here and detected by `put`."""
         with suppress(BrokenPipeError):
             self._write(text)
 
@@ -83,7 +83,7 @@ class PlainLines:
     doing = note
 
     def put(self, event: Event) -> None:
-        """Write an event in words; raises BrokenPipeError when nobody reads any more."""
+        """Write an event in words; raises BrokenPipeError when the reader has gone."""
         self._write(describe(event, self._settings.vocabulary))
 
     def _write(self, text: str) -> None:
@@ -92,7 +92,7 @@ class PlainLines:
 
 
 class ShowAndPage:
-    """A show, and the page that viewers touch."""
+    """Shows the demo in the terminal and on the page that viewers touch."""
 
     def __init__(self, show: View | PlainLines, page: "TouchPage") -> None:
         self._show = show
@@ -192,7 +192,7 @@ def _names(gestures: Iterable[str], settings: Settings) -> str:
 def _show(
     closing: ExitStack, settings: Settings, urls: Sequence[str], is_for_phones: bool = False
 ) -> View | PlainLines:
-    """Return the view where there is a terminal to draw in, plain lines elsewhere.
+    """Return the view on a terminal that can draw it, else plain lines.
 
     urls: of the live page. is_for_phones: show the first one as a QR code too.
     """
@@ -271,9 +271,9 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
 def _showing(
     stream: Stream, encode: Callable[[Counts, int], bytes], show: Show, settings: Settings
 ) -> Callable[[Counts, int], bytes]:
-    """Wrap `encode`: also show the frames sent, and tell each thing the hand does as it begins."""
+    """Wrap `encode`: also show the frames sent, and name each gesture of the hand as it begins."""
     first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
-    # A stream that is played again goes on by the clock.
+    # The clock continues when the stream is repeated.
     length_ms = last_ms - first_ms + round(1000 / FRAME_RATE_HZ)
     begins = {int(stream.sensor_ms[span.start]) - first_ms: span.gesture for span in stream.spans}
 
@@ -288,7 +288,7 @@ def _showing(
 
 
 def _show_call(show: Show, call: Call) -> None:
-    """Tell a call to the stand-in robot in a line, but for those that its link reports already."""
+    """Show a call to the stand-in robot as a line, except those that its link already reports."""
     if call.refused:
         show.note(f"robot refuses {call.method}: {call.refused}")
     elif call.method == "raiseEvent":

@@ -31,7 +31,7 @@ ANSWER_S = 0.5
 
 
 class Found(NamedTuple):
-    """A port, its baud rate, and the pad there; None if something sends that is not understood."""
+    """A port, its baud rate, and the pad there; None if its bytes are not understood."""
 
     port: str
     baud: int
@@ -173,7 +173,7 @@ def _poll(port: str, baud: int) -> Found | None:
 
 
 def _ask_robot(console: Console) -> str:
-    """Return the address that is typed, "" without a terminal or at its end."""
+    """Return the address that the user types, "" without a terminal or at end of input."""
     while sys.stdin.isatty():
         console.print("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ", end="")
         typed = sys.stdin.readline().strip()

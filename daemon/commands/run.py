@@ -19,7 +19,7 @@ from touchd.daemon.log import LogGate
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink, LogHandler, LogSink
 
-# How long one thread may keep the others from running; Python's 5 ms are more than an answer takes.
+# Longest time for which a thread may keep the others waiting; Python's default of 5 ms exceeds an answer's.
 SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
 
@@ -27,10 +27,10 @@ log = logging.getLogger(__name__)
 
 
 class Signals:
-    """What signals have asked for, as plain attributes: a handler that takes a lock can wait for itself.
+    """What signals requested, as plain attributes: a handler that takes a lock can deadlock with itself.
 
-    SIGINT and SIGTERM end the daemon, and so does SIGHUP where it means that the terminal has closed.
-    Elsewhere SIGHUP is ignored, with one line in the log.
+    SIGINT and SIGTERM end the daemon. So does SIGHUP when the terminal has closed; otherwise it is ignored,
+    with one line in the log.
     """
 
     def __init__(self, *, has_terminal: bool) -> None:
@@ -176,6 +176,6 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
 def favour_latency() -> None:
     """Keep Python's garbage collector from delaying an answer."""
     sys.setswitchinterval(SWITCH_S)
-    # Objects loaded at start-up stay; scanning them for garbage would only take time.
+    # Objects loaded at start-up stay, so do not scan them for garbage.
     gc.collect()
     gc.freeze()

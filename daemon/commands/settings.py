@@ -16,7 +16,7 @@ WHERE = f"{NAME} here, in ~/.config/touchd, in {SERVICE_FOLDER}"
 
 
 class Found(NamedTuple):
-    """Settings, and their file; None for the defaults. closed: a file that was passed over, since root's."""
+    """Settings, and their file; None for the defaults. closed: a skipped file that only root can read."""
 
     settings: Settings
     file: Path | None

@@ -27,7 +27,7 @@ from touchd.drivers.recording import prepare
 from touchd.drivers.whole_file import whole_file
 
 ROUNDS = 2
-# Fourteen recordings with a trimmed second at each end and the countdown take 2.5 minutes.
+# With a trimmed second at each end and the countdown, fourteen recordings take 2.5 minutes.
 SECONDS = 6.0
 COUNTDOWN_S = 2.0
 
@@ -56,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0."""
     options = parser().parse_args(arguments)
-    # Fail before three minutes of recording, not after, if torch is missing.
+    # If torch is missing, fail before three minutes of recording, not after.
     from touchd.model.adapt.folder import files_of, read_file
     from touchd.model.adapt.head import AdaptSettings
     from touchd.model.adapt.report import report_lines

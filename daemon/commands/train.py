@@ -35,7 +35,7 @@ def main(arguments: Sequence[str]) -> int:
             "name your recordings: --extra FOLDER; a recipe's networks are trained by "
             "`python -m touchd.model.studies train`, in the repository"
         )
-    # Before anything is read, as all that follows needs torch.
+    # Check for torch before reading anything, since all that follows needs it.
     import torch  # noqa: F401
 
     from touchd.model.adapt.head import AdaptSettings

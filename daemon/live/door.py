@@ -15,8 +15,8 @@ class Door:
     """Closes connections beyond the limit, and any that sends too much.
 
     Beyond the limit, the connection that has waited longest without finishing its request is closed, so that
-    half-open connections keep nobody out; without such a one, the new connection is closed.
-    Every ping is answered and every fragment is kept, so limiting what a viewer sends limits its cost.
+    half-open connections lock nobody out; if there is none, the new connection is closed.
+    The server answers every ping and keeps every fragment, so limiting what a viewer sends limits its cost.
 
     limit: of connections. bytes_per_s: that each may send. kind: the class of connections to make.
     """

@@ -1,4 +1,4 @@
-"""The state of the live page, for viewers who come later."""
+"""The state of the live page, for viewers who connect later."""
 
 from collections import deque
 from typing import NamedTuple, Protocol
@@ -52,12 +52,12 @@ class Scene(NamedTuple):
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
     """What a page needs when it connects, or has fallen behind.
 
-    pad: of which of the pads. page: stamp of the page's files; a page with another reloads. labels: in the
+    pad: name of the pad. page: stamp of the page's files; a page with another reloads. labels: in the
     order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:
     of the scene. model: its name. names: of the gestures. action: the robot's latest on the last touch.
-    touches: the last ones, oldest first; an ongoing touch comes last. heard: numbers of those about which the
-    robot was told while it was up. rest: of each taxel before an ongoing touch. trace: of that touch, seconds
-    since it began and sum of counts above rest. touchable: whether viewers can touch the pad.
+    touches: the last ones, oldest first; an ongoing touch comes last. heard: numbers of the touches that were
+    reported to the robot while it was up. rest: of each taxel before an ongoing touch. trace: of that touch,
+    seconds since it began and sum of counts above rest. touchable: whether viewers can touch the pad.
     """
 
     page: str
@@ -141,7 +141,7 @@ class Memory:
         since_ms = np.array([(frame.sensor_ms - began_ms) % CLOCK_MODULUS for frame in frames])
         pressed = np.array([frame.pressure for frame in frames]) - self._rest - NOISE_COUNTS
         loads = np.maximum(pressed, 0.0).sum(axis=(1, 2))
-        # A frame from before the touch is almost a whole turn of the clock later.
+        # Modulo the clock's range, a frame from before the touch lies almost a whole turn ahead.
         return tuple(
             (ms / 1000, round(load, 1))
             for ms, load in zip(since_ms.tolist(), loads.tolist(), strict=True)

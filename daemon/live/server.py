@@ -100,7 +100,7 @@ class LiveServer:
 
     @property
     def dropped(self) -> int:
-        """Events and frames that the page's thread was too slow for; slow viewers do not count."""
+        """Events and frames dropped because the page's thread was too slow; slow viewers do not count."""
         return self._items.dropped
 
     def start(self) -> None:
@@ -252,7 +252,7 @@ class LiveServer:
 
 
 def _may_drop(item: Item) -> bool:
-    """Whether a later viewer needs it not."""
+    """Whether a later viewer can do without it."""
     return isinstance(item, tuple | LivePrediction)
 
 

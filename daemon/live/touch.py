@@ -1,4 +1,4 @@
-"""What viewers of a page that can be touched send: where their pointers press the pad.
+"""Messages from viewers of a page that can be touched: where their pointers press the pad.
 
 Only `touchd demo` and `touchd fake-pad` serve such a page. Messages are bounded in size, number and values.
 """
@@ -54,7 +54,7 @@ class Touching:
         self._allowance: dict[Hashable, tuple[float, float]] = {}
 
     def take(self, viewer: Hashable, message: str | bytes) -> str:
-        """Replace what a viewer presses by what its message says; returns why it is refused, or ""."""
+        """Update a viewer's pointers from its message; returns why the message is refused, or ""."""
         now_s = time.monotonic()
         last_s, left = self._allowance.get(viewer, (now_s, MESSAGES_PER_S))
         left = min(MESSAGES_PER_S, left + (now_s - last_s) * MESSAGES_PER_S) - 1.0
@@ -82,7 +82,7 @@ class Touching:
         self._allowance.pop(viewer, None)
 
     def pointers(self) -> dict[Hashable, Pointer]:
-        """Return what presses now, by identity."""
+        """Return the pointers that press now, by identity."""
         oldest_s = time.monotonic() - LIFTED_AFTER_S
         with self._lock:
             fresh = [pressed for at_s, pressed in self._pressing.values() if at_s >= oldest_s]

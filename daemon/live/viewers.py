@@ -20,7 +20,7 @@ class Viewers:
         self._state = state
         self._all: set[ServerConnection] = set()
         self._behind: set[ServerConnection] = set()
-        # Those to which the state is still on its way, and its length.
+        # Viewers that are still receiving the state, and its length.
         self._getting_state: set[ServerConnection] = set()
         self._state_bytes = 0
 
@@ -42,15 +42,15 @@ class Viewers:
         self._getting_state.discard(viewer)
 
     def tell(self, message: str) -> None:
-        """Send what no viewer may miss; the state must contain it already."""
-        # Behind a long state an event waits, or a viewer on a slow line would get state after state.
+        """Send a message that no viewer may miss; the state must already contain it."""
+        # Events wait behind a long state; otherwise a viewer on a slow line would get state after state.
         waiting = {viewer for viewer in self._getting_state if _has_room(viewer, self._state_bytes)}
         self._behind.update(viewer for viewer in self._all - waiting if not _has_room(viewer))
         broadcast(self._all - self._behind, message)
         self._catch_up()
 
     def show(self, message: str | bytes) -> None:
-        """Send what a slow viewer may miss."""
+        """Send a message that a slow viewer may miss."""
         self._catch_up()
         broadcast([viewer for viewer in self._all - self._behind if _has_room(viewer)], message)
 

@@ -1,4 +1,4 @@
-"""Fake pads: pseudo-terminals that somebody opens as a serial port.
+"""Fake pads: pseudo-terminals to open as a serial port.
 
 `FakePort` plays a stream from the moment it is opened. `LivePort` sends what a simulated pad reads now.
 """
@@ -28,7 +28,7 @@ from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Stream
 
 POLL_S = 0.002
-# pyserial discards waiting input just after opening a port; a reader that does not is given this long.
+# pyserial discards pending input just after opening a port; wait this long for a reader that does not.
 SETTLE_S = 0.5
 # The kernel flushes asynchronously; check again after this long.
 EMPTY_FOR_S = 0.1
@@ -119,8 +119,8 @@ class FakePort(_Line):
     """Plays `stream` through a pty from the moment a reader opens `path`.
 
     encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own
-    pace by an absolute schedule, N is N times faster, None is flat out. loop: begins again at the end, and
-    the clock runs on. At a pace, frames due while nobody reads are lost, as a pad's are; flat out, it waits.
+    pace by an absolute schedule, N is N times faster, None is flat out. loop: starts over while the clock
+    continues. At a pace, frames due while nobody reads are lost, as a pad's are; flat out, it waits.
     sent_s: (T,) float64, `time.monotonic()` just before a frame's last byte was written, NaN until then.
     """
 
@@ -168,7 +168,7 @@ class FakePort(_Line):
         """Yield each frame's index in the stream, its clock, and when it is due, in ms."""
         period_ms = round(1000 / FRAME_RATE_HZ)
         steps_ms = np.diff(self._stream.sensor_ms)
-        # A clock that starts anew goes back, time does not.
+        # If the clock restarts, time still runs forward.
         due_ms = np.concatenate([[0], np.cumsum(np.where(steps_ms < 0, period_ms, steps_ms))])
         frames = len(due_ms)
         length_ms = int(due_ms[-1]) + period_ms
@@ -200,7 +200,7 @@ class FakePort(_Line):
         """Wait until a reader has opened the port and discarded what waited in it; False when stopped."""
         settled_s = math.inf
         while not self._stop.is_set():
-            # Asked before looking for a reader, so that what an earlier one did is forgotten.
+            # Ask before looking for a reader, to forget what an earlier one did.
             has_discarded = self._discards_input()
             now_s = time.monotonic()
             settled_s = min(settled_s, now_s + SETTLE_S) if self._has_reader() else math.inf

@@ -64,8 +64,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         )
     )
     _serve(options, login, stop)
-    # Everything is closed and flushed, but libqi's threads may still be letting go of our services, and a
-    # Python that ends meanwhile aborts (3 times in 80 when a client had just left).
+    # Everything is closed and flushed, but libqi's threads may still be releasing our services. If Python
+    # ends during that, it aborts (3 times in 80 when a client had just left).
     os._exit(0)
 
 
@@ -99,7 +99,7 @@ def _serve(options: argparse.Namespace, login: Login | None, stop: threading.Eve
                 f"cannot listen on port {options.port}: {why}; choose another with --port"
             ) from error
         for name, service in services.items():
-            # Otherwise a speech would block every other call.
+            # Otherwise speech would block every other call.
             qi.multiThreaded()(type(service))
             session.registerService(name, service)
         report({"listening": url})
@@ -107,7 +107,7 @@ def _serve(options: argparse.Namespace, login: Login | None, stop: threading.Eve
 
 
 def _stop_at_end_of_stdin(stop: threading.Event) -> None:
-    # The descriptor itself: a thread that still waits in sys.stdin when Python ends makes it abort.
+    # Read the descriptor itself: Python aborts if it ends while a thread waits in sys.stdin.
     while os.read(0, 4096):
         pass
     stop.set()

@@ -24,9 +24,9 @@ Series = NDArray[np.float64]
 EDGE_S = 0.08
 FINGER_WIDTH = 0.9
 
-# Share of the pressure that is left a frame later when the hand is taken away.
+# Share of the pressure left one frame after the hand has gone.
 LIFT_SHARE = 0.5
-# Of a gesture that is repeated: longest touch, shortest pause, which ends a touch.
+# Longest touch of a repeated gesture, and the shortest pause, which ends a touch.
 LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
 
 DEMO_SEED = 2
@@ -70,7 +70,7 @@ def cycles(rng: RandomState, time_s: Series, pace_hz: float) -> Series:
 
 
 def fingers(count: int) -> list[float]:
-    """Return where the fingers of a hand lie across it, in taxels."""
+    """Return the places of a hand's fingers across it, in taxels."""
     return [FINGER_WIDTH * (finger - (count - 1) / 2) for finger in range(count)]
 
 

@@ -18,7 +18,7 @@ START_S = 20.0
 class LoopbackRobot:
     """Runs `python -m drivers.fakes.fake_robot` on a port that is free, and follows its reports.
 
-    options: of that command. on_call: told of each call, from a thread of this object.
+    options: of that command. on_call: receives each call, from a thread of this object.
     Raises RobotError where qi is not installed or the robot does not start.
     """
 
@@ -31,7 +31,7 @@ class LoopbackRobot:
         self._follower: threading.Thread | None = None
 
     def start(self) -> None:
-        """Switch the robot on; also after stop(), and then it has forgotten everything."""
+        """Switch the robot on, also after stop(), which makes it forget everything."""
         command = [sys.executable, "-m", "touchd.drivers.fakes.fake_robot", "--follow-stdin", *self._options]
         # It ends with its stdin, a pipe from here: no robot outlives a program that was killed.
         process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
@@ -69,7 +69,7 @@ class LoopbackRobot:
         self.stop()
 
     def _follow(self, reports: IO[bytes]) -> str:
-        """Report the calls until the robot says where it listens, which is returned, or until its end."""
+        """Report the calls until the robot ends, or until it prints its address, which is returned."""
         for line in reports:
             report = msgspec.json.decode(line)
             if "listening" in report:

@@ -24,7 +24,7 @@ EDGE_S = 0.08
 SHORTEST_S = 0.08
 # Share of the way to the pointer that a hand moves in a frame; of a new speed or force that it takes on.
 FOLLOW, SPEED_SHARE, FORCE_SHARE = 0.6, 0.25, 0.15
-# Slower than this, in taxels a second, a hand rests; after this long it begins to press down, for this long.
+# A hand slower than this, in taxels a second, rests; after this long it begins to press down, for this long.
 MOVING_SPEED = 1.2
 PAUSE_S, DWELL_S = 0.15, 0.4
 # Fabric sticks and slips: the distance between slips in taxels.

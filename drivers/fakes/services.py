@@ -1,4 +1,4 @@
-"""The few NAOqi services that touchd uses, in plain Python: they note what was asked and do nothing else."""
+"""The few NAOqi services that touchd uses, in plain Python: they record the calls and do nothing else."""
 
 import struct
 import time
@@ -8,7 +8,7 @@ import msgspec
 
 
 class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One thing the robot was asked. refused: why it did not do it, empty when it did.
+    """One call to the robot. refused: why it failed, empty if it succeeded.
 
     time_s: seconds since 1970, at the robot. arguments: as the robot keeps them, after coercion.
     """
@@ -42,7 +42,7 @@ def as_kept(value: object) -> object:
 
 
 class _Service:
-    """A service, named as NAOqi's, that notes its calls, then takes its time: call_s seconds for each."""
+    """A service with NAOqi's name that records its calls; each takes call_s seconds."""
 
     def __init__(self, note: Callable[[Call], None], call_s: float) -> None:
         self._note_call = note
@@ -68,7 +68,7 @@ class ALMemory(_Service):
         self._data: dict[str, object] = {}
 
     def raiseEvent(self, key: str, value: object) -> None:  # noqa: N802 - NAOqi's names, here and below
-        """Keep a value and tell who subscribed to it, which here is nobody."""
+        """Store a value; nobody subscribes to it here."""
         try:
             kept = as_kept(value)
         except ValueError as error:
@@ -115,7 +115,7 @@ class ALLeds(_Service):
 
 
 class ALSystem(_Service):
-    """Asked by the heartbeat, so its calls are not noted."""
+    """The heartbeat's service; its calls are not recorded."""
 
     def systemVersion(self) -> str:  # noqa: N802
         """Return the version that a NAO V6 runs."""
@@ -131,7 +131,7 @@ SERVICE_NAMES = tuple(sorted(kind.__name__ for kind in (*OTHERS, *SPEECH)))
 def fake_services(
     note: Callable[[Call], None], *, call_s: float = 0.0, say_s: float = 0.0, without: Collection[str] = ()
 ) -> dict[str, object]:
-    """Return the services by name, but for some. call_s, say_s: seconds that a call, and speech, takes."""
+    """Return the services by name, without some. call_s, say_s: seconds that a call, and speech, takes."""
     services = [*(kind(note, call_s) for kind in OTHERS), *(kind(note, say_s) for kind in SPEECH)]
     named = {type(service).__name__: service for service in services}
     return {name: service for name, service in named.items() if name not in without}

@@ -7,7 +7,7 @@ from touchd.drivers.robot.link import RobotLost, RobotRefused, RobotSession
 
 
 class StubRobot:
-    """Answers while it is switched on. say_s: seconds that speech takes. on_call: told of each call."""
+    """Answers while it is switched on. say_s: seconds that speech takes. on_call: receives each call."""
 
     url = "tcp://stub-robot:9559"
 

@@ -1,4 +1,4 @@
-"""What may differ between two touches of the same name: pace, hand, place, pressure, pad, noise, framing."""
+"""Augmentation: varies pace, hand, place, pressure, pad, noise and framing of a touch."""
 
 import math
 

@@ -25,7 +25,7 @@ SHORTEST_FRAMES = 54
 MOST_FRAMES = 2_000_000
 MOST_GESTURES = MOST_LABELS
 GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
-# Events use it in place of a gesture.
+# Reserved: events use it in place of a gesture.
 RESERVED = "uncertain"
 
 
@@ -36,7 +36,7 @@ class ExtraError(TouchdError):
 def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
     """Return every recording of the folder's files, in the order of their names: whole scans at 54 Hz.
 
-    known: gestures of the model that is to be adapted. keep_all: it is to keep those.
+    known: gestures of the model to adapt. keep_all: whether it keeps those without recordings.
     Raises ExtraError.
     """
     recordings: list[Recording] = []
@@ -82,7 +82,7 @@ def read_file(path: Path) -> list[Recording]:
 
 
 def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
-    """Return what is wrong with the names of gestures, also beside known ones; "" if nothing is."""
+    """Return what is wrong with the names of gestures, also together with known ones; "" if nothing is."""
     for gesture in gestures:
         if gesture == RESERVED or not GESTURE.fullmatch(gesture):
             return (

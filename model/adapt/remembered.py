@@ -1,7 +1,7 @@
-"""What the network remembers of the recordings that it learnt from: statistics of its own summaries.
+"""Statistics of the network's summaries of its training recordings, for rehearsal.
 
-A head that is adapted to one person forgets others. Samples from these Gaussians stand for the others, so
-that no recording of theirs is needed (generative feature replay, Liu et al. 2020).
+A head adapted to one person forgets others. Samples from these Gaussians stand for the others, whose
+recordings are then not needed (generative feature replay, Liu et al. 2020).
 """
 
 from collections.abc import Collection

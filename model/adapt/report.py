@@ -1,4 +1,4 @@
-"""Reports what adapting did, in words and a table 80 characters wide, and how certain that is."""
+"""Reports accuracy before and after adapting, in words and a table of 80 columns, and how certain it is."""
 
 import textwrap
 from collections import Counter
@@ -8,9 +8,9 @@ from touchd.model.adapt.adapt import Adapted
 from touchd.model.adapt.measure import Comparison, GestureFigures, LengthFigures
 from touchd.model.adapt.plan import LeftOut
 
-# Of three recordings all right, the Wilson interval still reaches down to 44 %; of four, to 51 %.
+# If all of three recordings are right, the Wilson interval begins at 44 %; with four, at 51 %.
 FEW_RECORDINGS = 4
-# Two who happen to change alike have an interval of no width at all.
+# If two participants happen to change equally, the interval has no width.
 FEW_PARTICIPANTS = 3
 WIDTH = 80
 NAME_WIDTH = 20
@@ -19,12 +19,12 @@ MEASURED: dict[LeftOut, str] = {
     "others: this is how well it will do on people it was not adapted to.",
     "recordings": "Right answers in percent. Each recording is answered by a model adapted to others of the "
     "same participant: this is how well it will do on this person.",
-    "nothing": "Adapted to all of them. No figures: there is too little to leave any out.",
+    "nothing": "Adapted to all of them. No figures: there are too few recordings to hold any out.",
 }
 
 
 def report_lines(adapted: Adapted) -> Iterable[str]:
-    """Yield the report: what was there, before and after, what to beware of."""
+    """Yield the report: the recordings, accuracy before and after, and warnings."""
     recordings = adapted.recordings
     gestures = Counter(recording.gesture for recording in recordings)
     participants = {recording.participant for recording in recordings}
@@ -47,7 +47,7 @@ def report_lines(adapted: Adapted) -> Iterable[str]:
 
 
 def warnings(adapted: Adapted) -> Iterable[str]:
-    """Yield what a lab has to know before it uses the adapted model, a line each."""
+    """Yield warnings to read before using the adapted model, a line each."""
     comparison = adapted.comparison
     gestures = Counter(recording.gesture for recording in adapted.recordings)
     yield from _doubts(comparison)

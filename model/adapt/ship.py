@@ -33,8 +33,8 @@ class OutputError(TouchdError):
 def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: bool = False) -> Adapted:
     """Adapt the shipped network to a folder of recordings and write it to `output`, a new .onnx file.
 
-    keep_all: keep the known gestures that the folder lacks. Raises ExtraError, and OutputError before any
-    work where `output` cannot be written.
+    keep_all: keep the known gestures that the folder lacks. Raises ExtraError; raises OutputError before any
+    work if `output` cannot be written.
     """
     check_output(output)
     pretrained = Pretrained.shipped()

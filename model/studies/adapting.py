@@ -1,4 +1,4 @@
-"""What adapting to a person gains that person and costs others: `python -m touchd.model.studies adapting`."""
+"""How adapting changes a person's accuracy and others': `python -m touchd.model.studies adapting`."""
 
 from collections.abc import Callable, Iterator, Sequence
 from operator import attrgetter
@@ -27,7 +27,7 @@ from touchd.model.training.train import CHECKPOINT_NAME
 from touchd.model.training.weights import fold_path
 
 SHOTS = (1, 2, 4)
-"""Recordings a gesture to adapt to. Those in no draw's first four are evaluated."""
+"""Recordings a gesture to adapt to. The recordings that no draw uses are evaluated."""
 DRAWS = 2
 FRAMES = 144
 FILE = STORED / "adapt.json"

@@ -43,17 +43,17 @@ SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
 REVISE_MARGIN = (0.1, 0.2, 0.3, 0.4, 0.5)
 """A margin below a tenth would let noise revise an answer."""
 LIMITS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Confidences after a second at which an early answer counts as sure."""
+"""Confidences after 1 s at which an early answer counts as sure."""
 SHOWN = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Of both, the rows of the page's tables."""
+"""Values of `speak_above` in the page's table."""
 LEAST_RIGHT_EARLY = 0.85
 MOST_CHANGED = 0.10
 MOST_HARMED = 0.02
 AS_GOOD = 0.005
-"""Half a point: of 492 touches, two."""
+"""Half a point: two of 492 touches."""
 EARLY_S = 0.9
 LABELS_AT = ((0.75, 85.5), (1.1, 80.2), (1.1, 69.5))
-"""Of the lines in the left panel: seconds, percent."""
+"""Places of the left panel's labels: seconds, percent."""
 HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "third study"
 
 
@@ -334,7 +334,7 @@ def _accuracy(windows: Streams, frames: NDArray[np.int64]) -> float:
 
 
 def collect(split: Split, title: str, missing: Sequence[str] = ()) -> Streams:
-    """Ask each network about the touches of its recordings, frame by frame.
+    """Return each network's answers about the touches of its recordings, frame by frame.
 
     missing: gestures that the study does not contain and that are not allowed as answers.
     """
@@ -361,7 +361,7 @@ def collect(split: Split, title: str, missing: Sequence[str] = ()) -> Streams:
 
 
 def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
-    """Ask a network about windows of FRAMES frames, "notouch" among them, frame by frame."""
+    """Return a network's answers about windows of FRAMES frames, frame by frame, "notouch" included."""
     states: list[State | None] = [None] * len(windows.labels)
     outputs = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
     for frame in range(FRAMES):

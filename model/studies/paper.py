@@ -58,7 +58,7 @@ class PaperCell:
 
     @property
     def training(self) -> str:
-        """The training's name, without the epochs: a training can be continued."""
+        """The training's name, without the epochs, so that it can be continued."""
         return f"{self.variant}-blocks{self.blocks}-frames{self.frames}-seed{self.seed}"
 
     @property
@@ -93,7 +93,7 @@ class PaperTraining:
 
     @property
     def epoch(self) -> int:
-        """How many epochs are done."""
+        """Number of epochs done."""
         return len(self.accuracies)
 
     def run_epoch(self) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ class ResultsError(TouchdError):
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
-    """One measured cell. seconds: how long measuring it took; commit: the code's, "+" if it was changed."""
+    """One measured cell. seconds: duration of the measurement; commit: of the code, "+" if it was changed."""
 
     values: dict[str, Any]
     seconds: float
@@ -42,7 +42,7 @@ class Results:
     def __init__(self, path: Path) -> None:
         """Open the file; it need not exist. Raises ResultsError."""
         self.path = path
-        # The code that runs is that of the process's start.
+        # Taken now: the files may change while the process runs.
         self.commit = commit()
         self._cells = _read(path)
 
@@ -73,7 +73,7 @@ class Results:
             date=datetime.now(timezone.utc).strftime("%Y-%m-%d"),
         )
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        # One line a cell, so that a change of one cell is a change of one line.
+        # One line a cell, so that a changed cell is one changed line.
         lines = [b": ".join(map(msgspec.json.encode, (name, self._cells[name]))) for name in self.find()]
         with whole_file(self.path) as partial:
             partial.write_bytes(b"{\n" + b",\n".join(lines) + b"\n}\n")

@@ -1,4 +1,4 @@
-"""How far scores depend on the seed: `python -m touchd.model.studies seeds`.
+"""How much scores depend on the seed: `python -m touchd.model.studies seeds`.
 
 Trains the recipe's networks with other seeds, unless that is done; each is scored on people it never saw.
 """

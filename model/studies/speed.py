@@ -48,7 +48,7 @@ from touchd.model.training.weights import HAART_MODEL, SCORES_NAME
 FILE = STORED / "speed.json"
 ANSWERS = 200
 WINDOW, NEXT_FRAME, PYTORCH = "window", "next frame", "PyTorch"
-"""What is asked: a whole window, its last frame from the state before it, a window in PyTorch eager."""
+"""Kinds of answers: a whole window, its last frame from the state before it, a window in PyTorch eager."""
 PAPER_LENGTHS = (54, 72, 144)
 PAPERS: Mapping[str, str] = MappingProxyType(
     {"printed": "the paper's, printed", "public": "the paper's, its code"}

@@ -25,16 +25,16 @@ IMPOSSIBLE = -1e4
 
 
 Answers = Mapping[int, tuple[Floats, Labels]]
-"""One network's about unseen people: each length's logits (N, classes) and labels (N,)."""
+"""A network's answers about people held out: logits (N, classes) and labels (N,) by length."""
 
 
 def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
-    """Ask a network about a study's people whom its training left out; see `ask`."""
+    """Return a network's answers about a study's people whom its training held out; see `ask`."""
     return ask(saved, haart.only(recordings, saved.settings.left_out))
 
 
 def ask(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
-    """Ask a network about one study's recordings, whole scans as they are scored, at every answered length.
+    """Return a network's answers about one study's recordings, as they are scored, at every answered length.
 
     An answer that the study cannot contain gets the logit IMPOSSIBLE.
     """

@@ -1,4 +1,4 @@
-"""Checkpoints: a network with everything that says where it came from, and what resuming needs."""
+"""Checkpoints: a network with its origin and the state that resuming needs."""
 
 import zipfile
 from dataclasses import dataclass, fields
@@ -14,7 +14,7 @@ from touchd.drivers.whole_file import whole_file
 from touchd.model.tgc import TGC
 from touchd.model.training.settings import TrainSettings
 
-# Our widest network's, with all that resuming needs, is 17 MB.
+# The widest network's checkpoint takes 17 MB.
 MAX_FILE_BYTES = 128 * 1024 * 1024
 ADVICE = "make one with `python -m touchd.model.studies train`"
 
@@ -47,7 +47,7 @@ class Checkpoint:
 
 
 def save(checkpoint: Checkpoint, path: Path) -> None:
-    """Write the checkpoint whole or not at all."""
+    """Atomically write the checkpoint."""
     path.parent.mkdir(parents=True, exist_ok=True)
     stored = {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
     stored["settings"] = msgspec.json.encode(checkpoint.settings).decode()
@@ -66,7 +66,7 @@ def load(path: Path) -> Checkpoint:
             )
         stored = torch.load(path, map_location="cpu", weights_only=True)
         settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])
-        # One that an older version wrote may hold settings that there are no longer.
+        # A checkpoint of an older version may hold settings that no longer exist.
         known = {name: value for name, value in settings.items() if name in TrainSettings.__struct_fields__}
         found = {field.name: stored[field.name] for field in fields(Checkpoint)}
         found |= {"settings": msgspec.convert(known, TrainSettings), "labels": tuple(stored["labels"])}

@@ -1,4 +1,4 @@
-"""What makes and measures the shipped model: `data`, `train`, `export`, `evaluate` and `stability`."""
+"""Commands that make and measure the shipped model: `data`, `train`, `export`, `evaluate`, `stability`."""
 
 import argparse
 import sys
@@ -45,7 +45,7 @@ def train(arguments: Sequence[str]) -> int:
 
 
 def export(arguments: Sequence[str]) -> int:
-    """Calibrate on participants left out, export, name the files written; returns 0."""
+    """Calibrate on people held out, export, print the files written; returns 0."""
     parser = _recipe_parser("export", "Exports a trained recipe to ONNX.")
     parser.add_argument("--weights", **WEIGHTS)
     options = parser.parse_args(arguments)

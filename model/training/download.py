@@ -1,8 +1,8 @@
-"""The HAART folder: checked where it is there, else downloaded from the UBC SPIN lab, unpacked and checked.
+"""Checks the HAART folder, after downloading what it lacks from the UBC SPIN lab.
 
 The archive is the one that https://www.cs.ubc.ca/labs/spin/data/ links. Only the two files of the 2015
-challenge are unpacked, and only put in the folder when their contents are right. An archive that is there
-already is used, so whoever has a bad line fetches it with a program that resumes.
+challenge are unpacked, and moved into the folder only after their contents were checked. An archive that is
+already there is used: on a bad line, fetch it with a program that resumes.
 """
 
 import lzma
@@ -25,12 +25,12 @@ from touchd.model.training.haart import GESTURES, PUBLISHED_FRAMES, TEST_FILE, T
 ARCHIVE_URL = "https://www.cs.ubc.ca/labs/spin/data/HAART%20DataSet.zip"
 ARCHIVE_NAME = "HAART DataSet.zip"
 TIMEOUT_S = 30.0
-# The two files are 40 and 18 MB; ten times that is another archive.
+# The two files have 40 and 18 MB; anything ten times larger is another archive.
 MAX_FILE_BYTES = 400_000_000
 
 
 class DownloadError(TouchdError):
-    """The set could not be had; the message says which file, why and what to do, in one line."""
+    """The recordings could not be downloaded; the message names file, reason and remedy in one line."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ HAART: Mapping[str, Contents] = {
 def obtain(
     folder: Path, console: Console, url: str = ARCHIVE_URL, expected: Mapping[str, Contents] = HAART
 ) -> Mapping[str, Contents]:
-    """Check the files in the folder, downloading first those that are not there; return what each holds.
+    """Download the files that the folder lacks, check all, and return what each holds.
 
     Raises DownloadError when they cannot be had, RecordingError when a file has other contents.
     """
@@ -68,7 +68,7 @@ def obtain(
 
 
 def check(path: Path, expected: Contents) -> Contents:
-    """Return what the file holds. Raises RecordingError when that is not what is expected."""
+    """Return what the file holds; raises RecordingError if that is unexpected."""
     recordings = read_recordings(path)
     for recording in recordings:
         _check_recording(path, recording)

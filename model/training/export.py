@@ -68,8 +68,8 @@ class _Step(nn.Module):
 def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     """Write the network as one ONNX file that describes itself.
 
-    Asked with `counts` alone it answers about a whole window; given the state that an earlier answer left,
-    about that answer's frames and these.
+    With `counts` alone it answers about a whole window; with the state that an earlier answer returned, about
+    the earlier frames and these.
     """
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     calibrated = CalibratedTGC(network, temperatures).eval()
@@ -99,7 +99,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     assert program is not None
     proto = program.model_proto
     _forget_where_it_was_made(proto)
-    # The exporter takes a state of one touch for the only one; the graph takes as many as there are windows.
+    # The exporter fixes the state's batch size to one touch; make it that of the windows.
     del proto.graph.value_info[:]
     for entry in proto.graph.input:
         if entry.name not in ("counts", "frames"):
@@ -121,7 +121,7 @@ def _flat(state: TGCState) -> tuple[Tensor, ...]:
 
 
 def _forget_where_it_was_made(proto: onnx.ModelProto) -> None:
-    """Remove what the exporter notes of source files and their places on this machine."""
+    """Remove the source files and paths of this machine that the exporter records."""
     for entry in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
         del entry.metadata_props[:]
         entry.doc_string = ""

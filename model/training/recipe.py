@@ -15,13 +15,13 @@ from touchd.model.training.settings import TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
-"""Of the network that learnt from HAART alone: for the comparison with the paper."""
+"""Recipe of the network from HAART alone, for the comparison with the paper."""
 FIRST_RECIPE = Path(__file__).parent / "touchd-3.yaml"
-"""Of the networks that the shipped recipe begins with."""
+"""Recipe of the first stage, with whose networks the shipped recipe begins."""
 FABRIC_RECIPE = Path(__file__).parent / "fabric.yaml"
-"""Of the network that learnt from the two fabric studies alone: for the figure of a pad never met."""
+"""Recipe of the network from the two fabric studies alone, for the figure of a pad never met."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
-"""Of the network that learnt from HAART alone, varied widely: for the figure from one study to the other."""
+"""Recipe of the network from HAART alone with wide augmentation, for the figure across studies."""
 MAX_BYTES = 64 * 1024
 
 
@@ -34,9 +34,9 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     name: str
     folds: tuple[tuple[str, ...], ...]
-    """Training participants left out together; every one of them in exactly one fold."""
+    """Training participants held out together; each is in exactly one fold."""
     seeds: tuple[int, ...]
-    """One network on all training participants each; the first is the one that ships."""
+    """Seeds of the networks on all training participants; the first network ships."""
     settings: TrainSettings
     begins_from: tuple[str, ...] = ()
     """Finished trainings whose weights the networks begin with: of the shipped network, then one a fold."""
@@ -73,7 +73,7 @@ def final_jobs(recipe: Recipe) -> list[Job]:
 
 
 def fold_jobs(recipe: Recipe) -> list[Job]:
-    """Return the networks that leave participants out, one a fold."""
+    """Return the networks that hold participants out, one a fold."""
     return [_job(recipe, recipe.seeds[0], fold) for fold in recipe.folds]
 
 

@@ -1,4 +1,4 @@
-"""Statistics of what a network learnt from, which stand for other people when it is adapted to one."""
+"""Statistics of a network's training recordings, which stand for other people during adaptation."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ DIRECTIONS = 16
 
 
 def statistics(studies: Sequence[CropFeatures]) -> Remembered:
-    """Return what is remembered of each study's crops."""
+    """Return the statistics of each study's crops."""
     means, directions, rests, gestures = [], [], [], []
     for study in studies:
         for gesture in sorted(set(study.gestures)):

@@ -1,4 +1,4 @@
-"""What decides a training of the shipped model, besides data and code."""
+"""Settings of a training."""
 
 from typing import Literal
 
@@ -10,18 +10,18 @@ Study = Literal["haart", "second", "third"]
 
 
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that decides what a training yields, apart from the data and the code."""
+    """Everything that determines a training's result, apart from data and code."""
 
     name: str = "touchd"
     seed: int = 0
     studies: tuple[Study, ...] = ("haart",)
-    """Whose recordings it learns from: HAART's training participants, the second or third study's people."""
+    """Studies to learn from; of HAART, the training participants."""
     left_out: tuple[str, ...] = ()
     begins_from: str = ""
     """Name of a finished training in the same folder of runs, whose weights this one begins with."""
     epochs: int = 60
     rate_epochs: int = 0
-    """Epochs over which the learning rate falls to zero, where training stops before; 0: `epochs`."""
+    """Epochs over which the learning rate falls to zero, if more than are trained; 0: `epochs`."""
     crops_per_recording: int = 3
     batch: int = 32
     window: int = 144
@@ -32,7 +32,7 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     average_decay: float = 0.995
     """Of the exponential moving average of the weights, which is the network that is kept."""
     averaged_epochs: tuple[int, ...] = ()
-    """Epochs after which that average is set aside; the mean of these is kept then (Izmailov et al. 2018)."""
+    """Epochs after which the average is saved; the network is the mean of these (Izmailov et al. 2018)."""
     balance_people: bool = False
     """Whether every study, and each of its people, is drawn equally often."""
     bfloat16: bool = False

@@ -49,7 +49,7 @@ def trained(job: Job, folders: Folders, runs: Path, threads: int) -> Checkpoint:
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, one file a further seed and one file a fold; return the paths.
 
-    The shipped network's checkpoint and what it remembers are put beside it, for adapting it.
+    The shipped network's checkpoint and rehearsal statistics are written beside it, for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
     """
     scored = folders.to_score_on(recipe.settings.studies)
@@ -84,7 +84,7 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
 
 
 def remember(saved: Checkpoint, folders: Folders) -> Remembered:
-    """Return what a network remembers of each study's people that it learnt from."""
+    """Return rehearsal statistics of each study that a network learnt from."""
     settings = saved.settings
     backbone, _ = split(saved.build())
     learnt = [haart.without(folders.to_train_on((study,)), settings.left_out) for study in settings.studies]

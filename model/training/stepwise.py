@@ -1,4 +1,4 @@
-"""The network asked a few frames of a touch at a time, with an explicit state, as a model file answers."""
+"""Runs the network on a few frames of a touch at a time, with an explicit state, as in the model file."""
 
 import math
 from typing import NamedTuple, TypeVar
@@ -11,13 +11,13 @@ from touchd.model.tgc import TGC, EncoderBlock, GatedConvolution
 
 Layer = TypeVar("Layer", bound=nn.Module)
 
-# Attention forgets what its flattest slope, 2^-8 a frame, weighs less than this share of the newest frame.
+# Attention drops frames that its flattest slope, 2^-8 a frame, weighs less than this share of the newest.
 FORGOTTEN_WEIGHT = 1e-8
 MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
 
 
 class TGCState(NamedTuple):
-    """What the network keeps of the frames so far; bounded, whatever their number.
+    """The network's state after some frames; its size is bounded.
 
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
     level: (B, past, 8, 8) levels of the last frames that the stem sees. motion: (B, past, width) last

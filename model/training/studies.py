@@ -1,4 +1,4 @@
-"""The two studies that a network can learn from, and where their recordings lie."""
+"""The studies that a network can learn from, and the folders of their recordings."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.settings import Study
 
 MISSING: Mapping[Study, tuple[str, ...]] = MappingProxyType({"third": ("tickle",)})
-"""Gestures that a study does not contain, and that are not among the answers when it is scored."""
+"""Gestures that a study does not contain; they are not among the answers when it is scored."""
 
 
 def study_of(participant: str) -> Study:
-    """Return the study in which a participant took part: P and T: HAART; R and L: second; S: third."""
+    """Return a participant's study: HAART for P and T, second for R and L, third for S."""
     return "haart" if participant[0] in "PT" else "third" if participant[0] == "S" else "second"
 
 

@@ -90,7 +90,7 @@ class Training:
         return total / self.steps_per_epoch
 
     def _order(self) -> Tensor:
-        """Return which recordings an epoch's windows are cut from."""
+        """Return the indices of the recordings that an epoch's windows are cut from."""
         passes, count = self.settings.crops_per_recording, len(self.counts)
         if self.settings.balance_people:
             return torch.multinomial(self.weights, passes * count, replacement=True, generator=self.rng)
@@ -107,7 +107,7 @@ class Training:
         return begin_from_rest(window, still, settings.augmentation, self.rng)
 
     def _possible(self, targets: Tensor, soft: Tensor) -> Tensor:
-        """Return (B, classes), which answers the loss compares: the third study has no tickle.
+        """Return (B, classes) bool, the answers that the loss compares: the third study has no tickle.
 
         Without this, "tickle" would become evidence for the other studies' pad.
         """
@@ -178,7 +178,7 @@ class Training:
     def begin_with(self, earlier: Checkpoint) -> None:
         """Begin with the weights of an earlier training.
 
-        Raises CheckpointError when it learnt from somebody whom this one leaves out.
+        Raises CheckpointError if it learnt from somebody whom this one holds out.
         """
         first = earlier.settings
         left_out = {name for name in self.settings.left_out if study_of(name) in first.studies}
@@ -202,7 +202,7 @@ class Training:
 
 
 def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:
-    """Train on realigned recordings; each epoch is saved in `folder` and resumed from; the last counts."""
+    """Train on realigned recordings; save each epoch in `folder`, resume from the last one."""
     path = folder / CHECKPOINT_NAME
     training = Training(recordings, settings, device)
     if path.exists():
@@ -219,7 +219,7 @@ def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path
 
 
 def train_studies(folders: Folders, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
-    """Train on the people of the studies in `settings` whom it does not leave out."""
+    """Train on the people of the studies in `settings`, without those held out."""
     torch.set_num_threads(threads)
     recordings = haart.without(folders.to_train_on(settings.studies), settings.left_out)
     return train(recordings, settings, folder, fastest_device())

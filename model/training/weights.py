@@ -1,4 +1,4 @@
-"""Where the model files are, and which of them never saw whom. No torch in here."""
+"""Paths of the model files, and whom each of them never saw. Does not import torch."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,9 +10,9 @@ from touchd.model.training import haart
 HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
 """touchd-1, which learnt from HAART's training participants alone, as the paper's network did."""
 WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
-"""The same, but varied as another lab's pad may be: for the figure from one study to the other."""
+"""The same with wide augmentation, for the figure across studies."""
 FABRIC_MODEL = SHIPPED_MODEL.with_name("fabric.onnx")
-"""The shipped recipe without the third study: for the figure of a pad that the network has never met."""
+"""The shipped recipe without the third study, for the figure of a pad never met."""
 LEFT_OUT_FOLDER = "left_out"
 SEEDS_FOLDER = "seeds"
 SCORES_NAME = "scores.json"

@@ -42,12 +42,12 @@ TITLES: Mapping[str, str] = MappingProxyType(
 COMMAND = "python -m touchd.model.studies evaluate --write"
 PAPER = "  the paper's (1.50 s: after 1.33 s)"
 NEAR = {81: 72}
-"""Where the paper has no row for a length of ours, the length that it has instead."""
+"""The paper's nearest length for ours that it has no row for."""
 
 
 @dataclass(frozen=True)
 class Further:
-    """A study besides HAART, whose recordings not everybody has.
+    """A study besides HAART; its recordings are not public.
 
     folder: its field in `Folders`, and its option. missing: gestures that it does not contain.
     """

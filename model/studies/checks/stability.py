@@ -181,7 +181,7 @@ def table(checks: Sequence[CaseResult]) -> Group:
 
 
 def sentence(checks: Sequence[CaseResult]) -> str:
-    """Return what the checks say together."""
+    """Return a sentence that sums up all checks."""
     failed = [check for check in checks if not check.passed]
     if not failed:
         return f"All {len(checks)} checks passed: no window of counts breaks this file's arithmetic."

@@ -24,7 +24,7 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
 
     missed: not detected. merged: detected as one with another. split: detected as several.
     early, revised, final: right at that stage. last, first: right in the last, first answer told.
-    harmful: told right, then wrong. late: told again after final. open: two seconds after the hand has left.
+    harmful: told right, then wrong. late: told again after final. open: not ended 2 s after the hand left.
     false: touches in ten minutes of quiet.
     t_first: mean seconds until the first answer told. n: touches made.
     """

@@ -31,7 +31,7 @@ FRAME_MS = 1000.0 / FRAME_RATE_HZ
 
 
 class OnsetPoint(msgspec.Struct, frozen=True, kw_only=True):
-    """What one onset level costs. late: noticed over a second after the first visible pressure."""
+    """What one onset level costs. late: detected over a second after the first visible pressure."""
 
     onset_threshold: float
     touches: int
@@ -57,7 +57,7 @@ class OnsetPoint(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class QuietPoint(msgspec.Struct, frozen=True, kw_only=True):
-    """What one quiet time costs: recordings felt as more than one touch, by gesture."""
+    """What one quiet time costs: recordings detected as more than one touch, by gesture."""
 
     quiet_s: float
     split: dict[str, int]
@@ -66,8 +66,8 @@ class QuietPoint(msgspec.Struct, frozen=True, kw_only=True):
 class TrackedGesture(msgspec.Struct, frozen=True, kw_only=True):
     """One gesture at the default settings.
 
-    split: felt as several touches. ended_early: half a second or more of visible pressure was in no
-    touch. not_released: still felt three seconds after the gesture. first_exact: share of touches whose
+    split: detected as several touches. ended_early: half a second or more of visible pressure was in no
+    touch. not_released: still open three seconds after the gesture. first_exact: share of touches whose
     first frame is within one frame of the first visible pressure.
     """
 
@@ -145,8 +145,8 @@ def measure(
 def choose_level(points: Sequence[OnsetPoint]) -> float:
     """Return the middle of the levels that meet the targets with a factor of two to spare.
 
-    The middle by ratio: as far from missing light touches as from false ones. Where no level
-    has that to spare, those that just meet the targets count; raises ValueError when none does.
+    The middle by ratio is as far from missing light touches as from false ones. If no level has that to
+    spare, those that just meet the targets count; raises ValueError if none does.
     """
     for strictness in (2.0, 1.0):
         fit = [point.onset_threshold for point in points if point.meets(strictness)]

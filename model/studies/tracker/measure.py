@@ -1,11 +1,10 @@
-"""How well touches are noticed: HAART's gestures spliced between notouch, run through the real tracker.
+"""How well touches are detected: HAART's gestures spliced between notouch, run through the real tracker.
 
 HAART's recordings are cut from the middle of a gesture, so its onsets are made: five seconds of notouch
 by the same participant on the same substrate and cover, the gesture, and the rest of that notouch. Two things
-differ from a pad. The recordings were made apart, and the pad's rest differs between them by a few counts,
-which alone can be noticed; so everything is measured twice, as recorded and with the notouch brought to the
-gesture's own rest. And some gestures begin within a lift-off; so delays count from the first scan with
-visible pressure.
+differ from a pad. The pad's rest differs between recordings by a few counts, which alone can be detected; so
+everything is measured twice, as recorded and with the notouch brought to the gesture's own rest. And some
+gestures begin within a lift-off; so delays count from the first scan with visible pressure.
 """
 
 from collections.abc import Iterator, Sequence
@@ -82,7 +81,7 @@ def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
             continue
         gesture = recording.counts.astype(np.float32)
         rest = quiet[set_up(recording)].counts.astype(np.float32)
-        # A resting hand never leaves the pad, so that its recording does not show the pad's own rest.
+        # A resting hand never leaves the pad, so its recording does not show the pad's own rest.
         if level_rest and recording.gesture != "constant":
             own_rest = np.percentile(gesture, REST_PERCENTILE, axis=0) + REST_OFFSET_COUNTS
             rest = (rest + own_rest - np.median(rest, axis=0)).astype(np.float32)
@@ -97,7 +96,7 @@ def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
 
 
 def feel(scans: Scans, settings: TouchSettings) -> Iterator[TrackedTouch]:
-    """Run a tracker over (T, 8, 8) counts; yield each touch when noticed (ended None) and when ended."""
+    """Run a tracker over (T, 8, 8) counts; yield each touch when detected (ended None) and when ended."""
     tracker = TouchTracker(settings)
     noticed = first = 0
     for index, scan in enumerate(scans):
@@ -110,7 +109,7 @@ def feel(scans: Scans, settings: TouchSettings) -> Iterator[TrackedTouch]:
 
 
 def delay(case: Case, settings: TouchSettings) -> int | None:
-    """Return frames from the first visible pressure (0 when it was noticed before), None for a miss."""
+    """Return frames from the first visible pressure (0 when it was detected before), None for a miss."""
     touches = feel(case.scans[: case.stop], settings)
     noticed = next((felt.noticed for felt in touches if felt.noticed >= case.start), None)
     if noticed is None:
@@ -119,7 +118,7 @@ def delay(case: Case, settings: TouchSettings) -> int | None:
 
 
 def outcome(case: Case, settings: TouchSettings) -> Outcome:
-    """Run one case to its end. lost_frames: with visible pressure, after the first touch but in none."""
+    """Run one case to its end. lost_frames: with visible pressure after the first touch, in none."""
     touches = {felt.noticed: felt for felt in feel(case.scans, settings)}
     within = [felt for felt in touches.values() if case.start <= felt.noticed < case.stop]
     if not within:
@@ -140,12 +139,12 @@ def outcome(case: Case, settings: TouchSettings) -> Outcome:
 
 
 def false_touches(scans: Scans, settings: TouchSettings) -> int:
-    """Return how many touches are felt in (T, 8, 8) counts of a pad that nothing touches."""
+    """Return the number of touches detected in (T, 8, 8) counts of a pad that nothing touches."""
     return sum(felt.ended is None for felt in feel(scans, settings))
 
 
 def join_touches(recordings: Sequence[Recording], settings: TouchSettings) -> tuple[int, int]:
-    """Return the joins in one participant's notouch recordings end to end, and how many felt like a touch."""
+    """Return the joins in one participant's notouch recordings end to end, and how many began a touch."""
     joins = np.cumsum([len(recording.counts) for recording in recordings])[:-1]
     scans = np.concatenate([recording.counts for recording in recordings]).astype(np.float32)
     noticed = np.array([felt.noticed for felt in feel(scans, settings) if felt.ended is None])
