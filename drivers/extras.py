@@ -1,9 +1,14 @@
 """Optional libraries, and the command that installs them."""
 
+import importlib.util
+import json
 import os
 import shlex
 import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from importlib import metadata
+from pathlib import Path
 
 EXTRAS = {
     "plot": ("matplotlib",),
@@ -17,6 +22,8 @@ EXTRAS = {
     "train": ("torch", "onnx", "scipy", "tqdm"),
     "studies": ("onnxscript", "sklearn", "mlxtend"),
 }
+# Torch for the processor alone; the one on PyPI brings gigabytes of CUDA.
+TORCH_ON_CPU = "https://download.pytorch.org/whl/cpu"
 
 
 def extra_of(module: str) -> str | None:
@@ -25,12 +32,44 @@ def extra_of(module: str) -> str | None:
     return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
 
 
+def installed() -> list[str]:
+    """Return the extras that are installed."""
+    return [extra for extra, modules in EXTRAS.items() if all(map(importlib.util.find_spec, modules))]
+
+
 def how_to_install(extra: str) -> str:
-    """Return the shell command that installs what an extra of touchd needs into this very Python."""
+    """Return the shell command that adds an extra, with the tool by which touchd was installed."""
+    here, has_torch = Path(sys.prefix), extra == "train"
+    if (here / "uv-receipt.toml").exists():
+        # A tool is installed as a whole: what the command does not name is removed.
+        extras = ",".join(sorted({*installed(), extra}))
+        backend = ["--torch-backend", "cpu"] if has_torch else []
+        return shlex.join(["uv", "tool", "install", *backend, f"touchd[{extras}]{_source()}"])
+    wanted = _requirements(extra)
+    index = ["--extra-index-url", TORCH_ON_CPU] if has_torch else []
+    if (here / "pipx_metadata.json").exists():
+        arguments = [f"--pip-args={' '.join(index)}"] if index else []
+        return shlex.join(["pipx", "inject", *arguments, here.name, *wanted])
+    sudo = [] if os.access(here, os.W_OK) else ["sudo"]
+    if importlib.util.find_spec("pip") is None:
+        backend = ["--torch-backend", "cpu"] if has_torch else []
+        return shlex.join([*sudo, "uv", "pip", "install", "--python", sys.executable, *backend, *wanted])
+    return shlex.join([*sudo, sys.executable, "-m", "pip", "install", *index, *wanted])
+
+
+def _requirements(extra: str) -> Sequence[str]:
+    """Return what an extra of touchd needs, as for pip."""
     wanted = [
         requirement.partition(";")[0].strip()
         for requirement in metadata.requires("touchd") or ()
         if f'extra == "{extra}"' in requirement.replace("'", '"')
     ]
-    sudo = [] if os.access(sys.prefix, os.W_OK) else ["sudo"]
-    return shlex.join([*sudo, sys.executable, "-m", "pip", "install", *(wanted or EXTRAS[extra])])
+    return wanted or EXTRAS[extra]
+
+
+def _source() -> str:
+    """Return where touchd came from, as in " @ file:///home/me/touchd"; "" for a package index."""
+    with suppress(ValueError, KeyError):
+        source = json.loads(metadata.distribution("touchd").read_text("direct_url.json") or "")
+        return f" @ {'git+' if 'vcs_info' in source else ''}{source['url']}"
+    return ""

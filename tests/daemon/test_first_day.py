@@ -30,7 +30,7 @@ from touchd.daemon.live.address import qr_code, urls_of
 from touchd.daemon.setup.parts import check_pad, load_model, open_journal
 from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.own_name import own_name
-from touchd.drivers.extras import how_to_install
+from touchd.drivers.extras import TORCH_ON_CPU, how_to_install
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame
 from touchd.drivers.robot.reactions import Action, ActionRule
@@ -74,7 +74,28 @@ def test_a_missing_extra_is_named_with_what_installs_it(command: str, extra: str
     assert done.returncode == 2, done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert how_to_install(extra) in done.stderr
-    assert how_to_install(extra).split()[0] == sys.executable
+
+
+@pytest.mark.parametrize(
+    ("marker", "said"),
+    [
+        ("uv-receipt.toml", "uv tool install --torch-backend cpu 'touchd["),
+        ("pipx_metadata.json", f"pipx inject '--pip-args=--extra-index-url {TORCH_ON_CPU}' touchd 'torch>="),
+        ("pyvenv.cfg", f"{sys.executable} -m pip install --extra-index-url {TORCH_ON_CPU} 'torch>="),
+    ],
+)
+def test_torch_for_learning_is_the_one_for_the_processor(
+    marker: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "touchd").mkdir()
+    (tmp_path / "touchd" / marker).touch()
+    monkeypatch.setattr(sys, "prefix", str(tmp_path / "touchd"))
+    assert how_to_install("train").startswith(said)
+
+
+def test_the_services_own_python_needs_sudo(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    assert how_to_install("mqtt").startswith(f"sudo {sys.executable} -m pip install ")
 
 
 @pytest.mark.parametrize(

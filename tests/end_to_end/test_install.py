@@ -2,6 +2,7 @@
 
 import os
 import re
+import shlex
 import shutil
 import stat
 import subprocess
@@ -13,6 +14,7 @@ from zipfile import ZipFile
 
 import pytest
 from packaging.requirements import Requirement
+from rigs.expectations import DEMO
 from rigs.programs import ran
 
 from touchd.daemon.config import Settings, load
@@ -222,6 +224,51 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path, 
     assert ran([touchd, "docs", "install"], check=True, cwd="/").stdout.startswith("# Installing touchd")
     loaded = subprocess.run([python, "-c", "import touchd.daemon.live.server"], check=False, cwd="/")
     assert loaded.returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("tool", ["uv", "pipx", "venv"])
+def test_a_missing_extra_is_added_with_the_tool_that_installed_touchd(
+    tool: str, tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("UV_TOOL_DIR", "UV_TOOL_BIN_DIR", "PIPX_HOME", "PIPX_BIN_DIR", "PIPX_MAN_DIR"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    uv = [sys.executable, "-m", "uv"]
+    pipx = [*uv, "tool", "run", "pipx"]
+    commands, touchd, begins = {
+        "uv": (
+            [[*uv, "tool", "install", f"{source}[live]"]],
+            tmp_path / "UV_TOOL_BIN_DIR/touchd",
+            f"uv tool install 'touchd[live,mcap,rosbridge] @ file://{source}'",
+        ),
+        "pipx": (
+            [[*pipx, "install", f"{source}[live]"]],
+            tmp_path / "PIPX_BIN_DIR/touchd",
+            "pipx inject touchd 'mcap>=1.2'",
+        ),
+        "venv": (
+            [
+                [*uv, "venv", str(tmp_path / "venv")],
+                [*uv, "pip", "install", "--python", str(tmp_path / "venv"), f"{source}[live]"],
+            ],
+            tmp_path / "venv/bin/touchd",
+            "uv pip install --python ",
+        ),
+    }[tool]
+    for command in commands:
+        done = ran(command, cwd="/", timeout=400)
+        assert done.returncode == 0, done.stderr
+    convert = [touchd, "convert", DEMO, "-o", tmp_path / "demo.mcap"]
+    line = ran(convert, cwd="/").stderr.rstrip()
+    said = line.partition("(extra mcap): ")[2]
+    assert said.startswith(begins), line
+    first, *rest = shlex.split(said)
+    done = ran([*(pipx if first == "pipx" else uv), *rest], cwd="/", timeout=400)
+    assert done.returncode == 0, done.stderr
+    assert ran(convert, cwd="/").returncode == 0
+    assert ran([touchd.resolve().with_name("python"), "-c", "import segno"], cwd="/").returncode == 0
 
 
 @pytest.mark.slow
