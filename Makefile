@@ -28,6 +28,22 @@ endef
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
+
+# requirements.lock begins with what touchd, the robot and the live page need. A section for each other extra follows;
+# EXTRAS=mqtt or EXTRAS=mqtt,ros2 installs it too. An upgrade without EXTRAS keeps those that are installed.
+OTHER_EXTRAS := mqtt lsl ros2 rosbridge mcap
+EXTRAS ?= $(filter $(OTHER_EXTRAS),$(shell $(DESTDIR)$(PROGRAM)/bin/python -m touchd.drivers.extras 2>/dev/null))
+comma := ,
+WANTED = $(subst $(comma), ,$(EXTRAS))
+LOCKED = awk -v wanted=' $(WANTED) ' 'BEGIN {take = 1} /^\# extra: / {take = index(wanted, " " $$3 " ")} take' \
+  requirements.lock
+define check-extras
+unknown='$(filter-out nao live $(OTHER_EXTRAS),$(WANTED))'; test -z "$$unknown" || \
+  { echo "there is no extra $$unknown; EXTRAS takes $(OTHER_EXTRAS)"; exit 1; }
+endef
+
+# Without an NVIDIA GPU: torch for the processor alone, without some gigabytes of CUDA.
+TORCH_ON_CPU := https://download.pytorch.org/whl/cpu
 RUNTIME := $(VENV)/.runtime.stamp
 DEVELOPMENT := $(VENV)/.development.stamp
 
@@ -40,7 +56,7 @@ help:
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some twenty minutes)"
 	@echo "make expectations  rebuild the expected events beside the shipped recordings"
-	@echo "make install       put the service in place, or upgrade it (sudo; PREFIX, DESTDIR); make uninstall removes it"
+	@echo "make install       put the service in place, or upgrade it (sudo; EXTRAS, PREFIX); make uninstall removes it"
 	@echo "make deb           build a Debian package in dist/, with the same layout"
 	@echo "make lock          renew the versions that make and CI install"
 	@echo "make setup         set up what the daemon needs: $(BIN)/touchd"
@@ -97,15 +113,17 @@ install: install-program install-files
 # for want of a network perhaps, leaves the old one as it was.
 install-program:
 	@$(check-python)
+	@$(check-extras)
 	@case "$$(readlink -f "$$(command -v $(PYTHON))")" in /home/*|/root/*) \
 	  echo "$(PYTHON) is in a home folder, which the service cannot see; make install PYTHON=/usr/bin/python3"; exit 1;; esac
 	@if test -e $(DESTDIR)$(PROGRAM) && ! test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then \
 	  echo "$(DESTDIR)$(PROGRAM) is there and is not an installed touchd; make install PREFIX=/another/folder"; exit 1; fi
-	@echo "Installing $(PROGRAM) (some 270 MB)"
+	@echo "Installing $(PROGRAM) with nao live $(WANTED) (a minute or two)"
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
+	@$(LOCKED) > $(NEW)/requirements.lock
 	@umask 022; pip='$(NEW)/bin/python -m pip install -qq --disable-pip-version-check'; \
-	  { $$pip --require-hashes -r requirements.lock && $$pip --no-deps --no-build-isolation .; } || \
+	  { $$pip --require-hashes -r $(NEW)/requirements.lock && $$pip --no-deps --no-build-isolation .; } || \
 	  { rm -rf $(NEW); exit 1; }
 	@rm -rf build *.egg-info
 	@grep -rlIF "$(NEW)" $(NEW)/bin $(NEW)/pyvenv.cfg | xargs -r sed -i 's#$(NEW)#$(PROGRAM)#g'
@@ -153,9 +171,13 @@ deb:
 # ones. The constraints hold versions alone, so that a new tool in pyproject.toml needs no renewal first.
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --custom-compile-command "make lock" pyproject.toml
 lock: $(DEVELOPMENT)
-	printf 'pip\nsetuptools>=77\n' | $(LOCK) - --upgrade --generate-hashes --no-annotate \
-	  $(addprefix --extra ,nao live mqtt lsl ros2 rosbridge mcap) \
+	printf 'pip\nsetuptools>=77\n' | $(LOCK) - --upgrade --generate-hashes --no-annotate --extra nao --extra live \
 	  --output-file requirements.lock
+	locked=$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package=\1/p' requirements.lock); \
+	for extra in $(OTHER_EXTRAS); do \
+	  printf '\n# extra: %s\n' $$extra >> requirements.lock; \
+	  $(LOCK) --generate-hashes --no-annotate --no-header --constraint requirements.lock --extra $$extra $$locked \
+	    >> requirements.lock || exit 1; done
 	$(LOCK) --upgrade --no-annotate --extra dev --constraint requirements.lock --output-file constraints.txt
 
 uninstall:
@@ -184,14 +206,20 @@ $(BIN)/python:
 
 # names/touchd: where mypy finds the import name, which no folder has. A stamp file each, newer than pyproject.toml,
 # so that a second run starts at once.
+$(RUNTIME): EXTRAS =
 $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
-	@echo "Installing what touchd needs (once, some 270 MB; a minute or two)"
-	@$(PIP) --require-hashes -r requirements.lock
+	@$(check-extras)
+	@echo "Installing what touchd needs (once; a minute or two)"
+	@$(LOCKED) > $(VENV)/requirements.lock
+	@$(PIP) -q --require-hashes -r $(VENV)/requirements.lock
+	@echo "Installing touchd"
 	@$(PIP) -qq --no-deps --no-build-isolation --editable .
 	@touch $@
 
 $(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python
-	@echo "Installing what development and training need (once; torch alone is some gigabytes)"
-	@$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@echo "Installing what development and training need (once; some minutes)"
+	@command -v nvidia-smi >/dev/null || $(PIP) -qq --retries 1 --timeout 10 --no-deps --constraint constraints.txt \
+	  --index-url $(TORCH_ON_CPU) torch 2>/dev/null || echo "No torch for this Python at $(TORCH_ON_CPU): installing the usual one"
+	@$(PIP) -q --constraint constraints.txt --editable '.[dev]'
 	@mkdir -p $(VENV)/names && ln -sfn ../.. $(VENV)/names/touchd
 	@touch $(RUNTIME) $@

@@ -73,3 +73,8 @@ def _source() -> str:
         source = json.loads(metadata.distribution("touchd").read_text("direct_url.json") or "")
         return f" @ {'git+' if 'vcs_info' in source else ''}{source['url']}"
     return ""
+
+
+if __name__ == "__main__":
+    # For an upgrade by `make install`, which keeps them.
+    sys.stdout.write(f"{' '.join(installed())}\n")

@@ -123,6 +123,26 @@ def test_a_foreign_folder_is_never_deleted(make: Make, tmp_path: Path) -> None:
     assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
 
 
+def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
+    python = tmp_path / "opt/touchd/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(f"#!/bin/sh\nexec {sys.executable} $@")
+    python.chmod(0o755)
+    make = ["make", "-nC", str(ROOT), "install-program", "PYTHON=python3", f"DESTDIR={tmp_path}"]
+    there = ran([python, "-m", "touchd.drivers.extras"], check=True).stdout.split()
+    kept = [extra for extra in ("mqtt", "lsl", "ros2", "rosbridge", "mcap") if extra in there]
+    assert f"with nao live {' '.join(kept)} (" in ran(make, check=True).stdout
+    assert "with nao live lsl ros2 (" in ran([*make, "EXTRAS=lsl,ros2"], check=True).stdout
+
+
+def test_an_extra_that_is_none_is_refused(tmp_path: Path) -> None:
+    make = ["make", "-C", str(ROOT), "install-program", "EXTRAS=mqqt", f"DESTDIR={tmp_path}"]
+    done = ran([*make, f"PYTHON={sys.executable}"])
+    assert done.returncode != 0
+    assert "there is no extra mqqt; EXTRAS takes mqtt lsl" in done.stdout
+    assert files_in(tmp_path) == set()
+
+
 @pytest.fixture
 def pyproject() -> dict[str, Any]:
     tomllib = pytest.importorskip("tomllib", reason="this Python cannot read pyproject.toml")
@@ -294,10 +314,13 @@ def test_no_file_of_the_wheel_is_another_packages(tmp_path: Path, source: Path) 
     reason="there is only a Python in the home folder",
 )
 def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) -> None:
-    make("install", "PYTHON=/usr/bin/python3", source=source)
+    make("install", "PYTHON=/usr/bin/python3", "EXTRAS=mqtt", source=source)
     program = tmp_path / "opt/touchd/bin/touchd"
     assert program.read_text().startswith("#!/opt/touchd/bin/python")
-    done = ran([program.with_name("python"), "-m", "touchd.daemon", "demo"], cwd="/")
+    python = program.with_name("python")
+    assert set(ran([python, "-m", "touchd.drivers.extras"], cwd="/").stdout.split()) >= {"live", "mqtt"}
+    assert ran([python, "-c", "import pylsl"], cwd="/").returncode != 0
+    done = ran([python, "-m", "touchd.daemon", "demo"], cwd="/")
     assert done.returncode == 0, done.stderr
     make("uninstall")
     assert files_in(tmp_path / "opt") == set()
