@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import RandomState
@@ -74,12 +75,26 @@ def fingers(count: int) -> list[float]:
     return [FINGER_WIDTH * (finger - (count - 1) / 2) for finger in range(count)]
 
 
+class Part(NamedTuple):
+    """A part of a hand: its place along and across it and its radius, in taxels; its share of the force."""
+
+    along: float
+    across: float
+    radius: float
+    share: float
+
+
+# Palm and four fingers.
+FLAT_HAND = (Part(-1.2, 0.0, 2.2, 0.7), *(Part(1.2, place, 1.1, 0.6) for place in fingers(4)))
+
+
 def flat_hand(
     rng: RandomState, time_s: Series, along: Series, across: Series, force: Series, friction: float
 ) -> list[Patch]:
     """Return palm and four fingers that share `force`; each grips and slips on its own."""
-    parts = [Patch(along - 1.2, across, 2.2, 0.7 * force)]
-    parts += [Patch(along + 1.2, across + place, 1.1, 0.6 * force) for place in fingers(4)]
+    parts = [
+        Patch(along + part.along, across + part.across, part.radius, part.share * force) for part in FLAT_HAND
+    ]
     return [
         replace(
             part,

@@ -1,0 +1,121 @@
+"""Hands that follow pointers: they press a simulated pad as people press a real one."""
+
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import pytest
+from numpy.random import RandomState
+from numpy.typing import NDArray
+from rigs.haart_folder import needs_haart
+
+from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.pointers import Pointer, PressingHands
+from touchd.drivers.frame import FRAME_RATE_HZ, Counts
+from touchd.drivers.recording import Selection, read_recordings
+
+REST = round(FRAME_RATE_HZ)
+NOISE_COUNTS = 3.0
+LIGHTEST_LOAD = 12.0
+SEEDS = 5
+
+# Where a pointer is after a time in seconds, as shares of the pad; None when it is up.
+Route: TypeAlias = Callable[[float], tuple[float, float] | None]
+
+
+def stroke(time_s: float) -> tuple[float, float] | None:
+    """Passes of 0.9 s, with as long between two as HAART's people take."""
+    part = time_s % 1.4 / 0.9
+    return (0.08 + 0.84 * part, 0.5) if part < 1.0 else None
+
+
+def rub(time_s: float) -> tuple[float, float]:
+    return 0.5 + 0.25 * math.sin(2 * math.pi * 1.4 * time_s), 0.5
+
+
+def pat(time_s: float) -> tuple[float, float] | None:
+    return (0.5, 0.5) if time_s % 0.3 < 0.1 else None
+
+
+def constant(time_s: float) -> tuple[float, float]:
+    return 0.5, 0.5
+
+
+def frames_of(route: Route, seed: int) -> Counts:
+    """Return a second of rest, and four seconds under a pointer."""
+    rng = RandomState(seed)
+    fabric, hands = Fabric(rng), PressingHands(rng)
+    pressed = [hands.frame({}) for _ in range(REST)]
+    for frame in range(round(4 * FRAME_RATE_HZ)):
+        place = route(frame / FRAME_RATE_HZ)
+        pointers = {} if place is None else {1: Pointer(8 * place[1] - 0.5, 8 * place[0] - 0.5, "hand")}
+        pressed.append(hands.frame(pointers))
+    return fabric.read(np.array(pressed))
+
+
+def measures(counts: Counts, rest: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Return load, peak and area of a touch, medians over its frames in contact."""
+    rise = np.maximum(counts - rest - NOISE_COUNTS, 0.0)
+    load = rise.sum(axis=(1, 2))
+    touched = rise[load > LIGHTEST_LOAD]
+    return (
+        float(np.median(touched.sum(axis=(1, 2)))),
+        float(np.median(touched.max(axis=(1, 2)))),
+        float(np.median((touched > 2.0).sum(axis=(1, 2)))),
+    )
+
+
+@needs_haart
+@pytest.mark.parametrize("route", [stroke, rub, pat, constant])
+def test_a_pointers_hand_presses_as_peoples_do(route: Route) -> None:
+    gesture = route.__name__
+    haart = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", Selection(covers=("none",)))
+    at_rest = {(r.participant, r.substrate): r.counts.mean(axis=0) for r in haart if r.gesture == "notouch"}
+    real = [
+        measures(r.counts, at_rest[r.participant, r.substrate])
+        for r in haart
+        if r.gesture == gesture and (r.participant, r.substrate) in at_rest
+    ]
+    made = [
+        measures(counts[REST:], counts[:REST].mean(axis=0))
+        for counts in (frames_of(route, seed) for seed in range(SEEDS))
+    ]
+    low, high = np.quantile(real, (0.1, 0.9), axis=0)
+    median = np.median(made, axis=0)
+    assert (low <= median).all(), (low, median)
+    assert (median <= high).all(), (median, high)
+
+
+def pressed_by(pointer: Pointer, frames: int) -> float:
+    """Return the greatest pressure after some frames under a pointer."""
+    hands = PressingHands(RandomState(1))
+    return float([hands.frame({1: pointer}) for _ in range(frames)][-1].max())
+
+
+def test_a_pens_pressure_counts() -> None:
+    light, firm = (pressed_by(Pointer(3.5, 3.5, "finger", share), 54) for share in (0.2, 0.9))
+    assert firm > 3 * light > 0
+
+
+def test_a_mouse_presses_harder_where_it_stays() -> None:
+    assert pressed_by(Pointer(3.5, 3.5, "hand"), 54) > 1.5 * pressed_by(Pointer(3.5, 3.5, "hand"), 8)
+
+
+def test_two_fingers_press_in_two_places() -> None:
+    hands = PressingHands(RandomState(1))
+    places = {1: Pointer(1.0, 1.0, "finger"), 2: Pointer(6.0, 6.0, "finger")}
+    for _ in range(20):
+        pressed = hands.frame(places)
+    assert pressed[1, 1] > 5
+    assert pressed[6, 6] > 5
+    assert pressed[1, 6] < 0.1
+
+
+def test_a_hand_that_left_presses_no_more() -> None:
+    hands = PressingHands(RandomState(1))
+    hands.frame({1: Pointer(3.5, 3.5, "hand")})
+    lifted = [hands.frame({}).max() for _ in range(40)]
+    assert lifted[-1] == 0.0
