@@ -1,8 +1,15 @@
-"""What every record of the log passes on its way out, ours and those of libraries."""
+"""The log of the daemon and its libraries: printable, not too often, written by a thread of its own."""
 
 import logging
+import os
+import queue
+import select
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from logging.handlers import QueueHandler, QueueListener
+from typing import Any
 
 from touchd.drivers.errors import one_line
 
@@ -10,6 +17,10 @@ from touchd.drivers.errors import one_line
 MOST_LINES = 60
 WHILE_S = 60.0
 MOST_TRACE_LINES = 100
+# Records that wait for a slow reader of the log.
+CAPACITY = 1000
+WRITABLE_WAIT_S = 0.1
+LINE = logging.Formatter("%(levelname)s %(name)s: %(message)s")
 _TRACE = logging.Formatter()
 
 
@@ -59,3 +70,70 @@ class _Place:
             self.left_out += 1
             return False
         return True
+
+
+class LogHandler(logging.Handler):
+    """Passes the records that the gate lets through to a function, at once."""
+
+    def __init__(self, take: Callable[[logging.LogRecord], None]) -> None:
+        super().__init__()
+        self.addFilter(LogGate())
+        self._take = take
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._take(record)
+
+
+class LogWriter(QueueHandler):
+    """Writes the records that the gate lets through to a file descriptor, in a thread of its own.
+
+    A reader that is slow or gone costs records, never the daemon. The next line says how many were dropped.
+    """
+
+    def __init__(self, fd: int, capacity: int = CAPACITY) -> None:
+        self._waiting: queue.Queue[Any] = queue.Queue(capacity)
+        super().__init__(self._waiting)
+        self.addFilter(LogGate())
+        self.dropped = 0
+        self._fd = fd
+        self._abandoned = threading.Event()
+        writer = logging.Handler()
+        writer.emit = self._write  # type: ignore[method-assign]
+        self._listener = _Listener(self._waiting, writer)
+
+    def start(self) -> None:
+        self._listener.start()
+
+    def stop(self, timeout_s: float) -> None:
+        """Write what waits, for at most `timeout_s`."""
+        giving_up = threading.Timer(timeout_s, self._abandoned.set)
+        giving_up.start()
+        self._listener.stop()
+        giving_up.cancel()
+
+    def enqueue(self, record: logging.LogRecord) -> None:
+        try:
+            if self.dropped:
+                gap = f"{self.dropped} lines of the log were dropped: nobody read them"
+                self._waiting.put_nowait(logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None))
+                self.dropped = 0
+            self._waiting.put_nowait(record)
+        except queue.Full:
+            self.dropped += 1
+
+    def _write(self, record: logging.LogRecord) -> None:
+        data = f"{LINE.format(record)}\n".encode(errors="replace")
+        # A full disk, or a reader that is gone.
+        with suppress(OSError):
+            while data and not self._abandoned.is_set():
+                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
+                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
+                    data = data[os.write(self._fd, data[: select.PIPE_BUF]) :]
+
+
+class _Listener(QueueListener):
+    """A QueueListener whose end waits for room in the queue."""
+
+    def enqueue_sentinel(self) -> None:
+        assert isinstance(self.queue, queue.Queue)
+        self.queue.put(None)

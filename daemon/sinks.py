@@ -31,9 +31,8 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 WRITABLE_WAIT_S = 0.1
-# A sink that is always too slow says so once in so long.
-TELL_AGAIN_S = 60.0
-LINE_OF_LOG = logging.Formatter("%(levelname)s %(name)s: %(message)s")
+# Minimum interval between two warnings about lost events.
+WARN_AGAIN_S = 60.0
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -85,7 +84,7 @@ class QueuedSink(ABC, Generic[Item]):
     def __init__(self, name: str) -> None:
         self.name = name
         self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, _may_drop)
-        self._told_dropped = 0
+        self._warned_dropped = 0
         self._draining = False
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
@@ -111,32 +110,29 @@ class QueuedSink(ABC, Generic[Item]):
         self._abandoned.set()
         self._thread.join(timeout_s / 2)
         if is_cut_short and (left := sum(item is not None for item in self._items.take_all())):
-            self.tell_lost(f"{left} events or more are lost: they could not be passed on before the end")
+            log.warning("%s: %d events or more are lost: not passed on before the end", self.name, left)
 
     @abstractmethod
     def write(self, item: Item) -> None:
         """Pass one item on; may block, but not for long once `_abandoned` is set."""
 
     def _run(self) -> None:
-        tell_again_s = 0.0
+        warn_again_s = 0.0
         while not self._abandoned.is_set() and (item := self._items.get()) is not None:
             try:
                 self.write(item)
             except Exception:
                 log.exception("%s: an event could not be passed on", self.name)
-            if time.monotonic() >= tell_again_s and self._tell_dropped():
-                tell_again_s = time.monotonic() + TELL_AGAIN_S
-        self._tell_dropped()
+            if time.monotonic() >= warn_again_s and self._warn_dropped():
+                warn_again_s = time.monotonic() + WARN_AGAIN_S
+        self._warn_dropped()
 
-    def _tell_dropped(self) -> bool:
-        """Log how many were dropped since this was last told; return whether any were."""
-        newly, self._told_dropped = self.dropped - self._told_dropped, self.dropped
+    def _warn_dropped(self) -> bool:
+        """Log how many were dropped since the last such line; return whether any were."""
+        newly, self._warned_dropped = self.dropped - self._warned_dropped, self.dropped
         if newly:
-            self.tell_lost(f"{newly} events or frames are lost: it was away, or too slow")
+            log.warning("%s: %d events or frames are lost: it was away, or too slow", self.name, newly)
         return newly > 0
-
-    def tell_lost(self, what: str) -> None:
-        log.warning("%s: %s", self.name, what)
 
 
 def _may_drop(item: object) -> bool:
@@ -186,37 +182,6 @@ class LinesSink(QueuedSink[Item]):
             if self._is_full:
                 log.info("%s: works again; %d lines were lost", self.name, self.lost)
             self._is_full = False
-
-
-class LogSink(LinesSink[str]):
-    """Writes the log without blocking any thread of the daemon; reports how many lines were dropped."""
-
-    def __init__(self, fd: int) -> None:
-        super().__init__("log", fd, self._line)
-        self._told = 0
-
-    def log(self, record: logging.LogRecord) -> None:
-        self.put(LINE_OF_LOG.format(record))
-
-    def tell_lost(self, what: str) -> None:
-        """Say nothing in the log: the line after a gap does."""
-
-    def _line(self, item: str) -> bytes:
-        """Return a line, after one about those that were dropped before it."""
-        dropped, self._told = self.dropped - self._told, self.dropped
-        gap = f"WARNING {__name__}: {dropped} lines of the log were dropped: nobody read them\n"
-        return ((gap if dropped else "") + item).encode(errors="replace")
-
-
-class LogHandler(logging.Handler):
-    """Hands each record of the log on, at once."""
-
-    def __init__(self, take: Callable[[logging.LogRecord], None]) -> None:
-        super().__init__()
-        self._take = take
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._take(record)
 
 
 class RobotSink:

@@ -15,9 +15,9 @@ from touchd.daemon.commands.settings import Found, add_config, find_settings
 from touchd.daemon.config import ConfigError, Settings, config_errors, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
-from touchd.daemon.log import LogGate
+from touchd.daemon.log import LogHandler, LogWriter
 from touchd.daemon.service import Service
-from touchd.daemon.sinks import LinesSink, LogHandler, LogSink
+from touchd.daemon.sinks import LinesSink
 
 # Longest time for which a thread may keep the others waiting; Python's default of 5 ms exceeds an answer's.
 SWITCH_S = 0.0005
@@ -115,18 +115,16 @@ def main(arguments: Sequence[str]) -> int:
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
             view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
             closing.enter_context(view)
-            handler = LogHandler(view.log)
+            handler: logging.Handler = LogHandler(view.log)
             service.show_on(view)
         else:
-            log_sink = LogSink(sys.stderr.fileno())
-            log_sink.start()
-            closing.callback(log_sink.stop, LOG_STOP_S)
-            handler = LogHandler(log_sink.log)
+            handler = writer = LogWriter(sys.stderr.fileno())
+            writer.start()
+            closing.callback(writer.stop, LOG_STOP_S)
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
             if in_words:
                 sys.stderr.write(code)
-        handler.addFilter(LogGate())
         root = logging.getLogger()
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)

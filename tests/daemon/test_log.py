@@ -3,6 +3,7 @@
 import logging
 
 import pytest
+from rigs.made_events import record
 
 from touchd.daemon.cli import main
 from touchd.daemon.doctor.check import Check
@@ -10,10 +11,6 @@ from touchd.daemon.log import MOST_LINES, LogGate
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
-
-
-def record(text: str, *arguments: object, line: int = 1, level: int = logging.WARNING) -> logging.LogRecord:
-    return logging.LogRecord("library", level, "library.py", line, text, arguments, None)
 
 
 def test_foreign_text_is_printable_and_short() -> None:

@@ -21,6 +21,7 @@ from rigs import attackers
 from rigs.audit import Audit
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import HANDSHAKE
+from rigs.made_events import record
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
@@ -36,9 +37,10 @@ from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, S
 from touchd.daemon.events import Event
 from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.live.server import LiveServer
+from touchd.daemon.log import LogWriter
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.sinks import EventFanout, LogSink, RobotSink
+from touchd.daemon.sinks import EventFanout, RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame, SensorState
@@ -128,7 +130,7 @@ class World(RuleBasedStateMachine):
         link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         # A log that nobody reads.
         self.ends = os.pipe()
-        self.log = type("ShortLog", (LogSink,), {"capacity": 10})(self.ends[1])
+        self.log = LogWriter(self.ends[1], capacity=10)
         listening = socket.create_server(("127.0.0.1", 0))
         self.page_port = listening.getsockname()[1]
         settings = Settings(robot=RobotSettings(url=self.robot.url))
@@ -158,7 +160,7 @@ class World(RuleBasedStateMachine):
         self.audit.see(event)
         assert getattr(event, "pad", "pad") == "pad"
         self.fanout.emit(event)
-        self.log.put("x" * 1000)
+        self.log.handle(record("x" * 1000, line=self.sent))
 
     def feel(self, pressures: np.ndarray, held_up: bool = False) -> None:
         for counts in self.pad.counts(pressures):

@@ -1,5 +1,7 @@
 """Events made up for tests."""
 
+import logging
+
 from touchd.daemon.events import Prediction, TouchBegan
 
 TIME = "2026-11-20T10:00:01.000Z"
@@ -23,3 +25,7 @@ PREDICTION = Prediction(
 
 def touch(number: int, second: int = 0) -> TouchBegan:
     return TouchBegan(touch=number, time=f"2026-11-20T10:00:{second:02}.000Z", sensor_ms=number)
+
+
+def record(text: str, *arguments: object, line: int = 1, level: int = logging.WARNING) -> logging.LogRecord:
+    return logging.LogRecord("library", level, "library.py", line, text, arguments, None)
