@@ -4,6 +4,7 @@ import errno
 import fcntl
 import logging
 import os
+from itertools import pairwise
 from pathlib import Path
 
 from touchd.daemon.events import Event, encode
@@ -30,7 +31,7 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
-        # Of a link, what it leads to is rotated, and stays on its disk.
+        # Resolve symlinks, so that rotation stays on the target's disk.
         self._path = path = path.resolve()
         self._max_bytes = max_bytes
         self._keep = keep
@@ -44,8 +45,8 @@ class Journal:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""
         try:
             if not self._is_there():
-                self._begin_anew()
-                log.warning("journal %s: was taken away; begun anew", self._path)
+                self._begin_file()
+                log.warning("journal %s: was taken away; a new file is begun", self._path)
             size = os.fstat(self._fd).st_size
             if size and size + len(line) + 1 > self._max_bytes:
                 self._rotate()
@@ -88,20 +89,23 @@ class Journal:
     def _rotate(self) -> None:
         # An attempt that moved the files but could not open the next must not move them once more.
         if self._path.exists():
-            for number in range(self._keep, 0, -1):
-                older = self._numbered(number - 1)
-                if older.exists():
-                    os.replace(older, self._numbered(number))
-            if self._keep == 0:
+            numbered = (self._numbered(number) for number in range(self._keep + 1))
+            # Somebody's folder may have one of the names.
+            files = [file for file in numbered if not file.is_dir()]
+            for newer, older in reversed(list(pairwise(files))):
+                if newer.exists():
+                    os.replace(newer, older)
+            if len(files) == 1:
                 self._path.unlink()
             # Where fewer are kept than before.
             beyond = self._keep + 1
-            while (older := self._numbered(beyond)).exists():
-                older.unlink()
+            while (left := self._numbered(beyond)).exists():
+                if not left.is_dir():
+                    left.unlink()
                 beyond += 1
-        self._begin_anew()
+        self._begin_file()
 
-    def _begin_anew(self) -> None:
+    def _begin_file(self) -> None:
         fd = _open(self._path)
         self.close()
         self._fd = fd

@@ -107,5 +107,6 @@ def _newest_first(path: Path) -> list[Path]:
     with suppress(OSError):
         numbers = [name.removeprefix(f"{path.name}.") for name in os.listdir(path.parent)]
         found = sorted(int(number) for number in numbers if number.isascii() and number.isdecimal())
-        return [path, *(path.with_name(f"{path.name}.{number}") for number in found)]
+        older = (path.with_name(f"{path.name}.{number}") for number in found)
+        return [path, *(file for file in older if not file.is_dir())]
     return [path]

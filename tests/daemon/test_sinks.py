@@ -20,6 +20,7 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.events import Event, RobotAction, SensorEvent, decode, encode
 from touchd.daemon.journal import Journal, JournalError, JournalSink
+from touchd.daemon.kept.touches import read_since
 from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink, RobotSink
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import RobotMessage
@@ -197,6 +198,24 @@ def test_lowering_keep_deletes_older_journals(tmp_path: Path) -> None:
         (tmp_path / f"events.jsonl.{number}").write_bytes(encode(PREDICTION) + b"\n")
     write(tmp_path / "events.jsonl", [encode(PREDICTION)] * 4)
     assert {file.name for file in tmp_path.iterdir()} == {"events.jsonl", "events.jsonl.1"}
+
+
+def test_folders_named_like_older_journals_are_left_alone(tmp_path: Path) -> None:
+    path, folders = tmp_path / "events.jsonl", [tmp_path / f"events.jsonl.{number}" for number in (1, 4)]
+    for folder in folders:
+        (folder / "mine").mkdir(parents=True)
+    write(path, [encode(touch(number)) for number in range(20)], keep=2)
+    assert kept(path) == [touch(19)]
+    assert kept(tmp_path / "events.jsonl.2") == [touch(18)]
+    assert not (tmp_path / "events.jsonl.3").exists()
+    assert all((folder / "mine").is_dir() for folder in folders)
+    assert [reported.began.touch for reported in read_since(path, "")] == [18, 19]
+
+
+def test_a_folder_in_the_way_of_all_older_journals_costs_no_event(tmp_path: Path) -> None:
+    (tmp_path / "events.jsonl.1" / "mine").mkdir(parents=True)
+    write(tmp_path / "events.jsonl", [encode(touch(number)) for number in range(20)])
+    assert kept(tmp_path / "events.jsonl") == [touch(19)]
 
 
 def test_a_journal_behind_a_link_rotates_where_it_lies(tmp_path: Path) -> None:
