@@ -32,7 +32,7 @@ PIP := $(BIN)/python -m pip install --disable-pip-version-check
 # requirements.lock begins with what touchd, the robot and the live page need. A section for each other extra follows;
 # EXTRAS=mqtt or EXTRAS=mqtt,ros2 installs it too. An upgrade without EXTRAS keeps those that are installed.
 OTHER_EXTRAS := mqtt lsl ros2 rosbridge mcap
-EXTRAS ?= $(filter $(OTHER_EXTRAS),$(shell $(DESTDIR)$(PROGRAM)/bin/python -m touchd.drivers.extras 2>/dev/null))
+EXTRAS ?= $(filter $(OTHER_EXTRAS),$(shell $(DESTDIR)$(PROGRAM)/bin/python -m touchd.drivers.installed 2>/dev/null))
 comma := ,
 WANTED = $(subst $(comma), ,$(EXTRAS))
 LOCKED = awk -v wanted=' $(WANTED) ' 'BEGIN {take = 1} /^\# extra: / {take = index(wanted, " " $$3 " ")} take' \

@@ -12,9 +12,7 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import NamedTuple
 
-from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.errors import TouchdError, one_line
-from touchd.drivers.extras import extra_of, how_to_install
 
 # What the C library says.
 NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
@@ -58,9 +56,6 @@ COMMANDS = (
     Command("completion", "daemon.commands.completion", "prints the script for a shell's completion"),
 )
 
-MOVED = ("data", "export", "evaluate", "stability", "speed")
-"""Commands for researchers, which a clone of the repository has and an installed touchd has not."""
-
 
 class UsageError(TouchdError):
     """The command line names no command."""
@@ -71,15 +66,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else arguments
     words = [word for word in given if word != "--debug"]
     ended = 0 if words[:1] and words[0] in UNTIL_ENDED else INTERRUPTED
-    _open_missing_streams()
-    _replace_what_cannot_be_written()
+    _prepare_streams()
     # SIGTERM and SIGHUP raise KeyboardInterrupt, so that commands clean up.
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     try:
         code = _run(words)
-        _flush()
+        sys.stdout.flush()
         return code
     except KeyboardInterrupt:
         return ended
@@ -102,10 +96,6 @@ def _run(words: Sequence[str]) -> int:
     if name in ("--version", "version"):
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
         return 0
-    if name in MOVED:
-        raise UsageError(
-            f"{name} is for researchers: python -m touchd.model.studies {name}, in the repository"
-        )
     commands = {command.name: command for command in COMMANDS}
     if name not in commands:
         near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)
@@ -114,36 +104,21 @@ def _run(words: Sequence[str]) -> int:
     return int(importlib.import_module(commands[name].module).main(rest))
 
 
-def _open_missing_streams() -> None:
-    """Open /dev/null for standard streams that are closed, so that no other file gets their number."""
+def _prepare_streams() -> None:
+    """Open /dev/null for closed standard streams, so that no other file gets their number.
+
+    Characters that a terminal's encoding lacks are replaced, both ways.
+    """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
-
-
-def _replace_what_cannot_be_written() -> None:
-    """Have a terminal that lacks a character show another one; standard error does so by itself.
-
-    What is typed in another encoding is no name then, rather than an internal error.
-    """
-    for stream in (sys.stdin, sys.stdout):
-        if isinstance(stream, io.TextIOWrapper):
+        if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
             stream.reconfigure(errors="replace")
 
 
 def _was_interrupted(error: BaseException | None) -> bool:
     """Whether a signal caused an error: compiled modules report one that comes while they are imported."""
     return error is not None and (isinstance(error, KeyboardInterrupt) or _was_interrupted(error.__cause__))
-
-
-def _flush() -> None:
-    """Write what is still buffered; where the terminal is gone, nobody misses it."""
-    try:
-        sys.stdout.flush()
-    except OSError as error:
-        if error.errno != errno.EIO:
-            raise
-        _discard_output()
 
 
 def _discard_output() -> None:
@@ -153,6 +128,8 @@ def _discard_output() -> None:
 
 def _complain(error: Exception) -> int:
     """Write one line about an error that a command raised; returns the exit code."""
+    from touchd.drivers.installed import extra_of, how_to_install
+
     what, code = str(error), USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
         what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}"
@@ -171,8 +148,10 @@ def _complain(error: Exception) -> int:
 
 
 def _help() -> str:
+    from touchd.drivers.installed import program_name
+
     width = max(len(command.name) for command in COMMANDS)
     lines = [f"  touchd {command.name:<{width}}  {command.help}" for command in COMMANDS]
     first = "touchd recognises social touch on a pressure pad and reports it to a Nao robot within a second."
-    last = f"{own_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
+    last = f"{program_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
     return "\n".join([first, "", *lines, "", last, ""])

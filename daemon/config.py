@@ -15,10 +15,9 @@ from touchd.daemon.pipeline import PipelineSettings
 from touchd.daemon.setup.strict_yaml import StrictYamlError, convert
 from touchd.daemon.setup.words import Language, Vocabulary, vocabulary
 from touchd.daemon.tracker.tracker import TouchSettings
-from touchd.drivers.errors import TouchdError
+from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
-from touchd.drivers.paths import written_out
 from touchd.drivers.robot.reactions import ActionRule, Words
 from touchd.drivers.robot.settings import RobotSettings
 

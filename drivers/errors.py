@@ -1,7 +1,8 @@
-"""What every error at an edge has in common, and how foreign text becomes a line that can be shown."""
+"""What every error at an edge has in common: one type, one printable line that says what to do."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 MAX_LINE_BYTES = 4000
 
@@ -35,3 +36,15 @@ def os_errors_as(kind: type[TouchdError], what: str, advice: str = "") -> Iterat
         yield
     except OSError as error:
         raise kind(f"{what} ({error.strerror}){advice and f'; {advice}'}") from error
+
+
+class PathError(TouchdError):
+    """A path begins with an unknown home."""
+
+
+def written_out(path: str) -> Path:
+    """Expand ~ and ~name at the beginning of a path; raises PathError if there is no such home."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError as error:
+        raise PathError(f"{path}: unknown home; write the whole path from / on") from error

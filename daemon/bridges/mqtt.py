@@ -22,8 +22,8 @@ from touchd.daemon.bridges.bridge import (
 )
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
+from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
-from touchd.drivers.paths import written_out
 
 KEEPALIVE_S = 10
 CONNECT_S = 3.0

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 
 import shtab
 
-from touchd.daemon.terminal.own_name import PROGRAM, own_name
+from touchd.drivers.installed import PROGRAM, program_name
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd completion",
         description="Writes a completion script to standard output. "
-        f'For this shell: eval "$({own_name()} completion bash)"; for good: the same line in ~/.bashrc.',
+        f'For this shell: eval "$({program_name()} completion bash)"; for good: the same line in ~/.bashrc.',
     )
     parser.add_argument("shell", choices=shtab.SUPPORTED_SHELLS, help="the shell to complete in")
     return parser

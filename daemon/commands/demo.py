@@ -25,7 +25,6 @@ from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.setup.words import name_of
 from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.describe import describe
-from touchd.daemon.terminal.own_name import own_name
 from touchd.daemon.terminal.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
@@ -33,6 +32,7 @@ from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
+from touchd.drivers.installed import program_name
 from touchd.drivers.recording import NO_TOUCH, Stream, read_recordings, splice
 from touchd.drivers.robot.link import RobotLink, qi_installed
 from touchd.drivers.robot.reactions import Action, ActionRule, Leds
@@ -140,7 +140,7 @@ def main(arguments: Sequence[str]) -> int:
         f"The simulated hand did:  {_names(did, settings)}",
         f"The robot was told:      {_names(told, settings)}",
         f"{len(latencies)} answers, half of them within {statistics.median(latencies):.1f} ms of a frame.",
-        NEXT.format(touchd=own_name()),
+        NEXT.format(touchd=program_name()),
     ]
     sys.stdout.write("\n".join(lines))
     return 0

@@ -11,9 +11,9 @@ from numpy.random import RandomState
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.fakes.fake_port import LivePort
 from touchd.drivers.fakes.hand import GESTURES, SimulatedHand, repeated
+from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 
 DEFAULT_GESTURES = "pat,stroke,rub,constant"
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
             pad = TouchedPad(rng, page.touching, hand, page.show_frame)
             sys.stdout.write(f"live page: {' '.join(urls_of(live, listening.getsockname()[1]))}\n")
         port = closing.enter_context(LivePort(pad.scan, encoder_for(SensorSettings())))
-        sys.stdout.write(f"pad: {port.path}\nread it with: {own_name()} run --port {port.path}\n")
+        sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run --port {port.path}\n")
         sys.stdout.flush()
         threading.Event().wait()
     return 0

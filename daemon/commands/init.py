@@ -15,8 +15,8 @@ from touchd.daemon.config import DEFAULT_PORT, ConfigError, load
 from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot
-from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.errors import os_errors_as
+from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
     found = _find(console, ports, bauds)
     if found is not None and found.described is None:
         console.print(
-            f"no configuration was written; how to describe a pad: {own_name()} docs pads", style="bold"
+            f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
         )
         return 1
     port, baud, described = found or Found(options.port or DEFAULT_PORT, bauds[0], None)
@@ -83,14 +83,16 @@ def main(arguments: Sequence[str]) -> int:
     ):
         new.write_text(text, encoding="utf-8")
     settings = load(options.file)
-    later = f"none found; once it can be opened, {own_name()} doctor -c {file} says what to set"
+    later = f"none found; once it can be opened, {program_name()} doctor -c {file} says what to set"
     console.print(f"pad: {described}, at {port}" if described else f"pad: {later}")
     is_well = described is not None
     if robot:
         check = check_robot(settings)
         console.print(f"robot: {check.found}{check.advice and f'; {check.advice}'}")
         is_well &= check.verdict == "ok"
-    console.print(f"wrote {file}; next: {own_name()} doctor -c {file}, then {own_name()} run -c {file}")
+    console.print(
+        f"wrote {file}; next: {program_name()} doctor -c {file}, then {program_name()} run -c {file}"
+    )
     return 0 if is_well else 1
 
 

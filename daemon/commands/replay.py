@@ -11,8 +11,8 @@ import msgspec
 from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
-from touchd.daemon.terminal.own_name import own_name
 from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS
 
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
         if sys.stdout.isatty():
             file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
-            sys.stderr.write(f"In another terminal: {own_name()} run{file} --view --port {port.path}\n")
+            sys.stderr.write(f"In another terminal: {program_name()} run{file} --view --port {port.path}\n")
             if options.format:
                 sys.stderr.write(f"with `sensor: {{format: {options.format}}}` in its configuration (-c)\n")
         port.wait(threading.TIMEOUT_MAX)

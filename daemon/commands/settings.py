@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from touchd.daemon.config import Settings, load, only_pad
-from touchd.daemon.terminal.own_name import PROGRAM
-from touchd.drivers.paths import written_out
+from touchd.drivers.errors import written_out
 
 NAME = "touchd.yaml"
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -47,7 +46,7 @@ def find_settings(given: Path | None) -> Found:
 
     Raises ConfigError.
     """
-    users = written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / PROGRAM / NAME
+    users = written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / "touchd" / NAME
     for path in [Path(NAME), users] if given is None else [given]:
         if given or path.exists():
             return Found(load(path), path)

@@ -19,9 +19,9 @@ from touchd.daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
 from touchd.daemon.recorder.session import Session, Setting, name
 from touchd.daemon.setup.parts import load_models
 from touchd.daemon.terminal.ask import Stopped, ask, ask_name
-from touchd.daemon.terminal.own_name import own_name
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import prepare
 from touchd.drivers.whole_file import whole_file
@@ -180,7 +180,9 @@ def put_into_use(
                     f"{config} stays as it was; the new model does not fit it: {error}"
                 ) from error
     then = (
-        "sudo systemctl restart touchd" if is_service else f"{own_name()} run -c {shlex.quote(str(config))}"
+        "sudo systemctl restart touchd"
+        if is_service
+        else f"{program_name()} run -c {shlex.quote(str(config))}"
     )
     console.print(f"Set. To use it now: {then}")
 

@@ -10,9 +10,9 @@ import numpy as np
 from touchd.daemon.config import ConfigError, Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.setup.parts import load_model
-from touchd.daemon.terminal.own_name import own_name
+from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.drivers.paths import PathError
+from touchd.drivers.installed import program_name
 from touchd.drivers.robot.link import QiSession, RobotLost, RobotRefused
 from touchd.drivers.robot.settings import RobotError, RobotLimits, RobotSettings, read_login
 from touchd.model.classifier import ModelError
@@ -53,7 +53,7 @@ def check_robot(settings: Settings) -> Check:
     try:
         version, took_s = _ask_version(wanted)
     except (RobotError, PathError) as error:
-        return Check("robot", "to do", str(error), f"{own_name()} docs install says how to wire a robot")
+        return Check("robot", "to do", str(error), f"{program_name()} docs install says how to wire a robot")
     except (RobotLost, RobotRefused) as error:
         advice = "is that a robot with NAOqi? check robot.url"
         if isinstance(error, RobotLost):
@@ -82,7 +82,9 @@ def check_service() -> Check:
     if state is None:
         return Check("service", "not checked", "no systemd answers on this machine")
     if state["LoadState"] != "loaded":
-        return Check("service", "ok", f"no {UNIT} service is installed; {own_name()} docs install says how")
+        return Check(
+            "service", "ok", f"no {UNIT} service is installed; {program_name()} docs install says how"
+        )
     if state["ActiveState"] == "failed":
         return Check(
             "service",

@@ -13,7 +13,7 @@ import msgspec
 
 from touchd.daemon.config import ConfigError, LiveSettings
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.extras import how_to_install
+from touchd.drivers.installed import how_to_install
 
 # Send buffer of a connection: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024

@@ -21,7 +21,6 @@ from dataclasses import replace
 from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from touchd.drivers.errors import one_line
-from touchd.drivers.extras import how_to_install
 from touchd.drivers.faults import Backoff, FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.queue import DroppingQueue, Signal
@@ -481,6 +480,8 @@ def load_qi() -> Any:
     try:
         qi = importlib.import_module("qi")
     except ImportError as error:
+        from touchd.drivers.installed import how_to_install
+
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
         has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
         instead = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"

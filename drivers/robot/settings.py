@@ -11,8 +11,7 @@ from typing import Annotated
 
 import msgspec
 
-from touchd.drivers.errors import TouchdError
-from touchd.drivers.paths import written_out
+from touchd.drivers.errors import TouchdError, written_out
 
 log = logging.getLogger(__name__)
 

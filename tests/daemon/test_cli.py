@@ -29,7 +29,6 @@ from touchd.daemon.terminal.describe import describe
 from touchd.drivers.fakes.hand import write_simulated
 from touchd.drivers.recording import Recording, read_recordings, write_recordings
 from touchd.model.classifier import Classifier
-from touchd.model.studies.__main__ import STUDIES
 
 Refusal = Callable[..., str]
 
@@ -95,7 +94,6 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
         (f"replay {GESTURES} --participant nobody", "no recording matches"),
-        *((name, f"python -m touchd.model.studies {name}") for name in cli.MOVED),
     ],
 )
 def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message: str) -> None:
@@ -122,10 +120,6 @@ def test_an_invalid_option_is_refused_in_words(
         cli.main(words.split())
     assert ended.value.code == 2
     assert message in capsys.readouterr().err
-
-
-def test_commands_for_researchers_are_studies() -> None:
-    assert set(cli.MOVED) <= set(STUDIES)
 
 
 def test_a_library_that_the_system_lacks_is_named(tmp_path: Path) -> None:

@@ -29,10 +29,9 @@ from touchd.daemon.events import Prediction, TouchEnded, encode
 from touchd.daemon.live.address import qr_code, urls_of
 from touchd.daemon.setup.parts import check_pad, load_model, open_journal
 from touchd.daemon.sinks import RobotSink
-from touchd.daemon.terminal.own_name import own_name
-from touchd.drivers.extras import TORCH_ON_CPU, how_to_install
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame
+from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name
 from touchd.drivers.robot.reactions import Action, ActionRule
 from touchd.drivers.robot.settings import RobotLimits
 
@@ -41,7 +40,7 @@ EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"
 # Makes every extra's modules fail to import.
 WITHOUT_EXTRAS = """
 import importlib, importlib.abc, sys
-from touchd.drivers.extras import EXTRAS
+from touchd.drivers.installed import EXTRAS
 class Missing(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in {module for modules in EXTRAS.values() for module in modules}:
@@ -120,7 +119,7 @@ def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setenv("PATH", os.defpath)
     for folder in (tmp_path, ROOT):
         monkeypatch.chdir(folder)
-        done = ran([*shlex.split(own_name()), "--version"], check=True)
+        done = ran([*shlex.split(program_name()), "--version"], check=True)
         assert done.stdout.startswith("touchd 0.")
 
 

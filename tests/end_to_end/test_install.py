@@ -129,7 +129,7 @@ def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
     python.write_text(f"#!/bin/sh\nexec {sys.executable} $@")
     python.chmod(0o755)
     make = ["make", "-nC", str(ROOT), "install-program", "PYTHON=python3", f"DESTDIR={tmp_path}"]
-    there = ran([python, "-m", "touchd.drivers.extras"], check=True).stdout.split()
+    there = ran([python, "-m", "touchd.drivers.installed"], check=True).stdout.split()
     kept = [extra for extra in ("mqtt", "lsl", "ros2", "rosbridge", "mcap") if extra in there]
     assert f"with nao live {' '.join(kept)} (" in ran(make, check=True).stdout
     assert "with nao live lsl ros2 (" in ran([*make, "EXTRAS=lsl,ros2"], check=True).stdout
@@ -318,7 +318,7 @@ def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) ->
     program = tmp_path / "opt/touchd/bin/touchd"
     assert program.read_text().startswith("#!/opt/touchd/bin/python")
     python = program.with_name("python")
-    assert set(ran([python, "-m", "touchd.drivers.extras"], cwd="/").stdout.split()) >= {"live", "mqtt"}
+    assert set(ran([python, "-m", "touchd.drivers.installed"], cwd="/").stdout.split()) >= {"live", "mqtt"}
     assert ran([python, "-c", "import pylsl"], cwd="/").returncode != 0
     done = ran([python, "-m", "touchd.daemon", "demo"], cwd="/")
     assert done.returncode == 0, done.stderr

@@ -1,14 +1,17 @@
-"""Optional libraries, and the command that installs them."""
+"""How this program is installed: commands to paste, by its name or for optional libraries."""
 
 import importlib.util
 import json
 import os
 import shlex
+import shutil
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
+
+PROGRAM = "touchd"
 
 EXTRAS = {
     "plot": ("matplotlib",),
@@ -73,6 +76,18 @@ def _source() -> str:
         source = json.loads(metadata.distribution("touchd").read_text("direct_url.json") or "")
         return f" @ {'git+' if 'vcs_info' in source else ''}{source['url']}"
     return ""
+
+
+def program_name() -> str:
+    """Return "touchd" if the shell finds this program by it, else a path, short if it is near."""
+    beside = Path(sys.executable).with_name(PROGRAM)
+    found = shutil.which(PROGRAM)
+    if found is not None and os.path.realpath(found) == os.path.realpath(beside):
+        return PROGRAM
+    if beside.exists():
+        here = Path.cwd()
+        return shlex.quote(str(beside.relative_to(here) if beside.is_relative_to(here) else beside))
+    return f"{shlex.quote(sys.executable)} -m touchd.daemon"
 
 
 if __name__ == "__main__":
