@@ -14,14 +14,14 @@ from serial.tools.list_ports import comports
 from touchd.daemon.config import DEFAULT_PORT, ConfigError, load
 from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
 from touchd.daemon.doctor.listening import listen as listen_to_frames
-from touchd.daemon.doctor.machine import check_robot
+from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.robot.settings import RobotError, RobotSettings, read_login
+from touchd.drivers.robot.settings import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud, listen
 from touchd.drivers.search.search import as_yaml, search
 from touchd.drivers.whole_file import whole_file
@@ -52,7 +52,9 @@ def parser() -> argparse.ArgumentParser:
         type=within(int, 1200, 4_000_000),
         help="the pad's baud rate, instead of trying the usual ones",
     )
-    parser.add_argument("--robot", metavar="URL", help="such as tcp://nao.local:9559, or none")
+    parser.add_argument(
+        "--robot", metavar="ADDRESS", help="the robot's name or address, such as nao.local, or none"
+    )
     return parser
 
 
@@ -61,6 +63,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
+    if options.robot not in (None, "none"):
+        robot_urls(options.robot)
     file = shlex.quote(str(options.file))
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
@@ -72,8 +76,7 @@ def main(arguments: Sequence[str]) -> int:
         )
         return 1
     port, baud, described = found or Found(options.port or DEFAULT_PORT, bauds[0], None)
-    robot = _ask_robot(console) if options.robot is None else options.robot
-    robot = None if robot in ("", "none") else robot
+    robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
     described_as = as_yaml(described or PRESETS["fabric-grid"])
     text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n  {described_as}\n"
     text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
@@ -174,14 +177,22 @@ def _poll(port: str, baud: int) -> Found | None:
     return None
 
 
+def _find_robot(console: Console, typed: str) -> str | None:
+    """Return the address at which the robot answers, else the likeliest one; None for no robot."""
+    if typed in ("", "none"):
+        return None
+    urls = robot_urls(typed)
+    return find_robot(urls, lambda url: console.print(f"trying {url} ...")) or urls[0]
+
+
 def _ask_robot(console: Console) -> str:
     """Return the address that the user types, "" without a terminal or at end of input."""
     while sys.stdin.isatty():
-        console.print("The robot's address, as in tcp://nao.local:9559 (Enter: no robot): ", end="")
+        console.print("The robot's name or address, as in nao.local (Enter: no robot): ", end="")
         typed = sys.stdin.readline().strip()
         try:
             if typed not in ("", "none"):
-                read_login(RobotSettings(url=typed))
+                robot_urls(typed)
             return typed
         except RobotError as error:
             console.print(str(error), style="yellow")

@@ -1,9 +1,14 @@
 """Checks of the model, the robot and the service."""
 
+import re
+import socket
+import ssl
 import subprocess
 import threading
 import time
 import timeit
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 import numpy as np
 
@@ -24,6 +29,9 @@ PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result",
 # An answer must not take longer than a frame.
 SLOW_ANSWER_MS = 18.5
 TIMED_ANSWERS = 5
+# NAOqi up to 2.8, and NAOqi 2.9.
+ROBOT_PORTS = {"tcp": 9559, "tcps": 9503}
+REACH_S = 2.0
 
 
 def check_model(settings: Settings) -> Check:
@@ -45,6 +53,50 @@ def check_model(settings: Settings) -> Check:
     return Check("model", "ok", found, "", figures)
 
 
+def robot_urls(typed: str) -> Sequence[str]:
+    """Return the addresses that a robot's name, IP address or URL may mean, the likeliest first.
+
+    Raises RobotError.
+    """
+    parts = re.fullmatch(r"(?:(tcps?)://)?([^\s/@:]+)(?::(\d{1,5}))?", typed)
+    if parts is None or int(parts[3] or 0) > 65535:
+        shown = re.sub(r"//.*@", "//***@", typed)
+        raise RobotError(f"{shown!r} is not a robot's name or address, such as nao.local")
+    scheme, host, port = parts.groups()
+    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS[scheme]}"] if scheme else []
+    urls += [f"{each}://{host}:{port}" for each in ROBOT_PORTS if port]
+    urls += [f"{each}://{host}:{usual}" for each, usual in ROBOT_PORTS.items()]
+    return list(dict.fromkeys(urls))
+
+
+def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None:
+    """Return the first of several addresses at which a robot answers, if any.
+
+    trying: is called with each address first.
+    """
+    for url in urls:
+        trying(url)
+        with suppress(RobotError, RobotLost, RobotRefused):
+            if _speaks_tls(url) if url.startswith("tcps://") else _ask_version(RobotSettings(url=url)):
+                return url
+    return None
+
+
+def _speaks_tls(url: str) -> bool:
+    """Return whether somebody answers with TLS: a robot that asks for a login tells qi nothing else."""
+    _, host, port = re.split(r":(?://)?", url)
+    # libqi checks no certificate either, and nothing is sent.
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    with (
+        suppress(OSError, UnicodeError),
+        socket.create_connection((host, int(port)), REACH_S) as plain,
+        context.wrap_socket(plain, server_hostname=host),
+    ):
+        return True
+    return False
+
+
 def check_robot(settings: Settings) -> Check:
     """Connect to the configured robot and ask for its version, within a few seconds."""
     if settings.robot is None:
@@ -56,6 +108,9 @@ def check_robot(settings: Settings) -> Check:
         return Check("robot", "to do", str(error), f"{program_name()} docs install says how to wire a robot")
     except (RobotLost, RobotRefused) as error:
         advice = "is that a robot with NAOqi? check robot.url"
+        if wanted.url.startswith("tcps://") and not wanted.user and _speaks_tls(wanted.url):
+            advice = f"set robot.user and robot.token_file ({own_name()} docs install)"
+            return Check("robot", "to do", f"{wanted.url} answers, and asks for a login", advice)
         if isinstance(error, RobotLost):
             advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
         return Check("robot", "to do", f"{wanted.url}: {error}", advice)

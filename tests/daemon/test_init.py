@@ -13,7 +13,7 @@ import pytest
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.programs import TOUCHD, Program
-from rigs.robots import Robot
+from rigs.robots import LOGIN, Robot, needs_qi_and_openssl
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
@@ -21,11 +21,13 @@ from rigs.wait import WITHIN_S
 from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.config import ConfigError, SensorSettings, load
+from touchd.daemon.doctor import machine
 from touchd.daemon.events import SensorEvent, decode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.robot.settings import Login, RobotError
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
@@ -84,10 +86,10 @@ def test_a_pad_that_nobody_presses_is_refused_in_one_line(capsys: pytest.Capture
 
 def test_no_address_can_break_the_file() -> None:
     address = 'x: {"y": # 😀'
-    assert write("--port", address, "--baud", "9600", "--robot", address) == 1
-    settings = load(FILE)
-    assert settings.robot is not None
-    assert settings.sensor.port == settings.robot.url == address
+    with pytest.raises(RobotError, match="is not a robot's name or address"):
+        write("--robot", address)
+    assert write("--port", address, "--baud", "9600") == 1
+    assert load(FILE).sensor.port == address
 
 
 def test_a_file_that_cannot_be_written_is_reported() -> None:
@@ -146,16 +148,51 @@ def test_the_end_of_input_means_no_robot() -> None:
     assert load(FILE).robot is None
 
 
+@needs_qi_and_openssl
+@pytest.mark.parametrize(
+    ("login", "said"),
+    [
+        (None, "robot: NAOqi 2.8.7.4 at {}, reached in"),
+        (LOGIN, "robot: {} answers, and asks for a login; set robot.user and robot.token_file"),
+    ],
+)
+def test_a_robots_name_finds_its_protocol_and_port(
+    login: Login | None, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with Robot(login=login) as robot:
+        port = int(robot.url.rpartition(":")[2])
+        for typed in ("localhost", f"tcp://localhost:{port}"):
+            scheme = "tcps" if login else "tcp"
+            monkeypatch.setattr(machine, "ROBOT_PORTS", machine.ROBOT_PORTS | {scheme: port})
+            main(["--port", "none", "--robot", typed])
+            found = load(FILE).robot
+            assert found is not None
+            assert found.url == f"{scheme}://localhost:{port}"
+            assert said.format(found.url) in capsys.readouterr().err
+            FILE.unlink()
+
+
+def test_a_robot_that_does_not_answer_is_written_as_the_likeliest(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    host = "no-such-robot.invalid"
+    assert main(["--port", "none", "--robot", host]) == 1
+    found = load(FILE).robot
+    assert found is not None
+    assert found.url == f"tcp://{host}:9559"
+    assert f"trying tcp://{host}:9559 ...\ntrying tcps://{host}:9503 ...\n" in capsys.readouterr().err
+
+
 def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(Path("state").absolute()))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
             with_a_hand(terminal)
-            terminal.until("The robot's address")
-            terminal.answer("nao.local", "is not an address such as tcp://nao.local:9559")
-            terminal.until("The robot's address")
-            terminal.answer(robot.url)
+            terminal.until("The robot's name or address")
+            terminal.answer("nao local", "is not a robot's name or address, such as nao.local")
+            terminal.until("The robot's name or address")
+            terminal.answer(robot.url.removeprefix("tcp://"), f"trying {robot.url} ...")
             assert "pad: fabric-grid 10x10" in terminal.until("robot: ")
             assert robot.url in terminal.until(" doctor -c")
             assert terminal.process.wait(WITHIN_S) == 0
