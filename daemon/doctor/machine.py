@@ -109,7 +109,7 @@ def check_robot(settings: Settings) -> Check:
     except (RobotLost, RobotRefused) as error:
         advice = "is that a robot with NAOqi? check robot.url"
         if wanted.url.startswith("tcps://") and not wanted.user and _speaks_tls(wanted.url):
-            advice = f"set robot.user and robot.token_file ({own_name()} docs install)"
+            advice = f"set robot.user and robot.token_file ({program_name()} docs install)"
             return Check("robot", "to do", f"{wanted.url} answers, and asks for a login", advice)
         if isinstance(error, RobotLost):
             advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
