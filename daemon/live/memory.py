@@ -24,9 +24,11 @@ from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
 
 TOUCHES = 12
 PREDICTIONS = 24
-# Ten seconds of frames and every third of them: the curve of a touch that a later viewer gets.
-RECENT_FRAMES = 540
+# The curve of a touch that a later viewer gets: its first 15 seconds, every third frame.
+TRACE_FRAMES = 810
 TRACE_STEP = 3
+# Four seconds: a touch is noticed within one, and its rest is the second before.
+RECENT_FRAMES = 216
 # The pad's rest is the mean of this long before a touch, up to this long before its first frame.
 REST_MS, ONSET_MS = 1000, 100
 # As on the page.
@@ -96,12 +98,15 @@ class Memory:
         self._touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
         self._heard: deque[int] = deque(maxlen=TOUCHES)
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
+        self._traced: list[Frame] = []
         self._rest: NDArray[np.float64] | None = None
 
     def put_frame(self, frame: Frame) -> None:
         """Remember a frame; the only method for another thread."""
         self.frames += 1
         self._recent.append(frame)
+        if len(self._traced) < TRACE_FRAMES:
+            self._traced.append(frame)
 
     def put(self, event: Event) -> None:
         """Remember an event, unless its touch began before we listened."""
@@ -116,6 +121,7 @@ class Memory:
                 self._action = None
                 self._touches.append(ReportedTouch(event))
                 self._rest = self._rest_before(event.sensor_ms)
+                self._traced = list(self._recent.copy())
             case Prediction() | TouchEnded() if self._touches:
                 is_told = isinstance(event, Prediction) and event.told
                 if is_told and self._robot is not None and self._robot.state == "up":
@@ -134,9 +140,9 @@ class Memory:
 
     def _trace(self) -> tuple[tuple[float, float], ...]:
         """Return the pressure of the ongoing touch over time."""
-        if self._rest is None or not self._touches or self._touches[-1].ended is not None:
+        if self._rest is None or not self._traced or not self._touches or self._touches[-1].ended:
             return ()
-        frames = list(self._recent.copy())[::-TRACE_STEP][::-1]
+        frames = self._traced[::TRACE_STEP]
         began_ms = self._touches[-1].began.sensor_ms
         since_ms = np.array([(frame.sensor_ms - began_ms) % CLOCK_MODULUS for frame in frames])
         pressed = np.array([frame.pressure for frame in frames]) - self._rest - NOISE_COUNTS

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
 from rigs.expectations import DEMO, stream_of
-from rigs.live_rig import serving
+from rigs.live_rig import Served, serving
 from rigs.made_events import PREDICTION, TIME
 from rigs.patient_port import playing
 from rigs.running_daemon import Daemon
@@ -24,10 +24,12 @@ from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 
 from touchd.daemon.config import LiveSettings, PadSettings
-from touchd.daemon.events import Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.setup.words import name_of, vocabulary
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.robot.reactions import Words
+from touchd.drivers.robot.settings import RobotSettings
 
 pytestmark = [
     pytest.mark.timeout(300),
@@ -36,6 +38,8 @@ pytestmark = [
     ),
 ]
 SPEED = 6.0
+# For what the page draws at once.
+SOON_S = 20.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.
 SCRIPT = (
     *(("notouch", 3.0), ("pat", 3.0), ("notouch", 3.0), ("stroke", 3.0)),
@@ -178,7 +182,7 @@ def test_answers_stand_at_their_marks_and_show_changes(played: WatchedPage) -> N
         for answer, is_changed in zip(answers, (False, False, True), strict=True)
     ]
     for text, answer in zip(texts_of(played.chrome, "#flags li"), answers, strict=False):
-        assert text.startswith(f"{answer.gesture} {100 * answer.confidence:.0f} %")
+        assert text.startswith(f"{answer.gesture}\n{100 * answer.confidence:.0f} %")
     assert texts_of(played.chrome, "#marks li") == ["1 s", "1.5 s", "2.67 s"]
     at_flags, at_marks = (lefts_and_rights(played.chrome, f"#{name} li") for name in ("flags", "marks"))
     assert at_flags[:3, 0] == pytest.approx(at_marks[:, 0], abs=1)
@@ -393,6 +397,161 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         why = "Tätscheln stands: Reiben leads by 5 points, 10 are needed"
         assert text_of(chrome, "#chances-when") == why
         assert text_of(chrome, "#bars .best") == "Tätscheln"
+
+
+# The longest words that a lab may have chosen.
+LONG_WORDS = {
+    "constant": "ruhige, aufgelegte Handfläche",
+    "notouch": "überhaupt keine Berührung",
+    "pat": "freundliches Schulterklopfen",
+    "rub": "kräftiges Hin- und Herreiben",
+    "scratch": "Kratzen mit den Fingerspitzen",
+    "stroke": "langsames zärtliches Streicheln",
+    "tickle": "Durchkitzeln mit allen Fingern",
+    "uncertain": "weiß ich leider wirklich nicht",
+}
+# What reaches beyond the window, or out of its box.
+OUTSIDE = """
+  const seen = (one) => one.checkVisibility() && !one.closest('.unseen, .skip');
+  const out = (box, inner) => inner.width > 1 &&
+    (inner.left < box.left - 1 || inner.right > box.right + 1);
+  const course = document.getElementById('course').getBoundingClientRect();
+  return [...document.querySelectorAll('body *')].filter(seen).filter((one) => {
+    const box = one.getBoundingClientRect();
+    return out({ left: 0, right: innerWidth }, box) || (one.closest('#flags') && out(course, box));
+  }).map((one) => `${one.tagName} ${one.id} ${one.className}`);
+"""
+# Whether one element covers another.
+COVERS = """
+  const [a, b] = [...arguments].map((name) => document.querySelector(name).getBoundingClientRect());
+  return a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom;
+"""
+
+
+def put_a_touch(served: Served, gestures: list[str], number: int = 1) -> None:
+    """Put a touch of 2.67 s whose answers at the marks are these; it goes on."""
+    rest, hand = np.zeros((8, 8), np.uint16), np.zeros((8, 8), np.uint16)
+    hand[2:5, 3:6] = 80
+    for _ in range(60):
+        first = served.put_frame(rest)
+    served.sink.put(TouchBegan(touch=number, time=TIME, sensor_ms=int.from_bytes(first[:4], "little")))
+    for column in np.linspace(-2, 2, 144).round().astype(int):
+        served.put_frame(np.roll(hand, column, axis=1))
+    for stage, frames, gesture in zip(("early", "revised", "final"), (54, 81, 144), gestures, strict=True):
+        served.sink.put(
+            replace(
+                PREDICTION, touch=number, stage=stage, frames=frames, elapsed_s=frames / 54, gesture=gesture
+            )
+        )
+    served.put_frame(hand)
+
+
+@pytest.fixture
+def worded(chrome: Chrome) -> Iterator[Served]:
+    """A page with a robot and the longest words, at the end of a touch."""
+    words = {gesture: Words(name=word, phrase=word) for gesture, word in LONG_WORDS.items()}
+    with serving(words=words, robot=RobotSettings(url="tcp://127.0.0.1")) as served:
+        served.sink.put(SensorEvent(state="up", time=TIME))
+        served.sink.put(RobotEvent(state="up", time=TIME))
+        put_a_touch(served, ["stroke", "rub", "tickle"])
+        said = f"Oh, das ist doch {LONG_WORDS['tickle']}! Das kenne ich gut."
+        served.sink.put(RobotAction(touch=1, action="say", what=said, time=TIME))
+        served.put_frame()
+        yield served
+        show_in(chrome, 1280, 800)
+        prefer(chrome)
+
+
+def look_at(chrome: Chrome, served: Served, anchor: str = "") -> None:
+    """Load the page, until it shows the touch's last answer."""
+    chrome.get("about:blank")
+    chrome.get(f"http://127.0.0.1:{served.port}/{anchor}")
+    wait_for(lambda: len(texts_of(chrome, "#flags li")) == 3)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 600), (390, 844)])
+def test_nothing_overflows_with_the_longest_words(
+    chrome: Chrome, worded: Served, width: int, height: int, scheme: str
+) -> None:
+    show_in(chrome, width, height)
+    prefer(chrome, color_scheme=scheme, reduced_motion="reduce")
+    for anchor in ("", "#visitors"):
+        look_at(chrome, worded, anchor)
+        wait_for(lambda: chrome.execute_script(OUTSIDE) == [], SOON_S)
+        assert chrome.execute_script("return document.documentElement.scrollWidth") <= width
+        if anchor or width > height:
+            assert chrome.execute_script("return document.documentElement.scrollHeight") <= height
+    for other in ("#pad", "#line", "#answer"):
+        assert not chrome.execute_script(COVERS, "#legend", other), other
+        assert not chrome.execute_script(COVERS, "#enter", other), other
+
+
+def test_visitors_on_a_phone_find_the_way_out(chrome: Chrome, worded: Served) -> None:
+    show_in(chrome, 390, 844)
+    look_at(chrome, worded, "#visitors")
+    out = chrome.find_element(By.ID, "enter")
+    assert out.rect["width"] >= 40
+    assert out.rect["height"] >= 30
+    out.click()
+    wait_for(lambda: not chrome.execute_script("return document.body.hasAttribute('data-visitors')"))
+    assert chrome.find_element(By.ID, "vitals").is_displayed()
+
+
+def test_an_unsure_answer_shows_no_percentage(chrome: Chrome) -> None:
+    with serving() as served:
+        put_a_touch(served, ["uncertain", "uncertain", "uncertain"])
+        look_at(chrome, served)
+        wait_for(lambda: text_of(chrome, "#gesture") == "not sure")
+        served.sink.put(TouchEnded(touch=1, gesture="uncertain", frames=150, reason="released", time=TIME))
+        served.put_frame()
+        wait_for(lambda: listed(chrome) == ["not sure"])
+        shown = " ".join(text_of(chrome, name) for name in ("#answer", "#flags", "#touches"))
+        assert "not sure" in shown
+        assert "%" not in shown
+
+
+def test_what_was_told_stays_told_when_the_robot_leaves(chrome: Chrome, worded: Served) -> None:
+    look_at(chrome, worded)
+    told = "told the robot after 2.67 s"
+    wait_for(lambda: told in text_of(chrome, "#remark"))
+    worded.sink.put(RobotEvent(state="down", time=TIME, reason="unplugged"))
+    worded.put_frame()
+    wait_for(lambda: text_of(chrome, "#vital-robot dd") == "down")
+    assert told in text_of(chrome, "#remark")
+    look_at(chrome, worded)
+    assert told in text_of(chrome, "#remark")
+
+
+def test_a_reloaded_page_shows_the_touchs_whole_curve(chrome: Chrome, worded: Served) -> None:
+    look_at(chrome, worded)
+    put_a_touch(worded, ["stroke", "rub", "tickle"], number=2)
+    wait_for(lambda: text_of(chrome, "#which") == "Touch 2")
+    # Eleven seconds later.
+    for _ in range(450):
+        worded.put_frame()
+    look_at(chrome, worded)
+    worded.put_frame()
+    drawn = """const canvas = document.getElementById('trace');
+      const pixels = canvas.getContext('2d').getImageData(0, canvas.height - 2, canvas.width, 1).data;
+      return [...Array(canvas.width).keys()].filter((x) => pixels[4 * x + 3] > 0).length / canvas.width"""
+    wait_for(lambda: chrome.execute_script(drawn) > 0.9, SOON_S)
+
+
+def test_a_trail_shows_where_the_hand_was(chrome: Chrome, worded: Served) -> None:
+    look_at(chrome, worded)
+    drawn = """const canvas = document.getElementById('trail');
+      const pixels = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+      return pixels.filter((alpha, i) => i % 4 === 3 && alpha > 0).length"""
+    hand = np.zeros((8, 8), np.uint16)
+    hand[3:6, 0:3] = 80
+    for column in range(6):
+        worded.put_frame(np.roll(hand, column, axis=1))
+    wait_for(lambda: chrome.execute_script(drawn) > 500)
+    for _ in range(60):
+        worded.put_frame(np.zeros((8, 8), np.uint16))
+    wait_for(lambda: chrome.execute_script(drawn) == 0)
+    assert texts_of(chrome, "#counts li") == ["0 counts", "20", "250"]
 
 
 def test_another_pad_can_be_selected(chrome: Chrome) -> None:

@@ -46,7 +46,7 @@ export function shades(style = getComputedStyle(document.documentElement)) {
 }
 
 /** The marks of the scale, in counts. */
-const MARKS = [0, 10, 50, FIRM_COUNTS];
+const MARKS = [0, 20, FIRM_COUNTS];
 
 /** Return a count's place on the scale of colours, from 0 to 1. */
 const levelOf = (counts) => Math.log1p(counts / LIGHT_COUNTS) / Math.log1p(FIRM_COUNTS / LIGHT_COUNTS);
@@ -56,7 +56,7 @@ export function showMarks(list) {
   list.replaceChildren(
     ...MARKS.map((counts) => {
       const mark = document.createElement("li");
-      mark.textContent = counts === FIRM_COUNTS ? `${counts} counts` : counts;
+      mark.textContent = counts === 0 ? "0 counts" : counts;
       mark.style.setProperty("--at", levelOf(counts));
       return mark;
     }),

@@ -1,6 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
 
-import { answerOf, nameOf, seconds } from "./words.js";
+import { nameOf, percent, seconds } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
@@ -58,11 +58,12 @@ export class TimeLine {
     this.#showMarks(store);
     const said = onLine(store);
     const { touch, pad, time } = store.touch?.began ?? {};
-    const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), innerWidth].join();
+    const width = this.#flags.parentElement.clientWidth;
+    const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), width].join();
     if (key === this.#drawnFlags) return;
     this.#drawnFlags = key;
     this.#flags.replaceChildren(...said.map((prediction, i) => flag(prediction, said[i - 1], store.scene)));
-    arrange([...this.#flags.children], this.#flags.parentElement.clientWidth);
+    arrange([...this.#flags.children], width);
   }
 
   #showMarks({ scene, elapsed }) {
@@ -103,9 +104,13 @@ function flag(prediction, before, scene) {
   item.classList.toggle("changed", isChanged);
   const at = prediction.elapsed_s / endOf(scene);
   item.style.setProperty("--at", Math.min(at, 1));
-  const what = answerOf(prediction);
+  const name = Object.assign(document.createElement("span"), {
+    className: "name",
+    textContent: nameOf(prediction.gesture),
+  });
+  const share = prediction.gesture === "uncertain" ? "" : percent(prediction.confidence);
   // What was said after the line's end says when.
-  const told = (at > 1 ? ` at ${seconds(prediction.elapsed_s)}` : "") + (prediction.told ? " ✓" : "");
+  const told = [at > 1 ? `at ${seconds(prediction.elapsed_s)}` : "", prediction.told ? "✓" : ""].join(" ").trim();
   const small = Object.assign(document.createElement("small"), { textContent: told });
   const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";
   const heard = prediction.told ? ", told" : "";
@@ -114,15 +119,19 @@ function flag(prediction, before, scene) {
     textContent: ` after ${seconds(prediction.elapsed_s)}${words}${heard}`,
   });
   small.setAttribute("aria-hidden", "true");
-  item.append(what, small, unseen);
+  item.append(name, share, small, unseen);
   return item;
 }
 
-/** Turn flags that do not fit to the left, and put each into the highest row in which it covers no other. */
+/**
+ * Keep each flag within the line: to the right of its mark, else to the left of it, else across it. Put each into the
+ * highest row in which it covers no other.
+ */
 function arrange(flags, width) {
   const taken = [];
   for (const item of flags) {
-    item.classList.toggle("left", item.offsetLeft + item.offsetWidth > width);
+    const [at, needed] = [item.offsetLeft, item.offsetWidth];
+    if (at + needed > width) item.classList.add(at >= needed ? "left" : "across");
     const { left, right } = item.getBoundingClientRect();
     const covers = (row) => taken.some((other) => other.row === row && left < other.right && right > other.left);
     const row = [...Array(ROWS).keys()].find((one) => !covers(one)) ?? ROWS - 1;

@@ -57,6 +57,7 @@ function showAction(action) {
   $("says").hidden = !isShown;
   $("says").classList.toggle("deed", isShown && !isSaid);
   say($("says"), isSaid ? `“${action.what}”` : isShown ? `does ${action.what.split("/").at(-1)}` : "");
+  $("says").style.setProperty("--letters", $("says").textContent.length);
 }
 
 /** Why the answer that stands is not the likeliest gesture; "" where it is. */
