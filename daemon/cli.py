@@ -100,7 +100,7 @@ def _run(words: Sequence[str]) -> int:
     if name not in commands:
         near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)
         advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
-        raise UsageError(f"{name} is no command; {advice}")
+        raise UsageError(f"{name} is not a command; {advice}")
     return int(importlib.import_module(commands[name].module).main(rest))
 
 

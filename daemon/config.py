@@ -104,7 +104,7 @@ class PadSettings(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fiel
 class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
 
-    path: null is events.jsonl in the service's state folder, or in the user's where there is no service.
+    path: null is events.jsonl in the service's state folder, or the user's if there is no service.
     max_mb: size at which a new file is begun. keep: number of older files; path.1 is the newest.
     keep_touches: number of latest touches whose frames are kept in path.touches/, at most a minute of each;
     None keeps none.
@@ -166,7 +166,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             raise ValueError(f"sensors: {len(self.sensors)} pads, {MAX_PADS} at most; run another touchd")
         for name in self.sensors:
             if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
-                raise ValueError(f"sensors: {name!r} is no name of a pad; use one word such as left_arm")
+                raise ValueError(f"sensors: invalid pad name {name!r}; use one word such as left_arm")
             if not name.isascii() and (self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)):
                 raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
         ports = [pad.port for pad in self.sensors.values()]
@@ -218,12 +218,12 @@ def only_pad(settings: Settings, name: str | None, port: str | None = None) -> S
     pads = settings.pads
     chosen = pads.get(name) if name else next(iter(pads.values())) if len(pads) == 1 else None
     if chosen is None:
-        wrong = f"{name} is no pad" if name else "several pads are configured"
+        wrong = f"{name}: no pad has this name" if name else "several pads are configured"
         raise ConfigError(f"{wrong}; give --pad one of {', '.join(pads)}")
     if port is None:
         return chosen
     try:
-        # Made anew rather than replaced, which would check nothing.
+        # Construct it: replace() would not check the values.
         sensor = SensorSettings(**(msgspec.structs.asdict(chosen.sensor) | {"port": port}))
     except ValueError as error:
         raise ConfigError(f"--port: {error}") from error

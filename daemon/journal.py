@@ -135,7 +135,7 @@ def _open(path: Path) -> int:
     """Return the file open for appending by this process alone, without half a line left by a power cut."""
     # Opening a device or a pipe may already do something.
     if path.exists() and not path.is_file():
-        raise JournalError(f"journal {path}: is no file; give another journal.path")
+        raise JournalError(f"journal {path}: is not a file; give another journal.path")
     fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o640)
     try:
         try:
@@ -146,7 +146,7 @@ def _open(path: Path) -> int:
         begin = os.pread(fd, len(FIRST_BYTES), 0)
         if begin.strip(b"\0") and not FIRST_BYTES.startswith(begin):
             raise JournalError(
-                f"journal {path}: is no journal of touchd, and left as it is; give another journal.path"
+                f"journal {path}: is not a journal of touchd; it was left as it is; give another journal.path"
             )
         start = max(0, size - MAX_LINE_BYTES)
         tail = os.pread(fd, size - start, start)

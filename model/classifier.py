@@ -189,7 +189,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     advice = "check `model` in the configuration"
     with os_errors_as(ModelError, f"{path}: the model cannot be read", advice):
         if path.is_fifo() or path.is_char_device():
-            raise ModelError(f"{path}: is no file; {advice}")
+            raise ModelError(f"{path}: is not a file; {advice}")
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
         content = path.read_bytes()

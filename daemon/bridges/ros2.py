@@ -140,7 +140,7 @@ class Ros2Bridge(Bridge):
         if time.monotonic() - self._looked_s > LOOK_S:
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
-                self._log.info("ros2: the network has changed; joining anew")
+                self._log.info("ros2: the network has changed; joining again")
                 # A process chooses anew only once all its pads have left, each within this time.
                 self._writers.clear()
                 self._abandoned.wait(2 * LOOK_S)

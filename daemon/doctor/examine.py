@@ -1,4 +1,4 @@
-"""Runs all checks in turn, each bounded in time; skips those that cannot be made."""
+"""Runs all checks one after another, each bounded in time; skips those that are not possible."""
 
 from collections.abc import Callable, Iterator
 

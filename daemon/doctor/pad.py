@@ -46,23 +46,23 @@ def check_rest(heard: Heard, settings: Settings) -> Check:
 
 
 def check_quiet(heard: Heard, settings: Settings) -> Check:
-    """Report whether the daemon would have felt a touch."""
+    """Report whether the daemon would have detected a touch."""
     ring, tracker = Ring(1), TouchTracker(settings.touch)
     laid = (laid for frame in heard.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}
     if touches == 0:
-        return Check("quiet", "ok", "no touch was felt while the pad was left alone", "", figures)
+        return Check("quiet", "ok", "no touch was detected while the pad was left alone", "", figures)
     advice = (
         "if you did not touch it: look for a loose wire with touchd run --view, "
         "or raise touch.onset_threshold"
     )
     times = "a touch was" if touches == 1 else f"{touches} touches were"
-    return Check("quiet", "to do", f"{times} felt while listening", advice, figures)
+    return Check("quiet", "to do", f"{times} detected while listening", advice, figures)
 
 
 def check_noise(heard: Heard) -> Check:
-    """Report the noise between frames; a touch meanwhile raises it."""
+    """Report the noise between frames; a touch during the check raises it."""
     steps = np.diff(heard.counts().astype(np.float64), axis=0)
     noise = steps.std(axis=0) / np.sqrt(2.0)
     usual, highest = float(np.median(noise)), float(noise.max())
@@ -103,14 +103,14 @@ def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
 
 
 def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
-    """Report where the press on the top left corner was felt, in frames up to `is_pressed`."""
+    """Report where the press on the top left corner arrived, in frames up to `is_pressed`."""
     if heard.broke_off:
         return Check("orientation", "to do", heard.broke_off, "try another cable")
     if not heard.frames or not is_pressed(heard.frames[-1], rest):
         return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor again")
     pressure = heard.frames[-1].pressure - rest
     row, column = np.unravel_index(int(pressure.argmax()), pressure.shape)
-    found = f"the top left corner is felt at row {row + 1} column {column + 1}"
+    found = f"the top left corner is at row {row + 1} column {column + 1}"
     if row < ROWS // 2 and column < COLUMNS // 2:
         return Check("orientation", "ok", found)
     if row >= ROWS // 2 and column >= COLUMNS // 2:

@@ -207,7 +207,7 @@ def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
     for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
         if unknown := sorted(gestures - known):
             raise ConfigError(
-                f"{name}: {unknown[0]} is no gesture of the model {classifier.name}; "
+                f"{name}: {unknown[0]} is not a gesture of the model {classifier.name}; "
                 f"it knows {', '.join(sorted(known))}: name those, or leave {name} out"
             )
     if scene.gestures and (never := sorted(acted_on - set(scene.gestures))):

@@ -249,7 +249,7 @@ def _explained(port: str, error: Exception) -> SensorError:
         hint = str(error) if "://" in port else f"fuser {port} shows which"
         return SensorError("busy", f"{port} is busy: another program reads it ({hint})")
     if "://" not in port and os.path.exists(port) and not stat.S_ISCHR(os.stat(port).st_mode):
-        return SensorError("unusable", f"{port} is no serial port: name a device like /dev/ttyACM0")
+        return SensorError("unusable", f"{port} is not a serial port: name a device like /dev/ttyACM0")
     return SensorError("unusable", f"{port} cannot be opened: {error}")
 
 

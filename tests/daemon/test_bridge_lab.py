@@ -198,8 +198,8 @@ def test_ros2_waits_for_a_network_and_ends_without_one(
         assert [message.partition(" (")[0] for message in caplog.messages] == [
             "ros2: a network for DDS is away",
             "ros2: connected to DDS",
-            "ros2: the network has changed; joining anew",
-            "ros2: the network has changed; joining anew",
+            "ros2: the network has changed; joining again",
+            "ros2: the network has changed; joining again",
             "ros2: a network for DDS is away",
         ]
         bridge.stop(2.0)

@@ -89,8 +89,8 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("xyz", "xyz is no command; there are init, run,"),
-        ("clasify", "clasify is no command; did you mean classify?"),
+        ("xyz", "xyz is not a command; there are init, run,"),
+        ("clasify", "clasify is not a command; did you mean classify?"),
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
         (f"replay {GESTURES} --participant nobody", "no recording matches"),
@@ -153,9 +153,9 @@ def test_an_internal_error_is_one_line_and_exit_1(
         ("sensor: {prot: csv}", "sensor.prot: unknown setting; did you mean sensor.port?"),
         ("model: nowhere.onnx", "nowhere.onnx: the model cannot be read"),
         ("journal: {path: ~nosuch/events.jsonl}", "~nosuch/events.jsonl: unknown home"),
-        ("scene: {gestures: [tap]}", "scene.gestures: tap is no gesture of the model"),
-        ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is no gesture"),
-        ("scene: {gestures: [notouch]}", "scene.gestures: notouch is no gesture"),
+        ("scene: {gestures: [tap]}", "scene.gestures: tap is not a gesture of the model"),
+        ("scene: {actions: [{gestures: [tap], do: [{say: x}]}]}", "scene.actions: tap is not a gesture"),
+        ("scene: {gestures: [notouch]}", "scene.gestures: notouch is not a gesture"),
         (
             "scene: {gestures: [pat], actions: [{gestures: [rub], do: [{say: x}]}]}",
             "scene.actions: rub is never told, as scene.gestures leaves it out",
@@ -164,7 +164,7 @@ def test_an_internal_error_is_one_line_and_exit_1(
         ('sensor: {port: "/dev/a\\0b"}', "cannot be opened: embedded null byte"),
         ('journal: {path: "a\\0b"}', "the configuration cannot be used: embedded null"),
         ('model: "a\\0b"', "embedded null"),
-        ("sensor: {port: /etc/hostname}", "/etc/hostname is no serial port"),
+        ("sensor: {port: /etc/hostname}", "/etc/hostname is not a serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
         ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),
         ("sensor: {port: 'socket://pad.local'}", "gives no port; write it as in socket://192.168.1.20:4000"),

@@ -70,7 +70,7 @@ def test_a_touch_during_the_rest_check_is_reported() -> None:
     script = (("notouch", 3.0), ("rub", 2.0), ("notouch", 2.0))
     counts = np.concatenate([recording.counts for recording in simulate(script, seed=3)])
     check = check_quiet(heard(counts), SETTINGS)
-    assert check.found == "a touch was felt while listening"
+    assert check.found == "a touch was detected while listening"
     assert "loose wire" in check.advice
 
 

@@ -193,7 +193,7 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
             f"sensors: {{{', '.join(f'p{n}: {{port: /dev/tty{n}}}' for n in range(MAX_PADS + 1))}}}",
             "sensors: 17 pads, 16 at most; run another touchd",
         ),
-        ("sensors: {'a b': {}}", "'a b' is no name of a pad"),
+        ("sensors: {'a b': {}}", "invalid pad name 'a b'"),
         ("sensors: {a: {}, b: {}}", "/dev/touchd-pad is the port of more than one pad"),
         ("sensors: {a: {}}\nsensor: {baud: 9600}", "sensor and sensors are both set; keep one"),
     ],

@@ -140,7 +140,7 @@ def path(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("content", [b"%PDF-1.7\n" + os.urandom(50_000), b'{"name": "settings"}', b"\n"])
 def test_a_file_that_is_not_a_journal_is_refused_untouched(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(JournalError, match="is no journal of touchd, and left as it is"):
+    with pytest.raises(JournalError, match="is not a journal of touchd; it was left as it is"):
         Journal(path, max_bytes=1000, keep=1)
     assert path.read_bytes() == content
 
@@ -148,7 +148,7 @@ def test_a_file_that_is_not_a_journal_is_refused_untouched(path: Path, content: 
 def test_a_device_or_pipe_is_refused_as_journal(path: Path) -> None:
     os.mkfifo(path)
     for wrong in (Path("/dev/null"), path, path.parent):
-        with pytest.raises(JournalError, match="is no file"):
+        with pytest.raises(JournalError, match="is not a file"):
             Journal(wrong, max_bytes=1000, keep=1)
 
 

@@ -138,7 +138,7 @@ def test_the_service_gets_a_model_outside_home_folders(tmp_path: Path, of_servic
 
 def test_a_model_unfit_for_the_scene_is_not_installed(tmp_path: Path, of_service: Path) -> None:
     of_service.write_text("scene: {gestures: [hug, pat]}\n")
-    with pytest.raises(ConfigError, match=r"stays as it was; .* scene.gestures: hug is no gesture"):
+    with pytest.raises(ConfigError, match=r"stays as it was; .* scene.gestures: hug is not a gesture"):
         used_after("", of_service)
     assert of_service.read_text() == "scene: {gestures: [hug, pat]}\n"
     assert {path.name for path in tmp_path.iterdir()} == {"touchd.yaml", "home"}

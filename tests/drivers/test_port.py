@@ -28,8 +28,8 @@ def test_a_readable_port_passes_undisturbed() -> None:
     [
         ("/dev/touchd-none", BAUD, "/dev/touchd-none is not there: is the pad plugged in"),
         ("", BAUD, "is not there"),
-        ("/etc/passwd", BAUD, "/etc/passwd is no serial port: name a device like /dev/ttyACM0"),
-        ("/", BAUD, "/ is no serial port"),
+        ("/etc/passwd", BAUD, "/etc/passwd is not a serial port: name a device like /dev/ttyACM0"),
+        ("/", BAUD, "/ is not a serial port"),
         ("scoket://pad:1", BAUD, "scoket://pad:1 cannot be opened: .*'scoket' not known"),
         (
             "rfc2217://pad:1",

@@ -217,7 +217,8 @@ def test_a_dropped_gesture_is_refused_in_the_scene(
     config.write_text(f"model: {adapted_file}\nscene: {{gestures: [tickle]}}\n")
     assert cli.main(["run", "-c", str(config)]) == 2
     assert (
-        "tickle is no gesture of the model lab; it knows hug, pat, scratch, stroke" in capsys.readouterr().err
+        "tickle is not a gesture of the model lab; it knows hug, pat, scratch, stroke"
+        in capsys.readouterr().err
     )
 
 
