@@ -19,7 +19,7 @@ from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
 from touchd.drivers.robot.reactions import ActionRule, Words
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"

@@ -34,9 +34,9 @@ from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import NO_TOUCH, Stream, read_recordings, splice
-from touchd.drivers.robot.link import RobotLink, qi_installed
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import Action, ActionRule, Leds
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings, qi_installed
 from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:

@@ -21,7 +21,7 @@ from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.robot.settings import RobotError
+from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud, listen
 from touchd.drivers.search.search import as_yaml, search
 from touchd.drivers.whole_file import whole_file

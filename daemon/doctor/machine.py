@@ -18,8 +18,15 @@ from touchd.daemon.setup.parts import load_model
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
-from touchd.drivers.robot.link import QiSession, RobotLost, RobotRefused
-from touchd.drivers.robot.settings import RobotError, RobotLimits, RobotSettings, read_login
+from touchd.drivers.robot.session import (
+    QiSession,
+    RobotError,
+    RobotLimits,
+    RobotLost,
+    RobotRefused,
+    RobotSettings,
+    read_login,
+)
 from touchd.model.classifier import ModelError
 
 UNIT = "touchd"
@@ -120,7 +127,7 @@ def check_robot(settings: Settings) -> Check:
 
 def _ask_version(wanted: RobotSettings) -> tuple[str, float]:
     """Return the robot's version, and the time this took in seconds."""
-    login, limits = read_login(wanted), RobotLimits(call_s=wanted.call_s)
+    login, limits = read_login(wanted), RobotLimits()
     session = QiSession(wanted.url, login, limits, threading.Event())
     begun_s = time.monotonic()
     try:

@@ -7,20 +7,16 @@ import argparse
 import os
 import signal
 import sys
-import tempfile
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
-from pathlib import Path
 from typing import NoReturn
 
 import msgspec
 
-from touchd.drivers.fakes.loopback_gate import Gate
 from touchd.drivers.fakes.services import SERVICE_NAMES, Call, fake_services
 from touchd.drivers.numbers import within
-from touchd.drivers.robot.link import load_qi
-from touchd.drivers.robot.settings import Login, RobotError, RobotSettings, read_login
+from touchd.drivers.robot.session import RobotError, load_qi
 
 LONGEST_S = 9999.0
 
@@ -32,9 +28,6 @@ def parser() -> argparse.ArgumentParser:
     )
     port, seconds = within(int, 0, 2**16 - 1), within(float, 0.0, LONGEST_S)
     parser.add_argument("--port", type=port, default=9559, help="on 127.0.0.1; 0 for any that is free")
-    parser.add_argument("--user", help="ask for a login and speak TLS, like NAOqi 2.9")
-    parser.add_argument("--token-file", help="a file that holds the token of --user")
-    parser.add_argument("--token-env", help="an environment variable that holds the token of --user")
     parser.add_argument("--call-s", type=seconds, default=0.0, help="how long every call takes")
     parser.add_argument("--say-s", type=seconds, default=0.0, help="how long speech takes")
     parser.add_argument(
@@ -55,21 +48,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         signal.signal(number, lambda *_: stop.set())
     if options.follow_stdin:
         threading.Thread(target=_stop_at_end_of_stdin, args=(stop,), daemon=True).start()
-    login = read_login(
-        RobotSettings(
-            url=f"tcps://127.0.0.1:{options.port}",
-            user=options.user,
-            token_file=options.token_file,
-            token_env=options.token_env,
-        )
-    )
-    _serve(options, login, stop)
+    _serve(options, stop)
     # Everything is closed and flushed, but libqi's threads may still be releasing our services. If Python
     # ends during that, it aborts (3 times in 80 when a client had just left).
     os._exit(0)
 
 
-def _serve(options: argparse.Namespace, login: Login | None, stop: threading.Event) -> None:
+def _serve(options: argparse.Namespace, stop: threading.Event) -> None:
     """Be a robot until told to stop; print {"listening": url} once all services are there, and every Call."""
     qi = load_qi()
     out = sys.stdout.buffer
@@ -85,14 +70,8 @@ def _serve(options: argparse.Namespace, login: Login | None, stop: threading.Eve
         session = qi.Session()
         closing.callback(session.close)
         try:
-            session.listenStandalone(f"tcp://127.0.0.1:{0 if login else options.port}")
+            session.listenStandalone(f"tcp://127.0.0.1:{options.port}")
             url: str = session.endpoints()[0]
-            if login is not None:
-                # Read once: a robot that is killed leaves no key behind.
-                with tempfile.TemporaryDirectory(prefix="touchd-fake-robot-") as folder:
-                    gate = Gate(options.port, int(url.rsplit(":", 1)[1]), login, Path(folder))
-                closing.callback(gate.close)
-                url = f"tcps://127.0.0.1:{gate.port}"
         except (RuntimeError, OSError, OverflowError) as error:
             why = getattr(error, "strerror", None) or "another program does, or the system keeps it"
             raise RobotError(

@@ -9,8 +9,7 @@ from typing import IO
 import msgspec
 
 from touchd.drivers.fakes.services import Call
-from touchd.drivers.robot.link import load_qi
-from touchd.drivers.robot.settings import RobotError
+from touchd.drivers.robot.session import RobotError, load_qi
 
 START_S = 20.0
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from touchd.drivers.fakes.services import Call, fake_services
-from touchd.drivers.robot.link import RobotLost, RobotRefused, RobotSession
+from touchd.drivers.robot.session import RobotLost, RobotRefused, RobotSession
 
 
 class StubRobot:

@@ -4,23 +4,16 @@ The daemon never waits for the robot, whether it is away, hangs or refuses.
 """
 
 import atexit
-import importlib
-import importlib.util
 import logging
-import os
-import platform
 import re
-import sys
 import threading
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
-from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
+from typing import Generic, Literal, TypeAlias, TypeVar
 
-from touchd.drivers.errors import one_line
 from touchd.drivers.faults import Backoff, FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.queue import DroppingQueue, Signal
@@ -34,13 +27,16 @@ from touchd.drivers.robot.reactions import (
     Words,
     spoken,
 )
-from touchd.drivers.robot.settings import (
-    Login,
-    RobotError,
+from touchd.drivers.robot.session import (
+    OpenSession,
+    QiSession,
     RobotLimits,
+    RobotLost,
+    RobotRefused,
+    RobotSession,
     RobotSettings,
+    load_qi,
     read_login,
-    read_token,
 )
 
 log = logging.getLogger(__name__)
@@ -48,44 +44,14 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 LinkState: TypeAlias = Literal["up", "down"]
 
-# Poll interval for the stop event while a call runs.
-SLICE_MS = 50
-# Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
-HURRY_S = 0.25
 # Poll interval for an idle connection; bounds how long a killed robot goes unnoticed.
 LOOK_S = 0.05
 # Time to drain the queue on shutdown.
 LAST_WORDS_S = 0.5
+# How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
+SHOWN_S = 1.0
 NO_ACTIONS: Mapping[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
 NO_WORDS: Mapping[str, Words] = {}
-
-
-class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
-    """The robot is gone or answers too late (a call may still run there); only a new session helps."""
-
-
-class RobotRefused(Exception):  # noqa: N818 - as above
-    """The robot answered with an error, or has no such service or method; the session goes on."""
-
-
-class RobotSession(Protocol):
-    """One connection to a robot. One thread uses it; after RobotLost it is only closed."""
-
-    def connect(self) -> None:
-        """Connect and log in; raises RobotLost."""
-
-    def connected(self) -> bool:
-        """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
-
-    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
-
-    def close(self) -> None:
-        """Give the connection up, at once and whatever state it is in."""
-
-
-# Takes the URL, the login, the limits, and an event after which no call may take longer than HURRY_S.
-OpenSession: TypeAlias = Callable[[str, Login | None, RobotLimits, threading.Event], RobotSession]
 
 
 class RobotLink:
@@ -115,7 +81,7 @@ class RobotLink:
         if open_session is None:
             load_qi()
         self._open_session = open_session or QiSession
-        self._limits = limits or RobotLimits(call_s=settings.call_s, action_s=settings.action_s)
+        self._limits = limits or RobotLimits()
         self._on_state = on_state or (lambda *_: None)
         self._state: LinkState | None = None
         self._faults = FaultLog(log)
@@ -162,10 +128,6 @@ class RobotLink:
         atexit.unregister(self.stop)
 
     def _open(self, stopping: threading.Event) -> RobotSession:
-        if self._login is not None:
-            # The token may have been corrected since.
-            with suppress(RobotError):
-                self._login = replace(self._login, token=read_token(self._settings))
         return self._open_session(self._settings.url, self._login, self._limits, stopping)
 
     def _note_state(self, state: LinkState, reason: str) -> None:
@@ -323,7 +285,7 @@ class _EventWorker(_Worker[RobotMessage]):
     """Raises PREFIX/Detail and PREFIX/Gesture for each answer, and PREFIX/Status when it changes.
 
     A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that is
-    removed from the robot's memory after `limits.shown_s`, as the robot's own ALTactileGesture is. The Detail
+    removed from the robot's memory after SHOWN_S, as the robot's own ALTactileGesture is. The Detail
     is raised first, so that a program that wakes on the Gesture finds the Detail that belongs to it.
     """
 
@@ -354,7 +316,7 @@ class _EventWorker(_Worker[RobotMessage]):
     def handle(self, session: RobotSession, item: RobotMessage) -> None:
         self._raise(session, self._name(item.pad, "Detail"), _detail(item))
         self._raise(session, self._name(item.pad, "Gesture"), str(item.gesture))
-        self._remove_at_s[item.pad] = time.monotonic() + self._limits.shown_s
+        self._remove_at_s[item.pad] = time.monotonic() + SHOWN_S
 
     def tend(self, session: RobotSession) -> bool:
         """Remove a gesture when its time is over, send a status that has changed."""
@@ -464,112 +426,3 @@ def _detail(message: RobotMessage) -> list[object]:
 
 def _int32(number: int) -> int:
     return int(number) & 0x7FFF_FFFF
-
-
-def qi_installed() -> bool:
-    """Return whether qi, the library that speaks to NAOqi, is installed. It is not loaded."""
-    return importlib.util.find_spec("qi") is not None
-
-
-def load_qi() -> Any:
-    """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
-    # Read once, when libqi is loaded: a network that drops everything is noticed after 10 s, not 30.
-    os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
-    # libqi allocates what a message's header claims. The longest answers here list a service's methods.
-    os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
-    try:
-        qi = importlib.import_module("qi")
-    except ImportError as error:
-        from touchd.drivers.installed import how_to_install
-
-        why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
-        has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
-        instead = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
-        raise RobotError(
-            f"qi, the library that speaks to NAOqi, {why}; "
-            f"{instead} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
-        ) from error
-    # libqi logs to stdout, which is the daemon's stream of events.
-    qi.logging.setLevel(qi.logging.SILENT)
-    return qi
-
-
-class QiSession:
-    """A RobotSession over real qi.
-
-    Every operation is asynchronous and waited for with a limit: a synchronous one on a hung robot blocks for
-    ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
-    """
-
-    def __init__(self, url: str, login: Login | None, limits: RobotLimits, hurry: threading.Event) -> None:
-        self._url = url
-        self._limits = limits
-        self._hurry = hurry
-        self._qi = load_qi()
-        self._session = self._qi.Session()
-        self._proxies: dict[str, Any] = {}
-        if login is not None:
-            self._session.setClientAuthenticatorFactory(_Authenticator(login))
-
-    def connect(self) -> None:
-        connecting = self._session.connect(self._url, _async=True)
-        try:
-            self._value(connecting, self._limits.connect_s, "connecting")
-        except RobotRefused as refused:
-            raise RobotLost(str(refused)) from refused
-        except RobotLost as lost:
-            # libqi says the same for no robot, a wrong token, and tcp:// mixed up with tcps://.
-            if str(lost).endswith(("disconnected", "stream truncated")):
-                advice = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
-                raise RobotLost(f"{lost}; {advice}") from lost
-            raise
-
-    def connected(self) -> bool:
-        return bool(self._session.isConnected())
-
-    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        if service not in self._proxies:
-            found = self._session.service(service, _async=True)
-            self._proxies[service] = self._value(found, self._limits.service_s, f"looking for {service}")
-        try:
-            answer = getattr(self._proxies[service], method)(*arguments, _async=True)
-        except AttributeError as error:
-            raise RobotRefused(f"{service} has no {method}") from error
-        try:
-            setting = "robot.action_s" if limit_s == self._limits.action_s else "robot.call_s"
-            return self._value(answer, limit_s, f"{service}.{method}", f" (see {setting})")
-        except RobotRefused:
-            # The service may have ended; once it is back, only a new proxy reaches it.
-            del self._proxies[service]
-            raise
-
-    def close(self) -> None:
-        self._proxies.clear()
-        self._session.close(_async=True).wait(round(1000 * HURRY_S))
-
-    def _value(self, future: Any, limit_s: float, what: str, hint: str = "") -> object:
-        started_s = time.monotonic()
-        while future.wait(SLICE_MS) == self._qi.FutureState.Running:
-            waited_s = time.monotonic() - started_s
-            if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
-                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s{hint}")
-        try:
-            return future.value()
-        except RuntimeError as error:
-            # qi raises the same for a lost link and for an error on the robot.
-            first_line = (str(error).splitlines() or [type(error).__name__])[0]
-            because = one_line(f"{what}: {first_line}")
-            raise (RobotRefused if self.connected() else RobotLost)(because) from error
-
-
-class _Authenticator:
-    """Supplies libqi with the login; libqi calls both methods by these names."""
-
-    def __init__(self, login: Login) -> None:
-        self._login = login
-
-    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
-        return self
-
-    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return {"user": self._login.user, "token": self._login.token}

@@ -36,7 +36,7 @@ from touchd.daemon.terminal.view import View
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import read_recordings, splice
 from touchd.drivers.robot.reactions import Reactions, RobotMessage, spoken
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 # The page goes grey when frames stop.
 STILL_EVERY_S = 1 / 54

@@ -46,7 +46,7 @@ from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import SensorState
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 HOUR_FRAMES = round(3600 * FRAME_RATE_HZ)
 ROBOT_EVERY_FRAMES = HOUR_FRAMES // 8

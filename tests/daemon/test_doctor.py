@@ -13,7 +13,7 @@ from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 ACTIVE = "LoadState=loaded\nActiveState=active\n"
 

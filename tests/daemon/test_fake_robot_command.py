@@ -10,7 +10,7 @@ from rigs.wait import WITHIN_S
 
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 pytestmark = needs_qi
 

@@ -33,7 +33,7 @@ from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name
 from touchd.drivers.robot.reactions import Action, ActionRule
-from touchd.drivers.robot.settings import RobotLimits
+from touchd.drivers.robot.session import RobotLimits
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"

@@ -27,7 +27,7 @@ from touchd.daemon.events import SensorEvent
 from touchd.daemon.log import MOST_LINES
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 MOST_GROWTH_MB = 20.0
 MOST_LOG_LINES = 100

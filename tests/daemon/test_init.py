@@ -27,7 +27,7 @@ from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.drivers.robot.settings import Login, RobotError
+from touchd.drivers.robot.session import Login, RobotError
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())

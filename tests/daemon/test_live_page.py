@@ -29,7 +29,7 @@ from touchd.daemon.setup.words import name_of, vocabulary
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.reactions import Words
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 pytestmark = [
     pytest.mark.timeout(300),

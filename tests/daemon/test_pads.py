@@ -46,7 +46,7 @@ from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import ActionRule
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import SHIPPED_MODEL
 
 SPEED, FLOOD_SPEED = 20.0, 40.0

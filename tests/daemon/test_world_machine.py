@@ -45,7 +45,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 PERIOD_MS = 1000 / 54
 OLDEST_TOLD_MS = 2800

@@ -18,7 +18,7 @@ from rigs.wait import wait_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.faults import FORGOTTEN_S, LASTS_S, Backoff, FaultLog
-from touchd.drivers.robot.settings import RobotLimits
+from touchd.drivers.robot.session import RobotLimits
 
 Paused = Callable[[str], list[float]]
 

@@ -11,9 +11,9 @@ import pytest
 from rigs.robots import DETAIL, GESTURE, SAY, STATUS, Robot, linked, message
 
 from touchd.drivers.fakes import fake_robot
-from touchd.drivers.robot.link import QiSession, RobotLink, RobotRefused
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import Action, ActionRule, Leds
-from touchd.drivers.robot.settings import RobotError, RobotLimits, RobotSettings
+from touchd.drivers.robot.session import QiSession, RobotError, RobotLimits, RobotRefused, RobotSettings
 
 
 # Starting a process takes longer than most of the tests that talk to it.
@@ -153,7 +153,9 @@ def test_unsupported_actions_are_skipped(caplog: pytest.LogCaptureFixture) -> No
     assert robot.calls.said() == ["stroke", "pat"]
 
 
-@pytest.mark.parametrize(("python", "advice"), [((3, 12), ".*pip install"), ((3, 14), "see docs/install.md")])
+@pytest.mark.parametrize(
+    ("python", "advice"), [((3, 12), ".*pip install"), ((3, 14), "`touchd docs install` tells how")]
+)
 def test_without_qi_a_configured_robot_is_reported_in_one_line(
     monkeypatch: pytest.MonkeyPatch, python: tuple[int, int], advice: str
 ) -> None:
@@ -174,10 +176,9 @@ def test_without_qi_a_configured_robot_is_reported_in_one_line(
         ({"url": "tcp://nao.local"}, "is not an address such as tcp://"),
         ({"url": "tcp://nao.local:port"}, "is not an address such as tcp://"),
         ({"url": "tcp://nao.local:70000"}, "is not an address such as tcp://"),
-        ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file or token_env"),
-        ({"url": "tcps://nao:9503", "token_env": "TOKEN"}, "no user"),
-        ({"url": "tcp://nao:9559", "user": "nao", "token_env": "TOKEN"}, "unencrypted; use tcps://"),
-        ({"url": "tcps://nao:9503", "user": "nao", "token_env": "NO_SUCH"}, "NO_SUCH is empty or missing"),
+        ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file"),
+        ({"url": "tcps://nao:9503", "token_file": "/dev/null"}, "no user"),
+        ({"url": "tcp://nao:9559", "user": "nao", "token_file": "/dev/null"}, "unencrypted; use tcps://"),
         (
             {"url": "tcps://nao:9503", "user": "nao", "token_file": "/no/such"},
             r"/no/such cannot be read \(No such",

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 from rigs.programs import ran
-from rigs.robots import IMPATIENT, LOGIN, SAY, Robot, link_threads, linked, needs_qi_and_openssl, reach
+from rigs.robots import IMPATIENT, SAY, Robot, link_threads, linked, needs_qi, reach
 from rigs.wait import AT_ONCE_S
 
-from touchd.drivers.robot.settings import RobotLimits
+from touchd.drivers.robot.session import RobotLimits
 
 
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
@@ -43,18 +43,18 @@ EXIT_STATES = (
 
 def _exits_cleanly(state: str) -> str:
     """Run a program that ends while its link is in a state; return how it failed, "" if it ended cleanly."""
-    environment = {"ROBOT_TOKEN": LOGIN.token, "PYTHONPATH": str(Path(__file__).parents[1])}
+    environment = {"PYTHONPATH": str(Path(__file__).parents[1])}
     done = ran([sys.executable, "-m", "rigs.robot_exit", state], env=os.environ | environment)
     return "" if (done.returncode, done.stdout, done.stderr) == (0, "", "") else f"{state}: {done}"
 
 
-@needs_qi_and_openssl
+@needs_qi
 @pytest.mark.parametrize("state", ["busy", "hung"])
 def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
     assert _exits_cleanly(state) == ""
 
 
-@needs_qi_and_openssl
+@needs_qi
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("state", EXIT_STATES)

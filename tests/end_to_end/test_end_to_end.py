@@ -27,7 +27,7 @@ from touchd.drivers.recording import (
     realign,
     splice,
 )
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import Classifier
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score

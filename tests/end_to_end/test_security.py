@@ -21,7 +21,7 @@ from rigs.wait import wait_for
 from touchd.daemon.config import JournalSettings
 from touchd.daemon.events import RobotEvent, SensorEvent
 from touchd.daemon.setup.strict_yaml import StrictLoader
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 from touchd.model.training.recipe import MAX_BYTES, SettingsError, read_recipe
 
 ROOT = Path(__file__).parents[2]

@@ -25,7 +25,7 @@ from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import splice
-from touchd.drivers.robot.settings import RobotSettings
+from touchd.drivers.robot.session import RobotSettings
 
 UNITS = Path(__file__).parents[2] / "systemd"
 

@@ -3,15 +3,16 @@
 import logging
 import socket
 import sys
+import tempfile
 import time
-from typing import Any
+from pathlib import Path
 
-from rigs.robots import SAY, Robot, States, reach
+from rigs.robots import SAY, Robot, States, login_in, reach
 from rigs.wait import AT_ONCE_S
 
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.settings import Login, RobotSettings
+from touchd.drivers.robot.session import Login, RobotSettings
 
 
 def main(state: str) -> int:
@@ -20,9 +21,9 @@ def main(state: str) -> int:
     # Nothing may be printed at a clean end, so the link's warnings are off.
     logging.disable()
     mute = socket.create_server(("127.0.0.1", 0))
-    with Robot(login=login, say_s=60) as robot:
+    with tempfile.TemporaryDirectory() as folder, Robot(login=login, say_s=60) as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}" if state == "mute" else robot.url
-        user: dict[str, Any] = {"user": "nao", "token_env": "ROBOT_TOKEN"} if encrypted else {}
+        user = login_in(Path(folder)) if encrypted else {}
         states = States()
         link = RobotLink(RobotSettings(url=url, **user), states, actions={DEFAULT_PAD: (SAY,)})
         if state == "refused":

@@ -1,31 +1,27 @@
 """A stand-in robot that records its calls, and a link that records its states."""
 
-import os
-import shutil
 import signal
 import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import pytest
 from rigs.call_log import CallLog
+from rigs.login_gate import Gate
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S
 
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.link import RobotLink, qi_installed
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import Action, ActionRule, RobotMessage
-from touchd.drivers.robot.settings import Login, RobotLimits, RobotSettings
+from touchd.drivers.robot.session import Login, RobotLimits, RobotSettings, qi_installed
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
-needs_qi_and_openssl = pytest.mark.skipif(
-    not (qi_installed() and shutil.which("openssl")), reason="qi or openssl is not installed"
-)
 
 
 class Robot(LoopbackRobot):
@@ -43,20 +39,27 @@ class Robot(LoopbackRobot):
         without: Sequence[str] = (),
         login: Login | None = None,
     ) -> None:
-        if not qi_installed() or (login and not shutil.which("openssl")):
-            pytest.skip("qi or openssl is not installed")
+        if not qi_installed():
+            pytest.skip("qi is not installed")
         self.calls = CallLog()
-        self._environment = {"FAKE_ROBOT_TOKEN": login.token} if login else {}
+        self._login = login
+        self._gate: Gate | None = None
+        self._gate_port = free_port()
         options = [f"--port={free_port()}", f"--call-s={call_s}", f"--say-s={say_s}"]
         options += [f"--without={name}" for name in without]
-        if login is not None:
-            options += [f"--user={login.user}", "--token-env=FAKE_ROBOT_TOKEN"]
         super().__init__(self.calls.add, options)
 
     def start(self) -> None:
         """Switch it on, also after kill()."""
-        with patch.dict(os.environ, self._environment):
-            super().start()
+        super().start()
+        if self._login is not None:
+            self._gate = Gate(self._gate_port, int(self.url.rpartition(":")[2]), self._login)
+            self.url = f"tcps://127.0.0.1:{self._gate_port}"
+
+    def stop(self) -> None:
+        super().stop()
+        if self._gate is not None:
+            self._gate.close()
 
     def kill(self) -> None:
         """Switch it off at once."""
@@ -91,6 +94,14 @@ def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
     """Assert that a robot hears of a gesture that is published now."""
     link.publish(message(gesture))
     robot.calls.wait_for_raise(GESTURE, gesture)
+
+
+def login_in(folder: Path, login: Login = LOGIN) -> dict[str, Any]:
+    """Return the settings for a login, with the token in a file of a folder."""
+    token = folder / "token"
+    token.write_text(f"{login.token}\n")
+    token.chmod(0o600)
+    return {"user": login.user, "token_file": str(token)}
 
 
 class States:

@@ -5,16 +5,15 @@ TLS, checks the login in the first message, and then passes bytes through.
 """
 
 import logging
-import shutil
 import socket
 import ssl
 import struct
-import subprocess
 import threading
 from contextlib import suppress
-from pathlib import Path
 
-from touchd.drivers.robot.settings import Login, RobotError
+import trustme
+
+from touchd.drivers.robot.session import Login
 
 log = logging.getLogger(__name__)
 
@@ -28,18 +27,16 @@ MAX_FIRST_MESSAGE_BYTES = 64 * 1024
 class Gate:
     """Lets clients with the right login through to a server on this machine.
 
-    port: where to listen on 127.0.0.1, 0 for any that is free. inner_port: the server's.
-    folder: a private one for certificate and key, which are made here; raises RobotError without openssl.
+    port: where to listen on 127.0.0.1. inner_port: the server's.
     """
 
-    def __init__(self, port: int, inner_port: int, login: Login, folder: Path) -> None:
+    def __init__(self, port: int, inner_port: int, login: Login) -> None:
         self._inner_port = inner_port
         self._login = login
         self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        self._tls.load_cert_chain(*make_certificate(folder))
+        trustme.CA().issue_cert("127.0.0.1").configure_cert(self._tls)
         self._listener = socket.create_server(("127.0.0.1", port))
-        self.port: int = self._listener.getsockname()[1]
-        threading.Thread(target=self._accept, name="loopback-gate", daemon=True).start()
+        threading.Thread(target=self._accept, name="login-gate", daemon=True).start()
 
     def close(self) -> None:
         self._listener.close()
@@ -48,9 +45,7 @@ class Gate:
         with suppress(OSError):
             while True:
                 client, _ = self._listener.accept()
-                threading.Thread(
-                    target=self._serve, args=(client,), name="loopback-gate", daemon=True
-                ).start()
+                threading.Thread(target=self._serve, args=(client,), name="login-gate", daemon=True).start()
 
     def _serve(self, plain: socket.socket) -> None:
         try:
@@ -67,20 +62,6 @@ class Gate:
                     _pump(client, server)
         except (OSError, ValueError) as error:
             log.debug("a client was not let in, or left: %s", error)
-
-
-def make_certificate(folder: Path) -> tuple[Path, Path]:
-    """Make a certificate for one day and its key in a folder; returns their paths. Raises RobotError."""
-    certificate, key = folder / "certificate.pem", folder / "key.pem"
-    if shutil.which("openssl") is None:
-        raise RobotError("a stand-in robot with TLS needs the command openssl; install it")
-    command = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
-    command += ["-nodes", "-days", "1", "-subj", "/CN=loopback"]
-    command += ["-keyout", str(key), "-out", str(certificate)]
-    made = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
-    if made.returncode != 0:
-        raise RobotError(f"openssl made no certificate: {made.stderr.strip().splitlines()[-1:]}")
-    return certificate, key
 
 
 def _first_message(client: socket.socket) -> bytes:

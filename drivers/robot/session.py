@@ -1,0 +1,297 @@
+"""How a robot is reached: its address and login, time limits, and a session over qi."""
+
+import importlib
+import importlib.util
+import ipaddress
+import logging
+import os
+import platform
+import re
+import stat
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeAlias
+
+import msgspec
+
+from touchd.drivers.errors import TouchdError, one_line, written_out
+
+log = logging.getLogger(__name__)
+
+MAX_TOKEN_BYTES = 4096
+# Poll interval for the stop event while a call runs.
+SLICE_MS = 50
+# Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
+HURRY_S = 0.25
+
+
+class RobotError(TouchdError):
+    """The robot cannot be used as configured: the user must change something. The message is one line."""
+
+
+@dataclass(frozen=True)
+class Login:
+    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token."""
+
+    user: str
+    token: str = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotLimits:
+    """Every wait and every buffer of the link to the robot, in seconds unless named otherwise.
+
+    connect_s: for a connection, or for the proxy of a service (measured on loopback: 12 ms and 1 ms).
+    call_s: for any call on the event path (0.3 ms; a robot on a bad network needs a hundred times that).
+    action_s: for one action; speech and behaviours answer only when they are over, a dance after minutes.
+    stale_s: what has waited longer than this is dropped, since a late answer is worse than none.
+    heartbeat_s: the robot is asked something after this much silence. With call_s it bounds how long a hang
+    goes unnoticed, because a hung robot still looks connected.
+    backoff_first_s, backoff_cap_s: pause before another attempt, doubling from the one to the other. The cap
+    bounds how long a robot that is back goes unnoticed.
+    capacity: messages, or reactions, that wait at most; the oldest is dropped.
+    """
+
+    connect_s: float = 3.0
+    call_s: float = 1.0
+    action_s: float = 600.0
+    stale_s: float = 2.0
+    heartbeat_s: float = 0.3
+    backoff_first_s: float = 0.1
+    backoff_cap_s: float = 1.0
+    capacity: int = 64
+
+
+class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the robot is and how to log in. The token itself is never among the settings.
+
+    url: tcp://host:9559 for NAOqi up to 2.8, tcps://host:9503 for 2.9. libqi encrypts the latter, but checks
+    no certificate. prefix: of the ALMemory events raised.
+    user, and token_file, which holds the token: for NAOqi 2.9, which asks.
+    trust_network: libqi takes any certificate for the robot's, so whoever can step in between gets the token;
+    it is sent beyond this computer only where this says that nobody can.
+    """
+
+    url: str
+    prefix: str = "TouchGesture"
+    user: str | None = None
+    token_file: str | None = None
+    trust_network: bool = False
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
+            raise ValueError(
+                f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
+            )
+
+
+def read_login(settings: RobotSettings) -> Login | None:
+    """Return whom to log in as, None where no user is set; raises RobotError with one line.
+
+    The token is in no text made of the result.
+    """
+    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
+    if address is None or int(address[2]) > 65535:
+        # Do not show a password in it.
+        shown = re.sub(r"//.*@", "//***@", settings.url)
+        raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
+    if settings.user is None:
+        if settings.token_file:
+            raise RobotError("robot has a token but no user; set user (nao on most robots)")
+        return None
+    if not settings.url.startswith("tcps://"):
+        raise RobotError(
+            f"robot {settings.url} would get the token unencrypted; use tcps://, or leave user out"
+        )
+    if settings.token_file is None:
+        raise RobotError("robot has a user but no token; set token_file")
+    login = Login(settings.user, _read_token(settings.token_file))
+    _warn_of_readers(settings.token_file)
+    if _is_here(address[1]):
+        return login
+    if not settings.trust_network:
+        raise RobotError(
+            f"robot {settings.url}: its certificate cannot be checked, so whoever is between could read the "
+            "token; set robot.trust_network: true if nobody can be, or leave user out"
+        )
+    log.warning("robot %s: the token is sent to whoever answers there (robot.trust_network)", settings.url)
+    return login
+
+
+def _is_here(host: str) -> bool:
+    with suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
+
+
+def _read_token(token_file: str) -> str:
+    where = _shown(token_file)
+    try:
+        # A pipe that nobody writes to must not hold the daemon up.
+        fd = os.open(written_out(token_file), os.O_RDONLY | os.O_NONBLOCK)
+        with open(fd, "rb", buffering=0) as file:
+            content = file.read(MAX_TOKEN_BYTES + 1) or b""
+        token = content.decode().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "not text"
+        raise RobotError(f"robot token_file {where} cannot be read ({why})") from error
+    if len(content) > MAX_TOKEN_BYTES:
+        raise RobotError(f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token")
+    if not token:
+        raise RobotError(f"the robot's token in {where} is empty or missing; put it there")
+    return token
+
+
+def _warn_of_readers(token_file: str) -> None:
+    mode = written_out(token_file).stat().st_mode
+    if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
+        log.warning(
+            "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
+            "chgrp touchd)",
+            _shown(token_file),
+        )
+
+
+def _shown(token_file: str) -> str:
+    # A value that is no path may be the token itself.
+    return token_file if "/" in token_file else "(not shown, since it is no full path)"
+
+
+class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
+    """The robot is gone or answers too late (a call may still run there); only a new session helps."""
+
+
+class RobotRefused(Exception):  # noqa: N818 - as above
+    """The robot answered with an error, or has no such service or method; the session goes on."""
+
+
+class RobotSession(Protocol):
+    """One connection to a robot. One thread uses it; after RobotLost it is only closed."""
+
+    def connect(self) -> None:
+        """Connect and log in; raises RobotLost."""
+
+    def connected(self) -> bool:
+        """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
+
+    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+        """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
+
+    def close(self) -> None:
+        """Give the connection up, at once and whatever state it is in."""
+
+
+# Takes the URL, the login, the limits, and an event after which no call may take longer than HURRY_S.
+OpenSession: TypeAlias = Callable[[str, Login | None, RobotLimits, threading.Event], RobotSession]
+
+
+def qi_installed() -> bool:
+    """Return whether qi, the library that speaks to NAOqi, is installed. It is not loaded."""
+    return importlib.util.find_spec("qi") is not None
+
+
+def load_qi() -> Any:
+    """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
+    # Read once, when libqi is loaded: a network that drops everything is noticed after 10 s, not 30.
+    os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
+    # libqi allocates what a message's header claims. The longest answers here list a service's methods.
+    os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
+    try:
+        qi = importlib.import_module("qi")
+    except ImportError as error:
+        from touchd.drivers.installed import how_to_install
+
+        why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
+        has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
+        instead = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
+        raise RobotError(
+            f"qi, the library that speaks to NAOqi, {why}; "
+            f"{instead} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
+        ) from error
+    # libqi logs to stdout, which is the daemon's stream of events.
+    qi.logging.setLevel(qi.logging.SILENT)
+    return qi
+
+
+class QiSession:
+    """A RobotSession over real qi.
+
+    Every operation is asynchronous and waited for with a limit: a synchronous one on a hung robot blocks for
+    ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
+    """
+
+    def __init__(self, url: str, login: Login | None, limits: RobotLimits, hurry: threading.Event) -> None:
+        self._url = url
+        self._limits = limits
+        self._hurry = hurry
+        self._qi = load_qi()
+        self._session = self._qi.Session()
+        self._proxies: dict[str, Any] = {}
+        if login is not None:
+            self._session.setClientAuthenticatorFactory(_Authenticator(login))
+
+    def connect(self) -> None:
+        connecting = self._session.connect(self._url, _async=True)
+        try:
+            self._value(connecting, self._limits.connect_s, "connecting")
+        except RobotRefused as refused:
+            raise RobotLost(str(refused)) from refused
+        except RobotLost as lost:
+            # libqi says the same for no robot, a wrong token, and tcp:// mixed up with tcps://.
+            if str(lost).endswith(("disconnected", "stream truncated")):
+                advice = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
+                raise RobotLost(f"{lost}; {advice}") from lost
+            raise
+
+    def connected(self) -> bool:
+        return bool(self._session.isConnected())
+
+    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+        if service not in self._proxies:
+            found = self._session.service(service, _async=True)
+            self._proxies[service] = self._value(found, self._limits.connect_s, f"looking for {service}")
+        try:
+            answer = getattr(self._proxies[service], method)(*arguments, _async=True)
+        except AttributeError as error:
+            raise RobotRefused(f"{service} has no {method}") from error
+        try:
+            return self._value(answer, limit_s, f"{service}.{method}")
+        except RobotRefused:
+            # The service may have ended; once it is back, only a new proxy reaches it.
+            del self._proxies[service]
+            raise
+
+    def close(self) -> None:
+        self._proxies.clear()
+        self._session.close(_async=True).wait(round(1000 * HURRY_S))
+
+    def _value(self, future: Any, limit_s: float, what: str) -> object:
+        started_s = time.monotonic()
+        while future.wait(SLICE_MS) == self._qi.FutureState.Running:
+            waited_s = time.monotonic() - started_s
+            if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
+                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s")
+        try:
+            return future.value()
+        except RuntimeError as error:
+            # qi raises the same for a lost link and for an error on the robot.
+            first_line = (str(error).splitlines() or [type(error).__name__])[0]
+            because = one_line(f"{what}: {first_line}")
+            raise (RobotRefused if self.connected() else RobotLost)(because) from error
+
+
+class _Authenticator:
+    """Supplies libqi with the login; libqi calls both methods by these names."""
+
+    def __init__(self, login: Login) -> None:
+        self._login = login
+
+    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
+        return self
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
+        return {"user": self._login.user, "token": self._login.token}
