@@ -13,7 +13,7 @@ import pytest
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.programs import TOUCHD, Program
-from rigs.robots import LOGIN, Robot, needs_qi_and_openssl
+from rigs.robots import LOGIN, Robot, needs_qi
 from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
@@ -148,7 +148,7 @@ def test_the_end_of_input_means_no_robot() -> None:
     assert load(FILE).robot is None
 
 
-@needs_qi_and_openssl
+@needs_qi
 @pytest.mark.parametrize(
     ("login", "said"),
     [
