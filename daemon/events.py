@@ -1,4 +1,4 @@
-"""What the daemon says: one JSON object a line, on stdout and in the journal."""
+"""The daemon's events: one JSON object a line, on stdout and in the journal."""
 
 from datetime import datetime, timezone
 from typing import Annotated, Literal, TypeAlias

@@ -85,7 +85,7 @@ class FeelMeter:
         self._move(PLACES @ rise / load)
 
     def feel(self) -> Feel:
-        """Return what the touch was like so far."""
+        """Return the measures of the touch so far."""
         count = max(self._touched_frames, 1)
         row, column = self._place_sum / count
         way = self._end - self._start

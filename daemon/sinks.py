@@ -37,7 +37,7 @@ DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class Sink(typing.Protocol):
-    """What the daemon asks of a destination of events."""
+    """The interface of a destination of events."""
 
     name: str
 

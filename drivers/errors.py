@@ -1,4 +1,4 @@
-"""What every error at an edge has in common: one type, one printable line that says what to do."""
+"""The base of all errors at an edge: one printable line that says what is wrong and what to do."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,4 +1,4 @@
-"""What a reader of a pad delivers: frames, and whether they come."""
+"""The items that a pad's reader delivers: frames, and the pad's state."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -14,7 +14,7 @@ FRAME_RATE_HZ = 54.0
 CLOCK_MODULUS = 2**32
 """Where the sensor's clock in ms begins again at 0."""
 DEFAULT_PAD = "pad"
-"""What the only pad is called where the configuration gives it no name."""
+"""The name of the only pad, if the configuration gives it none."""
 
 Counts = NDArray[np.uint16]
 PadState: TypeAlias = Literal["up", "degraded", "down"]

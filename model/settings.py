@@ -1,4 +1,4 @@
-"""What decides what a network is and learns from: its shape, the augmentation. No torch in here."""
+"""Settings of a network: its shape, and the augmentation of its training. Does not import torch."""
 
 import msgspec
 

@@ -1,8 +1,8 @@
-"""Bridges in a process of their own, for libraries that anybody on the network makes keep what he sends.
+"""Runs bridges in a process of their own, for libraries that anybody on the network can make use memory.
 
-liblsl keeps a request of any length, DDS whatever participants announce themselves; neither has a limit. In a
-process of its own the library can take MOST_MB more than it began with. Then that process ends, and a new one
-begins; the daemon is not disturbed. `python -m touchd.daemon.bridges.apart` is that process.
+liblsl keeps a request of any length, DDS every participant that announces itself; neither has a limit. The
+process may grow by MOST_MB. Then it ends and the daemon, which goes on undisturbed, starts another.
+`python -m touchd.daemon.bridges.apart` is that process.
 """
 
 import importlib
@@ -29,7 +29,7 @@ from touchd.daemon.events import Event, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 MOST_MB = 16
-# liblsl starts a thread for each listener. Of the usual 8 MB of stack a few would take all that is allowed.
+# liblsl starts a thread for each listener; with the usual 8 MB of stack, a few would use all that is allowed.
 SMALL_STACKS = ("/bin/sh", "-c", 'ulimit -s 512; exec "$@"', "sh")
 PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
 # Fewer pieces of memory that are only reserved; no module is taken from the working folder.
@@ -37,7 +37,7 @@ ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFE
 READY = "ready"
 OUT_OF_MEMORY = 3
 OPEN_S = 2.0
-# What the libraries log themselves; DDS complains of each packet that it cannot read.
+# Limit of the libraries' own log lines; DDS logs each packet that it cannot read.
 MOST_LINES, LINES_AGAIN_S = 20, 60.0
 LEVELS = {"INFO": logging.INFO, "WARNING": logging.WARNING, "ERROR": logging.ERROR}
 SECTIONS = {"lsl": LslSettings, "ros2": Ros2Settings}
@@ -117,7 +117,7 @@ class ApartBridge(ConnectedBridge):
         """Log what the process logs, until it ends; returns the last line."""
         assert process.stderr is not None
         rest, last, left, again_s = b"", "", 0, 0.0
-        # In large pieces: a library may log faster than lines can be looked at, and must not wait for that.
+        # Read large pieces: a library may log faster than lines can be processed, and must not block on that.
         while data := os.read(process.stderr.fileno(), 65536):
             *lines, rest = (rest + data).split(b"\n")[-2 * MOST_LINES :]
             rest = rest[:1000]
@@ -139,7 +139,7 @@ class ApartBridge(ConnectedBridge):
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the bridges of some pads on the lines that come at standard input."""
+    """Run the bridges of some pads, fed by lines on standard input."""
     name, section, *pads = arguments
     # The daemon closes standard input when it ends; until then signals to the whole group are not for us.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

@@ -1,4 +1,4 @@
-"""What bridges share: a bounded queue, frames at a stated rate, a connection that is kept and reported."""
+"""Shared by bridges: a bounded queue, frames at a stated rate, a connection that is kept and reported."""
 
 import logging
 import threading
@@ -22,7 +22,7 @@ POLL_S = 0.05
 # Two faults: nothing answers, or what answers ends the connection.
 OUT_OF_REACH, AWAY = "out of reach", "away"
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
-# Connections that may end while one event is sent, before the event is taken for the cause.
+# Connections that may end while sending one event before the event is blamed and dropped.
 TRIES = 3
 # Minimum interval between two lines about what the peer refuses.
 REFUSED_AGAIN_S = 60.0
@@ -80,11 +80,11 @@ class Bridge(QueuedSink[Item]):
 
     @abstractmethod
     def open(self) -> None:
-        """Make what the library needs; must not wait for the peer."""
+        """Create the library's objects; must not wait for the peer."""
 
     @abstractmethod
     def close(self) -> None:
-        """Say goodbye and free what `open` made."""
+        """Disconnect and free what `open` created."""
 
     def _run(self) -> None:
         try:
@@ -130,7 +130,7 @@ class Bridge(QueuedSink[Item]):
 
 
 class ConnectedBridge(Bridge):
-    """A bridge over a connection, which a thread of its own keeps.
+    """A bridge over a connection that a thread of its own keeps open.
 
     where: the peer's address, for the log.
     """
@@ -202,7 +202,7 @@ class ConnectedBridge(Bridge):
                 reason = self.hold()
             except OSError as error:
                 kind, reason = OUT_OF_REACH, f"cannot be reached: {error.strerror or error}"
-            # What a peer sends makes libraries raise what they do not document.
+            # A peer's bytes can make libraries raise undocumented errors.
             except Exception as error:
                 reason = f"{type(error).__name__}: {error}"
             self._note_away(self._where, reason, kind)
@@ -212,8 +212,8 @@ class ConnectedBridge(Bridge):
 class Allowance:
     """How many bytes a peer may send: some at once, a few a second, and some for each message to it.
 
-    touchd subscribes to nothing, so a peer has little to say. Libraries keep or parse what it sends all the
-    same, so its bytes are limited before a library sees them.
+    touchd subscribes to nothing, so a peer need not send much. Libraries keep or parse whatever it sends, so
+    its bytes are limited before a library sees them.
     """
 
     def __init__(self, first: int, for_each: int, per_s: float = 16.0) -> None:

@@ -51,7 +51,7 @@ class MqttBridge(ConnectedBridge):
         self._topic = f"{settings.topic}/{pad}"
         self._state = "down"
         self._version = MQTTProtocolVersion.MQTTv5
-        # By its name a broker knows whose lost connection, and will, it still holds.
+        # The client id tells the broker whose lost connection, and last will, it still holds.
         self._client_id = f"touchd-{secrets.token_hex(8)}"
         self._client: _Client | None = None
         self._tls = _tls(settings.ca_file) if settings.tls else None

@@ -27,7 +27,7 @@ from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 BYTES_PER_TAXEL = 2
-# DDS chooses a network when it begins: how often to look for another, and to try where there is none.
+# DDS chooses a network at its start: how often to look for another one, and to retry without one.
 LOOK_S = 5.0
 FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 10.0
 
@@ -119,7 +119,7 @@ class Ros2Bridge(Bridge):
                 self._abandoned.wait(backoff.pause_s())
 
     def _join(self) -> None:
-        """Join by the network that there is now; raises DDSException without one."""
+        """Join over the current network; raises DDSException if there is none."""
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
         participant = DomainParticipant(self._settings.domain)
         publisher = Publisher(participant)
@@ -141,7 +141,7 @@ class Ros2Bridge(Bridge):
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
                 self._log.info("ros2: the network has changed; joining again")
-                # A process chooses anew only once all its pads have left, each within this time.
+                # A process chooses again only after all its pads have left, each within this time.
                 self._writers.clear()
                 self._abandoned.wait(2 * LOOK_S)
                 self.open()

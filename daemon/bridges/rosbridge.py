@@ -29,7 +29,7 @@ CONNECTION: Mapping[str, Any] = {
 }
 # A server may refuse each message in a few words.
 FIRST_BYTES, REFUSAL_BYTES = 16 * 1024, 1024
-# websockets cannot ping, nor see that no answer comes, while it waits for what it sends to be taken.
+# While a send blocks, websockets can neither ping nor notice a missing answer.
 UNTAKEN_MS = 10_000
 # In the form that servers of ROS 1 and ROS 2 accept.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"

@@ -35,7 +35,7 @@ STAMP_S = 0.002
 
 
 class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """What was measured; a name ends in its unit.
+    """The measurements; a name ends in its unit.
 
     latency: from writing the last byte of the frame that completes an answer's window to reading the answer's
     line from the daemon's output. inner: the part of it that the daemon itself measures.

@@ -129,7 +129,7 @@ def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int]) -> Found | None:
-    """Return what sends at a port; None if nothing does."""
+    """Return the sender at a port; None if there is none."""
     tried: list[int] = []
 
     def trying(baud: int) -> None:

@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class Signals:
-    """What signals requested, as plain attributes: a handler that takes a lock can deadlock with itself.
+    """Requests by signals, as plain attributes: a handler that takes a lock can deadlock with itself.
 
     SIGINT and SIGTERM end the daemon. So does SIGHUP when the terminal has closed; otherwise it is ignored,
     with one line in the log.

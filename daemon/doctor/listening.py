@@ -20,7 +20,7 @@ LONGEST_STEP_MS = 1000
 
 @dataclass(frozen=True, eq=False)
 class Heard:
-    """What was received.
+    """Received frames and bytes.
 
     frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
     the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went away,

@@ -90,7 +90,7 @@ def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None
 
 
 def _speaks_tls(url: str) -> bool:
-    """Return whether somebody answers with TLS: a robot that asks for a login tells qi nothing else."""
+    """Return whether a server answers with TLS: before its login a robot reveals nothing else."""
     _, host, port = re.split(r":(?://)?", url)
     # libqi checks no certificate either, and nothing is sent.
     context = ssl.create_default_context()

@@ -1,1 +1,1 @@
-"""What the daemon keeps on disk: the journal, and the frames of touches."""
+"""Files of the daemon: the journal, and the frames of touches."""

@@ -36,7 +36,7 @@ NOISE_COUNTS = 3.0
 
 
 class Model(Protocol):
-    """What the page needs of a model."""
+    """The properties of a model that the page shows."""
 
     @property
     def name(self) -> str: ...
@@ -45,14 +45,14 @@ class Model(Protocol):
 
 
 class Scene(NamedTuple):
-    """What a pad's page shows. settings: with this pad alone. model: None if nothing is recognised."""
+    """The scene of a pad's page. settings: with this pad alone. model: None if nothing is recognised."""
 
     settings: Settings
     model: Model | None
 
 
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
-    """What a page needs when it connects, or has fallen behind.
+    """The state that a page gets when it connects or has fallen behind.
 
     pad: name of the pad. page: stamp of the page's files; a page with another reloads. labels: in the
     order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:

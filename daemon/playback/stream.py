@@ -120,7 +120,7 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
 
     if quiet:
         best = max(quiet, key=likeness)
-        # Under the touch's own names: with others the clock would start anew, and the tracker under the hand.
+        # Keep the touch's own names; with others the clock would restart, and rest would include the hand.
         quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
         frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
         counts, sensor_ms = best.counts[:frames], best.sensor_ms[:frames]

@@ -31,7 +31,7 @@ STOP_S = 1.0
 
 
 class TouchedPad:
-    """What the fabric reads under all pointers, or under the simulated hand, if there is one.
+    """A pad under all pointers, or under the simulated hand, if there is one.
 
     on_frame: receives each frame's counts and clock.
     """

@@ -1,4 +1,4 @@
-"""What pictures of recordings and journals share: colours, marks, lanes for answers, saving."""
+"""Shared by pictures of recordings and journals: colours, marks, lanes for answers, saving."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path

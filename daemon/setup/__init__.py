@@ -1,1 +1,1 @@
-"""From the settings to the parts that run, and to new ones when the settings change."""
+"""From YAML text to settings, and from settings to the parts that run."""

@@ -68,7 +68,7 @@ class Parts:
 def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 
-    emit: takes every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.
+    emit: receives every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.
     """
     check_pad(settings)
     models = load_models(settings)
@@ -106,7 +106,7 @@ def open_journal(settings: JournalSettings | None) -> JournalSink | None:
 
 
 def keep_touches(settings: Settings) -> TouchSink | None:
-    """Return what keeps the frames of touches, if configured; raises ConfigError."""
+    """Return the sink that saves the frames of touches, if configured; raises ConfigError."""
     journal = settings.journal
     if journal is None or journal.keep_touches is None:
         return None
@@ -127,7 +127,7 @@ def _make_state_folder(settings: JournalSettings) -> None:
 def link_to_robot(settings: Settings, emit: Emit) -> RobotSink | None:
     """Return the link to the configured robot, if any; raises RobotError.
 
-    emit: gets an event when the robot comes, goes or does something, from the link's threads.
+    emit: receives an event when the robot comes, goes or acts, from the link's threads.
     """
 
     def report(state: LinkState, reason: str) -> None:

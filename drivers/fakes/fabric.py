@@ -29,7 +29,7 @@ class Fabric:
         self._sensitivity = rng.lognormal(0.0, UNEVENNESS, cells)
 
     def read(self, pressed: NDArray[np.float64]) -> Counts:
-        """Return what the pad sends under a pressure (..., rows, columns), uint16, up to the full scale."""
+        """Return the pad's counts under a pressure (..., rows, columns), uint16, up to the full scale."""
         loaded = pressed * self._sensitivity
         leak = ROW_LEAK * loaded.sum(axis=-1, keepdims=True) * (COLUMNS / self._columns)
         noise = NOISE_COUNTS * self._rng.normal(size=pressed.shape)

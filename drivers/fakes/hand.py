@@ -241,7 +241,7 @@ def repeated(gestures: Sequence[str], every_s: float, rng: RandomState) -> Itera
 
 
 def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
-    """Return what a pad sends at 54 Hz during a script of (gesture, seconds), a recording each.
+    """Return a pad's counts at 54 Hz during a script of (gesture, seconds), a recording each.
 
     Each touch has its own strength, place, direction and pace, as people's have. The clock continues from one
     recording to the next. The same script and seed give the same counts on every machine.

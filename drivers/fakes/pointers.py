@@ -35,7 +35,7 @@ TREMOR, KEPT_NOISE = 0.015, 0.5
 
 
 class Pointer(NamedTuple):
-    """What presses now. row, column: in taxels, -0.5 to 7.5 from edge to edge.
+    """A pointer that presses. row, column: in taxels, -0.5 to 7.5 from edge to edge.
 
     pressure: 0 to 1 if the device measures it, else None: the hand then presses harder where it stays.
     """

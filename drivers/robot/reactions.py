@@ -1,4 +1,4 @@
-"""What the robot does about an answer: the configured rules, and which of them an answer sets off.
+"""The robot's reactions: the configured rules, and which of them an answer triggers.
 
 Nothing here needs a robot. The rules in the configuration:
 
@@ -182,7 +182,7 @@ class Reactions:
         self._reported: OrderedDict[int, _Reported] = OrderedDict()
 
     def choose(self, message: RobotMessage, now_s: float, *, is_told: bool = True) -> Reaction | None:
-        """Return what to do about an answer, None for nothing. now_s: any clock that never goes back.
+        """Return the actions for an answer, None without any. now_s: any clock that never goes back.
 
         is_told: whether the robot is sent this answer. One that is not sent counts only where it confirms the
         answer sent before, at another stage.

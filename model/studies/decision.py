@@ -103,7 +103,7 @@ class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
-    """What the robot is told under one pair of settings; shares of the touches."""
+    """Answers told to the robot under one pair of settings; shares of the touches."""
 
     speak_above: float
     revise_margin: float
@@ -126,7 +126,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
-    """What `scene.early` and `scene.sure` cost. first: of the first answer told; right: of the last."""
+    """Cost of one choice of `scene.early` and `scene.sure`. first: of the first answer told; right: of the last."""
 
     early: str
     sure: str

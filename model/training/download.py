@@ -35,7 +35,7 @@ class DownloadError(TouchdError):
 
 @dataclass(frozen=True)
 class Contents:
-    """What one file of the set holds: how many recordings, and by whom."""
+    """Contents of one file of the set: number of recordings, and participants."""
 
     recordings: int
     participants: tuple[str, ...]
@@ -68,7 +68,7 @@ def obtain(
 
 
 def check(path: Path, expected: Contents) -> Contents:
-    """Return what the file holds; raises RecordingError if that is unexpected."""
+    """Return the file's contents; raises RecordingError if they are unexpected."""
     recordings = read_recordings(path)
     for recording in recordings:
         _check_recording(path, recording)

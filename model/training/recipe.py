@@ -30,7 +30,7 @@ class SettingsError(TouchdError):
 
 
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `train` trains."""
+    """The networks that `train` trains."""
 
     name: str
     folds: tuple[tuple[str, ...], ...]
