@@ -126,7 +126,7 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
-    """Cost of one choice of `scene.early` and `scene.sure`. first: of the first answer told; right: of the last."""
+    """Cost of `scene.early` and `scene.sure`. first: of the first answer told; right: of the last."""
 
     early: str
     sure: str
