@@ -1,4 +1,4 @@
-"""Prints what touchd tells a NAO, and has it answer a stroke: python react_to_touch.py nao.local
+"""Prints what touchd reports to a NAO, and has it answer a stroke: python react_to_touch.py nao.local
 
 Polls ALMemory, since a callback would need a connection from the robot back to this computer, which NAT and
 Docker prevent. For NAOqi 2.9: python react_to_touch.py tcps://pepper.local:9503 PASSWORD
@@ -23,6 +23,8 @@ class NaoqiPassword:
         return {"user": "nao", "token": self._password}
 
 
+if len(sys.argv) < 2:
+    sys.exit("usage: python react_to_touch.py ADDRESS [PASSWORD], such as nao.local")
 url = sys.argv[1] if "://" in sys.argv[1] else f"tcp://{sys.argv[1]}:9559"
 qi.logging.setLevel(qi.logging.SILENT)
 session = qi.Session()
@@ -31,17 +33,17 @@ if len(sys.argv) > 2:
 session.connect(url)
 memory = session.service("ALMemory")
 speech = session.service("ALTextToSpeech")
-heard = None
+last = None
 while True:
     try:
         detail = memory.getData("TouchGesture/Detail")
     except RuntimeError:
-        detail = heard
+        detail = last
     # The last number rises with every message.
-    if detail is not None and (heard is None or detail[5] != heard[5]):
+    if detail is not None and (last is None or detail[5] != last[5]):
         gesture, confidence, _, stage, touch, _ = detail
         print(f"touch {touch}: {gesture} ({confidence:.0%}, {stage})", flush=True)
         if gesture == "stroke":
             speech.say("That is nice.")
-    heard = detail
+    last = detail
     time.sleep(0.05)

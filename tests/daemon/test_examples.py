@@ -1,9 +1,15 @@
 """The examples in docs/examples work."""
 
+import os
+import re
+import signal
 import sys
 from pathlib import Path
 
-from rigs.programs import Program
+import pytest
+from rigs.expectations import DEMO
+from rigs.patient_port import playing
+from rigs.programs import Program, ran
 from rigs.robots import Robot, linked, message
 from rigs.wait import wait_for
 
@@ -18,6 +24,21 @@ def test_the_python_example_receives_a_stroke_and_answers() -> None:
             assert example.stdout.readline() == "touch 3: stroke (81%, early)\n"
             wait_for(lambda: robot.calls.said() == ["That is nice."])
             example.kill()
+
+
+def test_the_python_example_without_a_robot_shows_its_usage() -> None:
+    done = ran([sys.executable, EXAMPLES / "react_to_touch.py"])
+    assert done.returncode == 1
+    assert done.stderr.startswith("usage: python react_to_touch.py ADDRESS")
+
+
+def test_the_event_iterator_follows_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    with playing(DEMO, 8.0) as port:
+        options = ("-c", os.devnull, "--port", port.path)
+        with Program(sys.executable, EXAMPLES / "follow_events.py", *options) as example:
+            assert re.fullmatch(r"touch 1: pat \(\d+%\)\n", example.stdout.readline())
+            example.send_signal(signal.SIGTERM)
 
 
 def test_the_choregraphe_box_is_python_that_a_robot_runs() -> None:

@@ -17,6 +17,7 @@ from packaging.requirements import Requirement
 from rigs.expectations import DEMO
 from rigs.programs import ran
 
+from touchd.daemon.cli import COMMANDS
 from touchd.daemon.config import Settings, load
 
 ROOT = Path(__file__).parents[2]
@@ -141,6 +142,17 @@ def test_an_extra_that_is_none_is_refused(tmp_path: Path) -> None:
     assert done.returncode != 0
     assert "there is no extra mqqt; EXTRAS takes mqtt lsl" in done.stdout
     assert files_in(tmp_path) == set()
+
+
+@pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
+def test_the_manual_page_has_every_command(tmp_path: Path) -> None:
+    page = tmp_path / "touchd.1"
+    page.write_text(ran(["sh", ROOT / "systemd/man.sh", sys.executable], check=True, cwd="/").stdout)
+    shown = ran(["man", "--warnings", "-l", page], check=True)
+    assert shown.stderr == ""
+    for command in COMMANDS:
+        assert f"touchd {command.name} " in shown.stdout
+        assert f"usage: touchd {command.name}" in shown.stdout
 
 
 @pytest.fixture

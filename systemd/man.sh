@@ -1,0 +1,17 @@
+#!/bin/sh
+# Prints the manual page of touchd, made from its --help: sh man.sh PYTHON
+export COLUMNS=80
+touchd="$1 -m touchd.daemon"
+literal() { echo .nf; sed 's/\\/\\e/g; s/-/\\-/g; s/^[.'\'']/\\\&&/'; echo .fi; }
+
+echo ".TH TOUCHD 1 \"\" \"$($touchd version)\""
+echo ".SH NAME"
+echo "touchd \\- social touch on a pressure pad, for a Nao robot"
+echo ".SH COMMANDS"
+$touchd --help | literal
+for command in $($touchd --help | sed -n 's/^  touchd \([a-z-]*\) .*/\1/p'); do
+    echo ".SH $command"
+    $touchd "$command" --help | literal
+done
+echo ".SH FILES"
+echo "touchd.yaml, ~/.config/touchd/touchd.yaml, /etc/touchd/touchd.yaml: the first that is there is the configuration"
