@@ -4,11 +4,11 @@ import logging
 import math
 import random
 import time
+from collections import defaultdict
 from dataclasses import dataclass, field
 
-# A fault that comes back is logged once it has lasted this long, then twice as long, up to FORGOTTEN_S. One
-# that was away for FORGOTTEN_S is a new fault; one that was away for less than STEADY_S never ended.
-LASTS_S, FORGOTTEN_S, STEADY_S = 10.0, 600.0, 5.0
+# Minimum interval between the warnings of a fault that comes and goes: 24 lines an hour at most.
+AGAIN_S = 300.0
 # Causes reported of one fault while it lasts; they may be texts of a peer.
 MOST_CAUSES = 8
 
@@ -33,34 +33,29 @@ class Backoff:
 
 @dataclass
 class _Fault:
-    """patience_s: how long it must last to be logged. ended_s, logged_s: -inf before that happened.
+    """warned_s: of the last warning, -inf before the first. causes: the news since it began."""
 
-    causes: those reported since it began. last_cause: of the last report.
-    """
-
-    since_s: float
-    ended_s: float = -math.inf
-    logged_s: float = -math.inf
     lasts: bool = False
+    since_s: float = 0.0
     is_logged: bool = False
-    patience_s: float = 0.0
+    warned_s: float = -math.inf
     causes: set[str] = field(default_factory=set)
     last_cause: str = ""
 
 
 class FaultLog:
-    """Logs a fault when it begins and when it ends; one that flaps is logged ever less often.
+    """Logs a fault when it begins and when it ends, but no new warning within AGAIN_S of the last.
 
-    The first time, a fault is a warning at once. When it comes back, it is a warning after it has lasted for
-    LASTS_S, and each warning doubles that time. While it lasts, another cause is a warning too once it was
-    reported twice in a row: a single one may be passing. Everything else goes to debug.
+    A fault that comes back sooner is a warning once AGAIN_S has passed, if it still lasts. While one lasts,
+    each other cause is a warning too, once it was reported twice in a row: a single one may be passing.
+    Everything else goes to debug.
     log: what to log to. prefix: begins every line. Times are `time.monotonic()`, by default the current one.
     """
 
     def __init__(self, log: logging.Logger, prefix: str = "") -> None:
         self._log = log
         self._prefix = prefix
-        self._faults: dict[str, _Fault] = {}
+        self._faults: defaultdict[str, _Fault] = defaultdict(_Fault)
 
     def begin(self, kind: str, what: str, now_s: float | None = None, cause: str = "") -> bool:
         """Note that a fault has begun or still lasts; to be repeated while it lasts.
@@ -68,37 +63,27 @@ class FaultLog:
         Returns whether this is news: the fault has just begun, or has another cause.
         """
         now_s = time.monotonic() if now_s is None else now_s
-        fault = self._faults.get(kind)
-        if fault is None or (not fault.lasts and now_s - fault.ended_s > FORGOTTEN_S):
-            fault = self._faults[kind] = _Fault(now_s)
+        fault = self._faults[kind]
         is_news = not fault.lasts
         if is_news:
-            # A fault that never really ended has lasted since its last warning.
-            is_steady = now_s - fault.ended_s >= STEADY_S
-            fault.since_s = now_s if is_steady else max(fault.since_s, fault.logged_s)
-            fault.lasts, fault.is_logged, fault.causes = True, False, set()
-        elif cause == fault.last_cause and cause not in fault.causes and len(fault.causes) < MOST_CAUSES:
-            is_news = True
+            fault.lasts, fault.since_s, fault.is_logged, fault.causes = True, now_s, False, set()
+        elif cause == fault.last_cause and cause not in fault.causes:
+            is_news = len(fault.causes) < MOST_CAUSES
         fault.last_cause = cause
         if is_news:
             fault.causes.add(cause)
-        is_due = is_news if fault.is_logged else now_s - fault.since_s >= fault.patience_s
-        if not is_due:
+        if is_news if fault.is_logged else now_s - fault.warned_s >= AGAIN_S:
+            fault.is_logged, fault.warned_s = True, now_s
+            self._log.warning("%s%s", self._prefix, what)
+        else:
             self._log.debug("%s%s", self._prefix, what)
-            return is_news
-        if not fault.is_logged:
-            fault.patience_s = min(max(LASTS_S, 2 * fault.patience_s), FORGOTTEN_S)
-        fault.is_logged, fault.logged_s = True, now_s
-        self._log.warning("%s%s", self._prefix, what)
         return is_news
 
     def end(self, kind: str, what: str = "", now_s: float | None = None) -> None:
         """Note that a fault is over, if it lasted; `what`, if given, is logged with how long that was."""
         now_s = time.monotonic() if now_s is None else now_s
-        fault = self._faults.get(kind)
-        if fault is None or not fault.lasts:
-            return
-        fault.lasts, fault.ended_s = False, now_s
-        if what:
+        fault = self._faults[kind]
+        if fault.lasts and what:
             level = logging.INFO if fault.is_logged else logging.DEBUG
             self._log.log(level, "%s%s (after %.1f s)", self._prefix, what, now_s - fault.since_s)
+        fault.lasts = False

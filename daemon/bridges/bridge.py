@@ -10,7 +10,7 @@ from typing import TypeAlias
 from touchd.daemon.events import Event, kind_of
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.faults import STEADY_S, Backoff, FaultLog
+from touchd.drivers.faults import Backoff, FaultLog
 from touchd.drivers.frame import Frame
 
 # An event, or a frame and its pad.
@@ -22,6 +22,8 @@ POLL_S = 0.05
 # Two faults: nothing answers, or what answers ends the connection.
 OUT_OF_REACH, AWAY = "out of reach", "away"
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
+# A connection that lasted this long makes the next attempt a quick one.
+STEADY_S = 5.0
 # Connections that may end while sending one event before the event is blamed and dropped.
 TRIES = 3
 # Minimum interval between two lines about what the peer refuses.
