@@ -16,6 +16,8 @@ from touchd.model.training.haart import read_test, read_training, realigned
 
 FILE = STORED / "touch.json"
 LEVELLED = "rest levelled"
+SHOWN = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""The thresholds of the page's table: the default, and others by factors of two."""
 COSTS = ("touches", "missed", "over 1 s late", "delay, median / p90 ms", "false (per 10 min)")
 
 
@@ -25,7 +27,11 @@ def tables(figures: TouchReport) -> dict[str, str]:
         "detected": table(("people", "rest", *COSTS), _detected(figures)),
         "levels": table(
             ("onset threshold", *COSTS[1:]),
-            [(f"{point.onset_threshold:g}", *_costs(point)[1:]) for point in figures.curve[LEVELLED]],
+            [
+                (f"{point.onset_threshold:g}", *_costs(point)[1:])
+                for point in figures.curve[LEVELLED]
+                if point.onset_threshold in SHOWN
+            ],
         ),
         "quiet": table(
             ("quiet time, s", *figures.quiet[0].split, "all"),
