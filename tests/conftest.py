@@ -24,6 +24,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
     "test_adapt.py",
+    "test_fake_pad.py",
     "test_end_to_end.py",
     "test_robot_faults.py",
     "test_cli.py",

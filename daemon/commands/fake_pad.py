@@ -8,11 +8,14 @@ from contextlib import ExitStack
 
 from numpy.random import RandomState
 
-from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.config import Settings
 from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
 from touchd.daemon.playback.rig import encoder_for
+from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.fake_port import LivePort
 from touchd.drivers.fakes.hand import GESTURES, SimulatedHand, repeated
+from touchd.drivers.frame import COLUMNS, ROWS, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 
@@ -44,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch the pad"
     )
+    add_settings(parser, "settings, whose pad's format is sent", port=False)
     return parser
 
 
@@ -52,22 +56,27 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     rng = RandomState()
     hand = SimulatedHand(repeated(options.gestures, options.every, rng))
-    with ExitStack() as closing:
-        # The simulated pad and its page share a module, which needs the page's library.
-        require_library()
-        from touchd.daemon.live.memory import Scene
-        from touchd.daemon.playback.touched import TouchedPad, TouchPage
+    encode = encoder_for(settings_of(options).settings.sensor)
+    fabric = Fabric(rng)
 
-        pad = TouchedPad(rng, None, hand)
+    def scan(sensor_ms: int) -> Counts:
+        return fabric.read(hand.frame(is_wanted=True).reshape(ROWS, COLUMNS))
+
+    with ExitStack() as closing:
         if options.live is not None:
+            # Only with --live, since they need its library.
+            require_library()
+            from touchd.daemon.live.memory import Scene
+            from touchd.daemon.playback.touched import TouchedPad, TouchPage
+
             live = parse_address(options.live, None)
             listening = closing.enter_context(listen(live))
             page = TouchPage(listening, live, Scene(Settings(), None))
             closing.callback(page.stop)
             page.start()
-            pad = TouchedPad(rng, page.touching, hand, page.show_frame)
+            scan = TouchedPad(rng, page.touching, hand, page.show_frame).scan
             sys.stdout.write(f"live page: {' '.join(urls_of(live, listening.getsockname()[1]))}\n")
-        port = closing.enter_context(LivePort(pad.scan, encoder_for(SensorSettings())))
+        port = closing.enter_context(LivePort(scan, encode))
         sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run --port {port.path}\n")
         sys.stdout.flush()
         threading.Event().wait()

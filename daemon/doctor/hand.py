@@ -3,6 +3,7 @@
 import select
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from msgspec.structs import replace
@@ -22,6 +23,8 @@ from touchd.drivers.search.search import Finding, search
 REST_S = 2.0
 PRESS_S = 40.0
 LOOK_EVERY_S = 3.0
+# More than any search takes.
+SEARCH_S = 60.0
 CORNER_S = 20.0
 PRESSED_COUNTS = 40
 PICTURE_SCALE = 2
@@ -50,11 +53,15 @@ def find_with_a_hand(console: Console, opened: Line) -> Finding:
         "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
     )
     until_s = time.monotonic() + PRESS_S
-    finding = search(chunks)
-    while finding.proposed is None and time.monotonic() < until_s:
-        chunks += listen(opened, LOOK_EVERY_S)
-        finding = search(chunks)
-    return finding
+    with ThreadPoolExecutor(1) as searching:
+        while True:
+            chunks += listen(opened, LOOK_EVERY_S)
+            search_now = searching.submit(search, tuple(chunks))
+            # Listen during the search too: a line that nobody reads loses frames.
+            chunks += listen(opened, SEARCH_S, lambda _: search_now.done())  # noqa: B023 - called in this turn
+            finding = search_now.result()
+            if finding.proposed is not None or time.monotonic() >= until_s:
+                return finding
 
 
 def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> PadFormat:

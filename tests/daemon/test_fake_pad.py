@@ -1,28 +1,126 @@
-"""The fake pad: the daemon reads it as typed, without hardware."""
+"""The fake pad: every command reads it as typed in docs/install.md, without hardware."""
 
 import json
+import os
+import re
+import shlex
 import signal
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 
-from rigs.programs import TOUCHD, Program
+import pytest
+from rigs.programs import TOUCHD, WITHOUT_EXTRAS, Program, ran
+from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
+PAGE = (Path(__file__).parents[2] / "docs/install.md").read_text()
+SECTION = PAGE.partition("## Without a pad")[2].partition("## ")[0]
+TYPED = re.findall(r"^touchd (.*?) *(?:#.*)?$", SECTION, re.M)
+QUESTION = "q to stop: "
 
-def test_the_daemon_reads_a_fake_pad_and_recognises_its_hand() -> None:
-    with Program(*TOUCHD, "fake-pad", "--gestures", "rub", "--every", "5") as pad:
-        path = next(line.split()[1] for line in pad.stdout if line.startswith("pad: "))
-        with Program(*TOUCHD, "run", "--json", "--port", path) as daemon:
+
+@pytest.fixture
+def pad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """The path of a fake pad, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with Program(*TOUCHD, *shlex.split(TYPED[0])) as program:
+        yield next(line.split()[1] for line in program.stdout if line.startswith("pad: "))
+        program.send_signal(signal.SIGINT)
+        assert program.wait(WITHIN_S) == 0
+
+
+def typed(command: str, pad: str = "") -> Terminal:
+    """Type a command of the page at a terminal."""
+    (line,) = [line for line in TYPED if line.split()[0] == command]
+    return Terminal(*shlex.split(line.replace("PATH", pad)))
+
+
+def init(pad: str) -> None:
+    with typed("init", pad) as terminal:
+        terminal.until("Touch the corner that should be top left")
+        terminal.until("Does the picture follow it? [Y/n]")
+        terminal.answer("y", "(Enter: no robot): ")
+        terminal.answer("", "pad: fabric-grid", "wrote touchd.yaml")
+        assert terminal.process.wait(WITHIN_S) == 0
+
+
+def keep(terminal: Terminal, *until: str) -> str:
+    """Keep recordings, whatever is wrong with them, until one of these texts is shown."""
+    while (shown := terminal.until_one("Enter to keep it", "k to keep it all the same", *until)) not in until:
+        terminal.until(QUESTION)
+        terminal.answer("k" if shown.startswith("k ") else "")
+    return shown
+
+
+@pytest.mark.timeout(300)
+def test_commands_run_as_typed_on_a_fake_pad(pad: str) -> None:
+    assert [line.split()[0] for line in TYPED] == ["fake-pad", "init", "doctor", "record", "teach", "run"]
+    init(pad)
+    with typed("doctor") as terminal:
+        terminal.until("fabric-grid 10x10")
+        terminal.until("as configured")
+        terminal.until("frames/s")
+        terminal.until("to do")
+        assert terminal.process.wait(WITHIN_S) == 1
+    with typed("record") as terminal:
+        terminal.until("Who touches the pad?")
+        terminal.answer("ann", "What is under the pad?")
+        terminal.answer("", "What is over the pad?")
+        terminal.answer("", "Enter to begin")
+        terminal.answer("")
+        keep(terminal, "2 of 7")
+        terminal.until(QUESTION)
+        terminal.answer("q", "Stopped. What was kept is safe")
+        assert terminal.process.wait(WITHIN_S) == 0
+    assert len(list(Path("lab").glob("*.csv.gz"))) == 1
+    with typed("run") as terminal:
+        terminal.until(f"settings: {Path.cwd() / 'touchd.yaml'}; journal: {Path.cwd()}/state/")
+        terminal.until("touch 1 ends: ")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_teach_runs_as_typed_on_a_fake_pad(pad: str) -> None:
+    pytest.importorskip("torch")
+    init(pad)
+    with typed("teach") as terminal:
+        terminal.until("Who touches the pad?")
+        terminal.answer("ann", "Enter to begin")
+        terminal.answer("")
+        keep(terminal, "Learning from them")
+        if terminal.until_one("Enter to use it", "u to use it") == "Enter to use it":
+            terminal.answer("", "Set. To use it now: ")
+        else:
+            terminal.answer("u", "Set. To use it now: ")
+        assert terminal.process.wait(WITHIN_S) == 0
+    with typed("run") as terminal:
+        terminal.until("touch 1 ends: ")
+
+
+def test_the_simulated_hand_does_what_it_is_told() -> None:
+    with Program(*TOUCHD, "fake-pad", "-c", os.devnull, "--gestures", "rub", "--every", "5") as program:
+        path = next(line.split()[1] for line in program.stdout if line.startswith("pad: "))
+        with Program(*TOUCHD, "run", "-c", os.devnull, "--json", "--port", path) as daemon:
             events = map(json.loads, daemon.stdout)
             assert next(event for event in events if event["type"] == "sensor")["state"] == "up"
             final = next(event for event in events if event.get("stage") == "final")
             assert final["gesture"] == "rub"
             daemon.send_signal(signal.SIGTERM)
             assert daemon.wait(WITHIN_S) == 0
-        pad.send_signal(signal.SIGINT)
-        assert pad.wait(WITHIN_S) == 0
+        program.send_signal(signal.SIGINT)
+        assert program.wait(WITHIN_S) == 0
+
+
+def test_a_fake_pad_needs_no_extra() -> None:
+    code = "cli.main(['fake-pad', '-c', '/dev/null'])"
+    with Program(sys.executable, "-c", WITHOUT_EXTRAS + code) as program:
+        assert program.stdout.readline().startswith("pad: /")
+        program.kill()
 
 
 def test_an_unknown_gesture_is_refused_in_one_line() -> None:
-    with Program(*TOUCHD, "fake-pad", "--gestures", "hug", stderr=-1) as pad:
-        assert pad.wait(WITHIN_S) == 2
-        assert pad.stderr is not None
-        assert "'hug' is none of constant, notouch, pat" in pad.stderr.read()
+    done = ran([*TOUCHD, "fake-pad", "--gestures", "hug"])
+    assert done.returncode == 2
+    assert "'hug' is none of constant, notouch, pat" in done.stderr

@@ -15,7 +15,7 @@ from rigs.call_log import CallLog
 from rigs.expectations import DEMO, GESTURES, answers, stream_of
 from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
-from rigs.programs import TOUCHD, Program, ran
+from rigs.programs import TOUCHD, WITHOUT_EXTRAS, Program, ran
 from rigs.robots import linked
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
@@ -37,17 +37,6 @@ from touchd.drivers.robot.session import RobotLimits
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"
-# Makes every extra's modules fail to import.
-WITHOUT_EXTRAS = """
-import importlib, importlib.abc, sys
-from touchd.drivers.installed import EXTRAS
-class Missing(importlib.abc.MetaPathFinder):
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {module for modules in EXTRAS.values() for module in modules}:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-sys.meta_path.insert(0, Missing())
-from touchd.daemon import cli
-"""
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:

@@ -9,6 +9,17 @@ from typing import IO, Any
 from rigs.wait import WITHIN_S
 
 TOUCHD = (sys.executable, "-m", "touchd.daemon")
+# Makes every extra's modules fail to import.
+WITHOUT_EXTRAS = """
+import importlib, importlib.abc, sys
+from touchd.drivers.installed import EXTRAS
+class Missing(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {module for modules in EXTRAS.values() for module in modules}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Missing())
+from touchd.daemon import cli
+"""
 
 
 def ran(command: Sequence[str | Path], **options: Any) -> subprocess.CompletedProcess[str]:

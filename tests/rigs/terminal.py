@@ -33,13 +33,19 @@ class Terminal:
         """Wait until a text is shown; return all that was shown up to it, without escape sequences."""
         until_s = time.monotonic() + SHOWS_WITHIN_S
         while text not in self._unread:
-            ready, _, _ = select.select([self._master], [], [], max(0.0, until_s - time.monotonic()))
-            data = self._read() if ready else b""
-            assert data, f"{text!r} was not shown; this was: {self._unread}"
-            self._unread = ESCAPES.sub("", self._unread + data.decode(errors="replace"))
+            assert self._receive(until_s), f"{text!r} was not shown; this was: {self._unread}"
         before, _, self._unread = self._unread.partition(text)
         self.shown += before + text
         return before
+
+    def until_one(self, *texts: str) -> str:
+        """Wait until one of these texts is shown; return it."""
+        pattern = "|".join(map(re.escape, texts))
+        until_s = time.monotonic() + SHOWS_WITHIN_S
+        while not (found := re.search(pattern, self._unread)):
+            assert self._receive(until_s), f"none of {texts} was shown; this was: {self._unread}"
+        self.until(found[0])
+        return found[0]
 
     def answer(self, line: str, *then: str) -> None:
         """Type a line, and wait until each of these texts is shown."""
@@ -50,6 +56,13 @@ class Terminal:
     def close(self) -> None:
         """Close the terminal under its program."""
         os.dup2(os.open(os.devnull, os.O_RDWR), self._master)
+
+    def _receive(self, until_s: float) -> bool:
+        """Take what is shown next; returns whether there was anything."""
+        ready, _, _ = select.select([self._master], [], [], max(0.0, until_s - time.monotonic()))
+        data = self._read() if ready else b""
+        self._unread = ESCAPES.sub("", self._unread + data.decode(errors="replace"))
+        return bool(data)
 
     def _read(self) -> bytes:
         try:
