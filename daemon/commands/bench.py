@@ -15,6 +15,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
 from touchd.daemon.commands.run import favour_latency
 from touchd.daemon.config import LiveSettings, SensorSettings, Settings
@@ -76,7 +77,8 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Measure and print; returns 0 whatever the figures are."""
     options = parser().parse_args(arguments)
-    figures = measure(options.seconds)
+    with Console(stderr=True).status(f"measuring for {QUIET_S + options.seconds:.0f} s"):
+        figures = measure(options.seconds)
     sys.stdout.write(msgspec.json.encode(figures).decode() + "\n" if options.json else table(figures))
     return 0
 

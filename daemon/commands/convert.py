@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from rich.console import Console
 
 from touchd.daemon.events import Event
 from touchd.daemon.journal import JournalError
@@ -46,7 +47,10 @@ def main(arguments: Sequence[str]) -> int:
         # Fail before the work if it is not installed.
         import touchd.daemon.convert.mcap  # noqa: F401
     try:
-        with whole_file(out, replace=False, mode=PRIVATE_MODE) as partial:
+        with (
+            Console(stderr=True).status(f"reading {file}"),
+            whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
+        ):
             if file.name.endswith(SUFFIXES):
                 _convert_recording(file, partial)
             else:

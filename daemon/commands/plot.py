@@ -5,6 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+
 from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.kept.touches import read_journal
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
@@ -45,8 +47,10 @@ def main(arguments: Sequence[str]) -> int:
     if all(file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options).settings
         model = load_model(settings)
-        traced = recording.trace(chosen_stream(options), settings, model)
-        figure = recording.draw(traced, f"{names}, answers of {model.name}")
+        stream = chosen_stream(options)
+        with Console(stderr=True).status("drawing"):
+            traced = recording.trace(stream, settings, model)
+            figure = recording.draw(traced, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
         figure = journal.draw(read_journal(options.files[0])[-options.touches :], names)
     else:

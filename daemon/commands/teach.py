@@ -15,7 +15,7 @@ from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
 from touchd.daemon.config import ConfigError, Settings, load, only_pad
 from touchd.daemon.recorder.capture import PadReader
-from touchd.daemon.recorder.dialogue import EDGE_S, HOW, Dialogue, Terms
+from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
 from touchd.daemon.recorder.session import Session, Setting, name
 from touchd.daemon.setup.parts import load_models
 from touchd.daemon.terminal.ask import Stopped, ask, ask_name
@@ -57,10 +57,11 @@ def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0."""
     options = parser().parse_args(arguments)
     # If torch is missing, fail before three minutes of recording, not after.
-    from touchd.model.adapt.folder import files_of, read_file
-    from touchd.model.adapt.head import AdaptSettings
-    from touchd.model.adapt.report import report_lines
-    from touchd.model.adapt.ship import adapt_folder, check_output
+    with Console(stderr=True).status("loading torch"):
+        from touchd.model.adapt.folder import files_of, read_file
+        from touchd.model.adapt.head import AdaptSettings
+        from touchd.model.adapt.report import report_lines
+        from touchd.model.adapt.ship import adapt_folder, check_output
 
     console = Console(width=text_width(), highlight=False, markup=False)
     found = settings_of(options)
@@ -126,7 +127,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
         return
     with PadReader(settings) as pad:
         console.print(
-            f"{len(session.takes())} recordings of {options.seconds + 2 * EDGE_S:g} s follow one another: "
+            f"{len(session.takes())} recordings of {options.seconds:g} s follow one another: "
             "hands off, then the gesture until the bar is full."
         )
         terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True)

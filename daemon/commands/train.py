@@ -5,6 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.console import Console
+
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
@@ -36,11 +38,12 @@ def main(arguments: Sequence[str]) -> int:
             "`python -m touchd.model.studies train`, in the repository"
         )
     # Check for torch before reading anything, since all that follows needs it.
-    import torch  # noqa: F401
+    with Console(stderr=True).status("loading torch"):
+        import torch  # noqa: F401
 
-    from touchd.model.adapt.head import AdaptSettings
-    from touchd.model.adapt.report import report_lines
-    from touchd.model.adapt.ship import adapt_folder
+        from touchd.model.adapt.head import AdaptSettings
+        from touchd.model.adapt.report import report_lines
+        from touchd.model.adapt.ship import adapt_folder
 
     output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
     adapted = adapt_folder(options.extra, output, AdaptSettings(seed=options.seed), options.keep_all)

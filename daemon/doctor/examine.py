@@ -35,7 +35,10 @@ def examine(settings: Settings, seconds: float, say: Say, talk: Console | None =
     can be asked to press the pad, if there is one.
     """
     yield from _examine_pad(settings, seconds, say, talk)
+    say("Loading the model ...")
     yield check_model(settings)
+    if settings.robot is not None:
+        say(f"Asking the robot at {settings.robot.url} ...")
     yield check_robot(settings)
     yield check_service()
 

@@ -146,7 +146,8 @@ class Dialogue:
             self._console.bell()
             for elapsed_s, frame in self._pad.follow(length_s):
                 is_touched = contact.update(frame)
-                show(f"{take.gesture} now", elapsed_s, length_s, frame.pressure)
+                kept_s = min(max(elapsed_s - EDGE_S, 0.0), self._terms.seconds)
+                show(f"{take.gesture} now", kept_s, self._terms.seconds, frame.pressure)
                 if EDGE_S <= elapsed_s < length_s - EDGE_S:
                     frames.append(frame)
                     touched += is_touched

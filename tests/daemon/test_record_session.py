@@ -1,6 +1,7 @@
 """A recording session on a terminal: questions, countdown, checks, repeats, files, resuming."""
 
 import gzip
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -90,6 +91,8 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, record: lis
         terminal.until("2 of 3 recordings are in")
         assert terminal.process.wait(WITHIN_S) == 0
     assert "no touch was detected" in terminal.shown
+    # The seconds that are saved, without the edges that are cut off.
+    assert set(re.findall(r"pat now, (\d+) s", terminal.shown)) <= {"0", "1", "2"}
     (pat,) = read_recordings(tmp_path / "anna_foam_none_pat_1.csv.gz")
     assert (pat.participant, pat.substrate, pat.cover, pat.gesture) == ("anna", "foam", "none", "pat")
     assert len(pat.counts) == pytest.approx(1.5 * 54, abs=1)
