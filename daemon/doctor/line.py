@@ -95,7 +95,7 @@ def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Ch
     """Report what `init` would propose for a pad that is read, if that is another pad."""
     proposed, described = search(chunks).proposed, sensor.described
     if proposed is not None and _grid(proposed) != _grid(described):
-        found = f"what comes looks like {as_yaml(proposed)}, not like {described}"
+        found = f"the bytes look like {as_yaml(proposed)}, not like {described}"
         yield Check("format", "warning", found, _advice_to_set(proposed, sensor))
 
 
@@ -175,6 +175,6 @@ def check_rate(heard: Heard) -> Check:
     if pace.lost > CLEAN_SHARE * len(heard.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
     if pace.rate_hz > FAST_HZ:
-        found += f"; the model takes {FRAME_RATE_HZ:g}, so many are left out"
+        found += f"; the model uses {FRAME_RATE_HZ:g} of them"
         return Check("rate", "warning", found, "", figures)
     return Check("rate", "ok", found, "", figures)

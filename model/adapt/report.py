@@ -59,7 +59,7 @@ def warnings(adapted: Adapted) -> Iterable[str]:
     people = {(recording.gesture, recording.participant) for recording in adapted.recordings}
     alone = sorted(gesture for gesture, who in Counter(gesture for gesture, _ in people).items() if who == 1)
     if comparison.left_out == "participants" and alone:
-        yield f"Only one participant did {', '.join(alone)}: whether others' is known cannot be told."
+        yield f"Only one participant did {', '.join(alone)}: no figure for other people."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
         yield f"The new model no longer knows {', '.join(gone)}: record them too, or give --keep-all."
     if lacking := [label for label in adapted.labels if label not in gestures]:
@@ -74,12 +74,12 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
             "told."
         )
     elif comparison.left_out == "recordings":
-        yield "One participant: how well others are known cannot be told, and may have become worse."
+        yield "One participant: no figure for other people, for whom the model may have become worse."
     if not comparison.lengths or comparison.lengths[-1].difference is None:
         return
     last = comparison.lengths[-1]
     if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
-        yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others are better served."
+        yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others gain."
     elif last.interval is None or last.interval[0] <= 0.0 <= last.interval[1]:
         yield "Too little to tell whether this is better or worse: chance alone makes such a difference."
     elif last.interval[1] < 0.0:

@@ -401,7 +401,7 @@ def test_three_right_of_three_have_a_wide_interval() -> None:
             ("Ann",),
             3,
             [
-                "One participant: how well others are known cannot be told",
+                "One participant: no figure for other people",
                 "Fewer than 4 recordings of hug, pat",
                 "Too little to tell whether this is better or worse",
             ],
