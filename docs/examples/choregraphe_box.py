@@ -1,11 +1,11 @@
 """The script of a Choregraphe box (NAOqi up to 2.8): paste it into a Python box that has its outputs.
 
-Outputs, each of type bang: onStroke, onPat, onOther. The box hears touchd's event as long as it is loaded.
+Outputs, each of type bang: onStroke, onPat, onOther. The box receives touchd's event while it is loaded.
 """
 
 
 class MyClass(GeneratedClass):  # noqa: F821
-    """Fires an output for each gesture that touchd tells."""
+    """Fires an output for each gesture that touchd reports."""
 
     def __init__(self):
         GeneratedClass.__init__(self)  # noqa: F821

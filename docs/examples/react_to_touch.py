@@ -1,4 +1,4 @@
-"""Prints what touchd reports to a NAO, and has it answer a stroke: python react_to_touch.py nao.local
+"""Prints what touchd reports to a NAO, and makes it answer a stroke: python react_to_touch.py nao.local
 
 Polls ALMemory, since a callback would need a connection from the robot back to this computer, which NAT and
 Docker prevent. For NAOqi 2.9: python react_to_touch.py tcps://pepper.local:9503 PASSWORD
