@@ -51,7 +51,7 @@ help:
 	@echo "make demo          set up what the daemon needs and show it at work, without any hardware"
 	@echo "make test          set up everything and run the quick tests"
 	@echo "make test-slow     run the tests that take minutes"
-	@echo "make test-systemd  install the service on a Debian machine of its own and try it there (root; see the file)"
+	@echo "make test-systemd  install the service in a Debian container and try it there (root, systemd-container)"
 	@echo "make check         ruff and mypy"
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some twenty minutes)"
@@ -73,7 +73,6 @@ test: $(DEVELOPMENT)
 test-slow: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -m slow
 
-# TOUCHD_LAB=emulated: on a machine with USB and power of its own.
 test-systemd: $(DEVELOPMENT)
 	$(BIN)/python -m pytest -n 0 -s tests/by_hand/real_systemd.py
 

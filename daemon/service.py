@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
-from touchd.daemon.setup.parts import Pad, make_parts
+from touchd.daemon.setup.parts import PadChannel, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.sensor import SensorState
@@ -64,7 +64,7 @@ class Service:
                 # One item of each in turn, so that a pad that floods its queue holds up no other.
                 took = False
                 for pad in self._parts.pads:
-                    took = self._take(pad) or took
+                    took = self._process_next(pad) or took
                 self._health.report(self._events.touches, self._dropped())
         finally:
             self._end()
@@ -86,7 +86,7 @@ class Service:
         until_s = time.monotonic() + DRAIN_S
         for pad in self._parts.pads:
             while len(pad.queue) and time.monotonic() < until_s:
-                self._take(pad)
+                self._process_next(pad)
             pad.pipeline.flush()
         left = sum(len(pad.queue) for pad in self._parts.pads)
         self._health.end(self._events.touches, sum(self._dropped().values()) + left)
@@ -95,13 +95,13 @@ class Service:
     def _dropped(self) -> dict[str, int]:
         return {pad.name: pad.queue.dropped for pad in self._parts.pads}
 
-    def _take(self, pad: Pad) -> bool:
+    def _process_next(self, pad: PadChannel) -> bool:
         """Process the oldest item in a pad's queue; return whether there was one."""
         item = pad.queue.get_nowait()
         if isinstance(item, Frame):
             # The frame goes out before the events that it causes.
             if self._parts.kept is not None:
-                self._parts.kept.take(item, pad.name)
+                self._parts.kept.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
             self._health.frame_processed(pad.name)
             self._show(pad, item)
@@ -110,7 +110,7 @@ class Service:
             self._health.pad_state(pad.name, item.state == "up")
         return item is not None
 
-    def _show(self, pad: Pad, frame: Frame) -> None:
+    def _show(self, pad: PadChannel, frame: Frame) -> None:
         """Hand a processed frame to everything that shows or checks frames."""
         parts = self._parts
         if self._view is not None and pad is parts.pads[0]:

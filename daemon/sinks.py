@@ -131,7 +131,8 @@ class QueuedSink(ABC, Generic[Item]):
         """Log how many were dropped since the last such line; return whether any were."""
         newly, self._warned_dropped = self.dropped - self._warned_dropped, self.dropped
         if newly:
-            log.warning("%s: %d events or frames are lost: it was away, or too slow", self.name, newly)
+            why = "it was away, too slow, or its disk is full"
+            log.warning("%s: %d events or frames are lost: %s", self.name, newly, why)
         return newly > 0
 
 
@@ -154,9 +155,7 @@ class LinesSink(QueuedSink[Item]):
         self._fd = fd
         self._form = form
         self._on_gone = on_gone
-        self._is_full = False
         self._is_cut_off = False
-        self.lost = 0
 
     def write(self, item: Item) -> None:
         """Write one line; waits for a slow reader, not for one that is gone. A full disk costs the line."""
@@ -170,18 +169,11 @@ class LinesSink(QueuedSink[Item]):
                     data = data[written:]
                     self._is_cut_off = bool(data)
         except OSError as error:
-            if error.errno not in DISK_FULL:
+            if error.errno in DISK_FULL:
+                self._items.dropped += 1
+            else:
                 self._abandoned.set()
                 self._on_gone()
-                return
-            self.lost += 1
-            if not self._is_full:
-                log.warning("%s: %s; lines are lost until that is mended", self.name, error.strerror)
-            self._is_full = True
-        else:
-            if self._is_full:
-                log.info("%s: works again; %d lines were lost", self.name, self.lost)
-            self._is_full = False
 
 
 class RobotSink:

@@ -295,7 +295,7 @@ class TouchSink(QueuedSink[FeltTouch]):
         self._stores = stores
         self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
 
-    def take(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
+    def put_frame(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
         if pad in self._stores:
             self._pads[pad].take(frame)
 

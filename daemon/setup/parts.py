@@ -37,7 +37,7 @@ Emit = Callable[[Event], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Pad:
+class PadChannel:
     """One pad: its reader, the queue that the reader fills, and the pipeline that empties it."""
 
     name: str
@@ -51,7 +51,7 @@ class Pad:
 class Parts:
     """Pads and sinks as configured; None for a sink that is not. None of them runs before it is started."""
 
-    pads: tuple[Pad, ...]
+    pads: tuple[PadChannel, ...]
     journal: JournalSink | None
     live: LiveServer | None
     kept: TouchSink | None
@@ -85,7 +85,7 @@ def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal
             first_index=number,
             monitor=PadMonitor(name, sensor.parser, sensor.where),
         )
-        pads.append(Pad(name, models[name], queue, sensor, pipeline))
+        pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
     return Parts(
         pads=tuple(pads),
         kept=keep_touches(settings),

@@ -8,7 +8,7 @@ In the container of real_systemd.py. It takes too long for the suite, which its 
 from collections.abc import Iterator
 
 import pytest
-from by_hand.debian_machine import Container, Machine, booted, what_is_missing
+from by_hand.debian_container import WHY_NOT, Container, booted
 
 BUILD = "cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels make deb"
 CONFIGURATION = "sensor: {port: /dev/not-there}\n"
@@ -17,18 +17,18 @@ FILES = "find / -xdev -path /root -prune -o -path /proc -prune -o -name '*touchd
 
 pytestmark = [
     pytest.mark.timeout(1800),
-    pytest.mark.skipif(bool(why := what_is_missing(Container)), reason=why),
+    pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT),
 ]
 
 
 @pytest.fixture(scope="module")
-def lab() -> Iterator[Machine]:
-    with booted(Container) as machine:
+def lab() -> Iterator[Container]:
+    with booted() as machine:
         machine.run("cp -r /mnt/touchd /root/touchd")
         yield machine
 
 
-def test_a_package_is_built_installed_upgraded_removed_and_purged(lab: Machine) -> None:
+def test_a_package_is_built_installed_upgraded_removed_and_purged(lab: Container) -> None:
     before = lab.run(FILES)
     lab.run(BUILD, 1500)
     package = lab.run("ls /root/touchd/dist/*.deb")
@@ -64,7 +64,7 @@ def test_a_package_is_built_installed_upgraded_removed_and_purged(lab: Machine) 
     assert {path for path in left if not path.startswith("/var/lib/systemd")} == set()
 
 
-def test_a_package_refuses_a_machine_with_make_install(lab: Machine) -> None:
+def test_a_package_refuses_a_machine_with_make_install(lab: Container) -> None:
     lab.run("touch /etc/systemd/system/touchd.service")
     assert not lab.succeeds("dpkg -i /root/touchd/dist/touchd_0.1.1_*.deb")
     lab.run("rm /etc/systemd/system/touchd.service; dpkg -P touchd; true")

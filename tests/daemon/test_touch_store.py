@@ -63,7 +63,7 @@ class StoreBench:
             self.sent.append(frame)
             self.clock_ms += PERIOD_MS
             self.now_s += PERIOD_MS / 1000
-            self.sink.take(frame)
+            self.sink.put_frame(frame)
             self.pipeline.on_frame(frame)
 
     def keep(self) -> None:
@@ -182,7 +182,7 @@ def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_pat
     sink = TouchSink({"pad": store})
     sink.start()
     for ms in range(0, 7000, 2):
-        sink.take(Frame(ms // 2, ms, 0.0, np.zeros((8, 8), np.uint16)))
+        sink.put_frame(Frame(ms // 2, ms, 0.0, np.zeros((8, 8), np.uint16)))
         if ms == 4000:
             sink.put(TouchBegan(touch=1, time=timestamp(0.0), sensor_ms=3200))
     sink.put(
@@ -266,11 +266,11 @@ def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
 def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
     sink = TouchSink({"pad": store})
     frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
-    sink.take(frames[0])
+    sink.put_frame(frames[0])
     sink.put(felt(1).began)
     begun_s = time.process_time()
     for frame in frames:
-        sink.take(frame)
+        sink.put_frame(frame)
     each_s = (time.process_time() - begun_s) / len(frames)
     sink.put(SensorEvent(state="down", time=""))
     sink.stop(5.0)
