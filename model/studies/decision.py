@@ -29,7 +29,7 @@ from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.published import TABLE3
 from touchd.model.studies.results import STORED
-from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, feel, spliced
+from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, detect, spliced
 from touchd.model.training import haart, metrics
 from touchd.model.training.studies import MISSING, Folders
 from touchd.model.training.weights import left_out_split
@@ -61,13 +61,13 @@ HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "th
 class Streams:
     """The answers to N touches after each of their first FRAMES frames, and their true gestures.
 
-    probabilities: (N, FRAMES, labels). truth: (N,) indices of labels. noticed: (N,) the frame of the touch at
-    which the tracker detected it; nothing can be told before.
+    probabilities: (N, FRAMES, labels). truth: (N,) indices of labels. detected: (N,) the frame of the
+    touch at which the tracker detected it; nothing can be told before.
     """
 
     probabilities: NDArray[np.float32]
     truth: NDArray[np.int64]
-    noticed: NDArray[np.int64]
+    detected: NDArray[np.int64]
     participants: NDArray[np.str_]
     labels: tuple[str, ...]
 
@@ -263,12 +263,12 @@ def choice(streams: Streams, settings: DecisionSettings) -> Choice:
 def tell(streams: Streams, settings: DecisionSettings) -> list[Told]:
     """Return what the daemon's decision would tell the robot of each touch."""
     told = []
-    for outputs, truth, noticed in zip(streams.probabilities, streams.truth, streams.noticed, strict=True):
+    for outputs, truth, detected in zip(streams.probabilities, streams.truth, streams.detected, strict=True):
         decision = Decision(settings, streams.labels)
         due = dict(zip(settings.answer_at_frames, STAGES, strict=True))
         answers = []
         asked = range(1, FRAMES + 1) if decision.may_be_early else settings.answer_at_frames
-        for frames in (n for n in asked if n > noticed):
+        for frames in (n for n in asked if n > detected):
             probabilities = outputs[frames - 1].astype(np.float64)
             stage = due.get(frames)
             may = decision.may_be_early and "early" in due.values()
@@ -346,18 +346,18 @@ def collect(split: Split, title: str, missing: Sequence[str] = ()) -> Streams:
     labels = split[0][0].labels
     console = Console(stderr=True)
     rows = [
-        (outputs, labels.index(case.gesture), noticed, case.participant)
+        (outputs, labels.index(case.gesture), detected, case.participant)
         for model, case in track(
             cases, title, console=console, transient=True, disable=not console.is_terminal
         )
-        for noticed, outputs in _follow(case, model)
+        for detected, outputs in _follow(case, model)
     ]
-    answers, truth, noticed_at, people = zip(*rows, strict=True)
+    answers, truth, detected_at, people = zip(*rows, strict=True)
     outputs = np.stack(answers)
     if missing:
         outputs[:, :, [labels.index(gesture) for gesture in missing]] = 0.0
         outputs /= outputs.sum(axis=2, keepdims=True)
-    return Streams(outputs, np.array(truth), np.array(noticed_at), np.array(people), labels)
+    return Streams(outputs, np.array(truth), np.array(detected_at), np.array(people), labels)
 
 
 def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
@@ -368,21 +368,21 @@ def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
         answered = model.steps(list(windows.counts[:, frame : frame + 1]), states)
         outputs[:, frame] = [answer for answer, _ in answered]
         states = [state for _, state in answered]
-    noticed = np.zeros(len(windows.labels), np.int64)
-    return Streams(outputs, windows.labels, noticed, windows.participants, model.labels)
+    detected = np.zeros(len(windows.labels), np.int64)
+    return Streams(outputs, windows.labels, detected, windows.participants, model.labels)
 
 
 def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Yield the frame at which the case's touch was detected and the answers; nothing for a short touch."""
     scans = case.scans[LEAD_FRAMES - REST_FRAMES : case.stop]
-    touch = next(feel(scans, PipelineSettings().touch), None)
-    if touch is None or touch.noticed < REST_FRAMES or touch.first + FRAMES > len(scans):
+    touch = next(detect(scans, PipelineSettings().touch), None)
+    if touch is None or touch.detected < REST_FRAMES or touch.first + FRAMES > len(scans):
         return
     state, outputs = None, []
     for scan in scans[touch.first : touch.first + FRAMES]:
         answer, state = model.step(np.clip(np.rint(scan), 0, MAX_COUNT)[None], state)
         outputs.append(answer)
-    yield touch.noticed - touch.first, np.array(outputs, np.float32)
+    yield touch.detected - touch.first, np.array(outputs, np.float32)
 
 
 def tables(measured: Measured) -> dict[str, str]:

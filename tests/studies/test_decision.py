@@ -90,7 +90,7 @@ def test_a_corrected_answer_is_right_at_the_end_and_harmless() -> None:
 
 
 def test_a_touch_detected_late_is_answered_at_the_next_mark(late: Streams) -> None:
-    gentle = replace(late, noticed=np.full(len(late.truth), 60))
+    gentle = replace(late, detected=np.full(len(late.truth), 60))
     assert {t.answers[0][:2] for t in tell(gentle, DecisionSettings())} == {("revised", 1.5)}
 
 

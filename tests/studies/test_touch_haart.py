@@ -60,8 +60,8 @@ def test_the_committed_figures_hold_for_a_participant(
     (row,) = [row for row in committed.held_out["rest levelled"] if row.participant == SAMPLE]
     level = row.figures.onset_threshold
     quiet = [recording for recording in recordings if recording.gesture == NO_TOUCH]
-    noticed = figures.at_level(level, spliced(recordings, level_rest=True), quiet, committed.settings)
-    assert figures.point(level, [noticed]) == row.figures
+    outcome = figures.at_level(level, spliced(recordings, level_rest=True), quiet, committed.settings)
+    assert figures.point(level, [outcome]) == row.figures
 
 
 @needs_haart

@@ -107,8 +107,8 @@ class TouchReport(msgspec.Struct, frozen=True, kw_only=True):
     unseen: dict[str, OnsetPoint]
 
 
-class Noticed(msgspec.Struct, frozen=True):
-    """What one level did with one participant: delays from visible pressure in frames, None for a miss."""
+class LevelOutcome(msgspec.Struct, frozen=True):
+    """Result of one level for one participant: delays from visible pressure in frames, None for a miss."""
 
     delays: list[int | None]
     false_touches: int
@@ -158,28 +158,28 @@ def choose_level(points: Sequence[OnsetPoint]) -> float:
 
 def at_level(
     level: float, cases: Sequence[Case], quiet: Sequence[Recording], default: TouchSettings
-) -> Noticed:
+) -> LevelOutcome:
     """Run one participant's cases and notouch recordings at an onset level."""
     settings = msgspec.structs.replace(default, onset_threshold=level)
-    return Noticed(
+    return LevelOutcome(
         [delay(case, settings) for case in cases],
         sum(false_touches(recording.counts.astype(np.float32), settings) for recording in quiet),
         sum(len(recording.counts) for recording in quiet),
     )
 
 
-def point(level: float, noticed: Iterable[Noticed]) -> OnsetPoint:
+def point(level: float, outcomes: Iterable[LevelOutcome]) -> OnsetPoint:
     """Return the figures of these participants together."""
-    people = list(noticed)
+    people = list(outcomes)
     delays = [frames for person in people for frames in person.delays]
-    felt_ms = np.array([frames for frames in delays if frames is not None]) * FRAME_MS
+    delays_ms = np.array([frames for frames in delays if frames is not None]) * FRAME_MS
     return OnsetPoint(
         onset_threshold=level,
         touches=len(delays),
-        missed=len(delays) - len(felt_ms),
-        late=int((felt_ms > 1000.0).sum()),
-        delay_ms_median=_quantile(felt_ms, 0.5),
-        delay_ms_p90=_quantile(felt_ms, 0.9),
+        missed=len(delays) - len(delays_ms),
+        late=int((delays_ms > 1000.0).sum()),
+        delay_ms_median=_quantile(delays_ms, 0.5),
+        delay_ms_p90=_quantile(delays_ms, 0.9),
         false_touches=sum(person.false_touches for person in people),
         notouch_min=round(sum(person.notouch_frames for person in people) / FRAME_RATE_HZ / 60.0, 3),
     )
@@ -187,7 +187,7 @@ def point(level: float, noticed: Iterable[Noticed]) -> OnsetPoint:
 
 def _at_level(
     level: float, cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings
-) -> dict[str, Noticed]:
+) -> dict[str, LevelOutcome]:
     """Return what an onset level does with each participant."""
     return {
         name: at_level(level, [case for case in cases if case.participant == name], quiet, default)
@@ -206,7 +206,7 @@ def _quantile(ms: NDArray[np.float64], share: float) -> float:
     return round(float(np.quantile(ms, share)), 1)
 
 
-def _held_out(left_out: str, levels: Mapping[float, Mapping[str, Noticed]]) -> HeldOut:
+def _held_out(left_out: str, levels: Mapping[float, Mapping[str, LevelOutcome]]) -> HeldOut:
     points = [
         point(level, (person for name, person in people.items() if name != left_out))
         for level, people in levels.items()
@@ -221,10 +221,10 @@ def _by_gesture(outcomes: Sequence[Outcome]) -> Iterator[TrackedGesture]:
 
 
 def _tracked(gesture: str, outcomes: Sequence[Outcome]) -> TrackedGesture:
-    felt = [one for one in outcomes if one.touches]
-    seen = [one for one in felt if one.delay_from_visible is not None]
+    detected = [one for one in outcomes if one.touches]
+    seen = [one for one in detected if one.delay_from_visible is not None]
     delay_ms = FRAME_MS * np.array([max(0, one.delay_from_visible or 0) for one in seen])
-    splice_ms = FRAME_MS * np.array([one.delay_from_splice for one in felt])
+    splice_ms = FRAME_MS * np.array([one.delay_from_splice for one in detected])
     errors = np.array([one.first_error for one in seen])
     return TrackedGesture(
         gesture=gesture,

@@ -53,7 +53,7 @@ class Case:
 class TrackedTouch:
     """A touch as the tracker saw it, in frame indices; ended is None while it goes on."""
 
-    noticed: int
+    detected: int
     first: int
     last: int
     ended: int | None
@@ -95,58 +95,58 @@ def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
     return cases
 
 
-def feel(scans: Scans, settings: TouchSettings) -> Iterator[TrackedTouch]:
+def detect(scans: Scans, settings: TouchSettings) -> Iterator[TrackedTouch]:
     """Run a tracker over (T, 8, 8) counts; yield each touch when detected (ended None) and when ended."""
     tracker = TouchTracker(settings)
-    noticed = first = 0
+    detected = first = 0
     for index, scan in enumerate(scans):
         match tracker.update(GridFrame(index, index * 1000 / FRAME_RATE_HZ, 0.0, scan, False, index == 0)):
             case Onset(first):
-                noticed = index
-                yield TrackedTouch(noticed, first, index, None)
+                detected = index
+                yield TrackedTouch(detected, first, index, None)
             case Release(_, last, _):
-                yield TrackedTouch(noticed, first, last, index)
+                yield TrackedTouch(detected, first, last, index)
 
 
 def delay(case: Case, settings: TouchSettings) -> int | None:
     """Return frames from the first visible pressure (0 when it was detected before), None for a miss."""
-    touches = feel(case.scans[: case.stop], settings)
-    noticed = next((felt.noticed for felt in touches if felt.noticed >= case.start), None)
-    if noticed is None:
+    touches = detect(case.scans[: case.stop], settings)
+    detected = next((touch.detected for touch in touches if touch.detected >= case.start), None)
+    if detected is None:
         return None
-    return 0 if case.visible_at is None else max(0, noticed - case.visible_at)
+    return 0 if case.visible_at is None else max(0, detected - case.visible_at)
 
 
 def outcome(case: Case, settings: TouchSettings) -> Outcome:
     """Run one case to its end. lost_frames: with visible pressure after the first touch, in none."""
-    touches = {felt.noticed: felt for felt in feel(case.scans, settings)}
-    within = [felt for felt in touches.values() if case.start <= felt.noticed < case.stop]
+    touches = {touch.detected: touch for touch in detect(case.scans, settings)}
+    within = [touch for touch in touches.values() if case.start <= touch.detected < case.stop]
     if not within:
         return Outcome(case.gesture, None, None, None, 0, 0, True)
     first = within[0]
     covered = np.zeros(len(case.scans), np.bool_)
-    for felt in within:
-        covered[felt.first : felt.ended] = True
+    for touch in within:
+        covered[touch.first : touch.ended] = True
     return Outcome(
         gesture=case.gesture,
-        delay_from_splice=first.noticed - case.start,
-        delay_from_visible=None if case.visible_at is None else first.noticed - case.visible_at,
+        delay_from_splice=first.detected - case.start,
+        delay_from_visible=None if case.visible_at is None else first.detected - case.visible_at,
         first_error=None if case.visible_at is None else first.first - case.visible_at,
         touches=len(within),
-        lost_frames=int((case.visible & ~covered)[first.noticed :].sum()),
+        lost_frames=int((case.visible & ~covered)[first.detected :].sum()),
         released=within[-1].ended is not None,
     )
 
 
 def false_touches(scans: Scans, settings: TouchSettings) -> int:
     """Return the number of touches detected in (T, 8, 8) counts of a pad that nothing touches."""
-    return sum(felt.ended is None for felt in feel(scans, settings))
+    return sum(touch.ended is None for touch in detect(scans, settings))
 
 
 def join_touches(recordings: Sequence[Recording], settings: TouchSettings) -> tuple[int, int]:
     """Return the joins in one participant's notouch recordings end to end, and how many began a touch."""
     joins = np.cumsum([len(recording.counts) for recording in recordings])[:-1]
     scans = np.concatenate([recording.counts for recording in recordings]).astype(np.float32)
-    noticed = np.array([felt.noticed for felt in feel(scans, settings) if felt.ended is None])
-    near = [((noticed >= join) & (noticed < join + CALIBRATION_FRAMES)).any() for join in joins]
+    detected = np.array([touch.detected for touch in detect(scans, settings) if touch.ended is None])
+    near = [((detected >= join) & (detected < join + CALIBRATION_FRAMES)).any() for join in joins]
     return len(joins), int(sum(near))
