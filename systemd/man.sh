@@ -2,7 +2,9 @@
 # Prints the manual page of touchd, made from its --help: sh man.sh PYTHON
 export COLUMNS=80
 touchd="$1 -m touchd.daemon"
-literal() { echo .nf; sed 's/\\/\\e/g; s/-/\\-/g; s/^[.'\'']/\\\&&/'; echo .fi; }
+# The program's own path is that of the machine where this runs.
+own="s#$1 -m touchd.daemon#touchd#g; s#[^ (]*/bin/touchd#touchd#g"
+literal() { echo .nf; sed "$own" | sed 's/\\/\\e/g; s/-/\\-/g; s/^[.'\'']/\\\&&/'; echo .fi; }
 
 echo ".TH TOUCHD 1 \"\" \"$($touchd version)\""
 echo ".SH NAME"

@@ -51,9 +51,12 @@ def init(pad: str) -> None:
 
 def keep(terminal: Terminal, *until: str) -> str:
     """Keep recordings, whatever is wrong with them, until one of these texts is shown."""
-    while (shown := terminal.until_one("Enter to keep it", "k to keep it all the same", *until)) not in until:
-        terminal.until(QUESTION)
-        terminal.answer("k" if shown.startswith("k ") else "")
+    answers = {"Enter to keep it": "", "k to keep it all the same": "k", "  kept ": None}
+    while (shown := terminal.until_one(*answers, *until)) not in until:
+        answer = answers[shown]
+        if answer is not None:
+            terminal.until(QUESTION)
+            terminal.answer(answer)
     return shown
 
 
@@ -93,10 +96,8 @@ def test_teach_runs_as_typed_on_a_fake_pad(pad: str) -> None:
         terminal.answer("ann", "Enter to begin")
         terminal.answer("")
         keep(terminal, "Learning from them")
-        if terminal.until_one("Enter to use it", "u to use it") == "Enter to use it":
-            terminal.answer("", "Set. To use it now: ")
-        else:
-            terminal.answer("u", "Set. To use it now: ")
+        uses = {"Enter to use it": "", "u to use it": "u"}
+        terminal.answer(uses[terminal.until_one(*uses, within_s=400.0)], "Set. To use it now: ")
         assert terminal.process.wait(WITHIN_S) == 0
     with typed("run") as terminal:
         terminal.until("touch 1 ends: ")

@@ -153,6 +153,7 @@ def test_the_manual_page_has_every_command(tmp_path: Path) -> None:
     for command in COMMANDS:
         assert f"touchd {command.name} " in shown.stdout
         assert f"usage: touchd {command.name}" in shown.stdout
+    assert str(Path(sys.executable).parent) not in shown.stdout
 
 
 @pytest.fixture

@@ -38,10 +38,10 @@ class Terminal:
         self.shown += before + text
         return before
 
-    def until_one(self, *texts: str) -> str:
+    def until_one(self, *texts: str, within_s: float = SHOWS_WITHIN_S) -> str:
         """Wait until one of these texts is shown; return it."""
         pattern = "|".join(map(re.escape, texts))
-        until_s = time.monotonic() + SHOWS_WITHIN_S
+        until_s = time.monotonic() + within_s
         while not (found := re.search(pattern, self._unread)):
             assert self._receive(until_s), f"none of {texts} was shown; this was: {self._unread}"
         self.until(found[0])
