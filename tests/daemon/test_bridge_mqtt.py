@@ -77,7 +77,7 @@ def payloads(messages: list[Any], topic: str = "touchd/pad/event") -> list[str]:
 
 
 def put(bridge: Bridge, number: int, messages: list[Any]) -> None:
-    """Put touch `number`, and wait until so many events were published."""
+    """Put touch `number`, and wait until this many events were published."""
     bridge.put(touch(number))
     wait_for(lambda: len(payloads(messages)) == number)
 

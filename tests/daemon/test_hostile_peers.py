@@ -92,7 +92,7 @@ def children(pid: int) -> list[int]:
 
 
 def resident_mb(pid: int) -> float:
-    """Return the memory of a process and of those that it started; one may end meanwhile."""
+    """Return the memory of a process and its children; one may end during that."""
     with suppress(FileNotFoundError, ProcessLookupError):
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 1e6 + sum(map(resident_mb, children(pid)))

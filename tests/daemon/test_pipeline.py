@@ -53,7 +53,7 @@ class Bench:
         return self.emitted[before:]
 
     def check_windows(self, *lengths: int) -> None:
-        """Check that the model was given the touch's own first frames, so many of them."""
+        """Check that the model got exactly this number of the touch's first frames."""
         windows = {len(window): window for window in self.model.stepped + self.model.asked}
         for length in lengths:
             np.testing.assert_array_equal(windows[length], self.sent[LEAD_FRAMES : LEAD_FRAMES + length])

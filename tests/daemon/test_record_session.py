@@ -107,7 +107,7 @@ GESTURES = ("pat", "notouch", "rub")
 
 
 def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
-    """Repeat the take until the touch is felt; on a busy machine the hand may come too late."""
+    """Repeat the take until the touch is detected; on a busy machine the hand may come too late."""
     question = ""
     while "keep it" not in question:
         terminal.answer("", "Enter to begin")

@@ -95,7 +95,7 @@ def test_continuing_losses_are_logged_once_a_minute(caplog: pytest.LogCaptureFix
         written = 0
 
         def write(self, item: int) -> None:
-            # While one is written, so many come that some are dropped each time.
+            # More events come while one is written than the queue holds.
             for number in range(5 if self.written < 10 else 0):
                 self.put(number)
             self.written += 1

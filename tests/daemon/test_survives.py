@@ -403,5 +403,5 @@ def test_a_lasting_delay_is_forgotten_within_fifty_times_its_length() -> None:
     assert played(0.0, 2.0, 0.0) == pytest.approx(0.0, abs=1e-6)
     assert played(2.0, 7.0, 1.0) == pytest.approx(0.9, abs=0.01)
     assert played(7.0, 60.0, 1.0) == pytest.approx(0.0, abs=1e-6)
-    # A board that was reset: its clock starts anew, its frames are no older for it.
+    # After a reset of the board its clock restarts, but its frames are not older.
     assert played(0.5, 1.0, 60.0) == pytest.approx(0.0, abs=1e-6)

@@ -212,7 +212,7 @@ def test_a_touch_ends_despite_shifted_rest_or_noise(
     (release,) = pad.feel(disturbed(fold(2.0)))
     assert (type(release), release.reason) == (Release, "released")
     assert abs(release.last_index - left) <= 54
-    # The current reading is the new rest, and the next touch is felt on it.
+    # The current reading is the new rest, on which the next touch is detected.
     assert pad.feel(disturbed(fold(5.0))) == []
     assert isinstance(pad.feel(disturbed(fold(0.2) + palm(0.2, counts=40.0)))[0], Onset)
 

@@ -214,7 +214,7 @@ def test_haarts_files_are_read_completely() -> None:
 
 @pytest.fixture
 def before(tmp_path: Path) -> Path:
-    """A file that is written anew."""
+    """A file to rewrite."""
     path = tmp_path / "touchd.yaml"
     path.write_text("before")
     return path

@@ -1,7 +1,7 @@
 """The shipped recordings and their expected events.
 
     PYTHONPATH=tests python -m rigs.expectations             rebuilds the expected events (make expectations)
-    PYTHONPATH=tests python -m rigs.expectations --record    first records the simulated hands anew
+    PYTHONPATH=tests python -m rigs.expectations --record    first records the simulated hands again
 
 Read the diff before committing it: every changed line is a changed answer.
 """

@@ -91,7 +91,7 @@ def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessa
 
 
 def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
-    """Assert that a robot hears of a gesture that is published now."""
+    """Assert that a robot receives a gesture that is published now."""
     link.publish(message(gesture))
     robot.calls.wait_for_raise(GESTURE, gesture)
 
