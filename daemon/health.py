@@ -11,8 +11,8 @@ log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
-# Longer than the silence after which a reader says that its pad is away.
-HEARD_S = 4.0
+# A pad without frames is dead after this; its reader says earlier that it is away.
+SILENT_S = 4.0
 
 
 class Notifier:
@@ -56,9 +56,8 @@ class Health:
 
     def __init__(self, notifier: Notifier) -> None:
         self._notifier = notifier
-        self._ready = False
-        self._away: dict[str, bool] = {}
-        self._heard_s: dict[str, float] = {}
+        # Until when each pad counts as alive: for ever while it is known to be away.
+        self._alive_until_s: dict[str, float] = {}
         self._frames = 0
         self._reported = 0
         self._dropped: Mapping[str, int] = {}
@@ -66,24 +65,24 @@ class Health:
         self._status_s = time.monotonic()
 
     def pad_state(self, pad: str, up: bool) -> None:
-        """A pad was found or is known to be away; the first time, the daemon is ready."""
-        self._away[pad] = not up
-        self._heard_s[pad] = time.monotonic()
-        if not self._ready:
-            self._ready = True
+        """Note that a pad was found or is known to be away; the first time, the daemon is ready."""
+        if not self._alive_until_s:
             self._notifier.send(READY=1)
-        self._feed()
+        self._alive_until_s[pad] = time.monotonic() + SILENT_S if up else math.inf
+        self.feed()
 
     def frame_processed(self, pad: str) -> None:
-        """A frame went through a pad's pipeline."""
-        self._heard_s[pad] = time.monotonic()
+        """Note that a frame went through a pad's pipeline."""
+        self._alive_until_s[pad] = time.monotonic() + SILENT_S
         self._frames += 1
-        self._feed()
+        self.feed()
 
-    def idle(self) -> None:
-        """No frame came for a while."""
-        if self._away and all(self._away.values()):
-            self._feed()
+    def feed(self) -> None:
+        """Feed the watchdog if every pad is alive."""
+        now_s = time.monotonic()
+        if now_s >= self._next_feed_s and self._alive_until_s and now_s < min(self._alive_until_s.values()):
+            self._notifier.send(WATCHDOG=1)
+            self._next_feed_s = now_s + self._notifier.watchdog_s / FEEDS_PER_WATCHDOG
 
     def report(self, touches: int, dropped: Mapping[str, int]) -> None:
         """Report the status every few seconds: frames a second, touches so far, each pad's dropped frames."""
@@ -93,29 +92,16 @@ class Health:
             return
         for pad, count in dropped.items():
             if (newly := count - self._dropped.get(pad, 0)) > 0:
-                which = "the pad" if len(dropped) == 1 else f"{pad}, or that sends too many"
-                log.warning("%d frames dropped: the machine is too busy for %s", newly, which)
-        self._dropped = dropped
-        rate = f"{(self._frames - self._reported) / passed_s:.1f} frames/s"
-        away = [pad for pad, is_away in self._away.items() if is_away]
-        if away and len(away) == len(self._away):
-            rate = "pad away" if len(away) == 1 else "all pads away"
-        elif away:
-            rate += f", {', '.join(away)} away"
-        self._notifier.send(STATUS=f"{rate}, {touches} touches, {sum(dropped.values())} frames dropped")
-        self._status_s = now_s
-        self._reported = self._frames
+                why = "the machine is too busy, or the pad sends too many"
+                log.warning("%s: %d frames dropped: %s", pad, newly, why)
+        rate_hz = (self._frames - self._reported) / passed_s
+        away = "".join(f", {pad} away" for pad, until_s in self._alive_until_s.items() if until_s == math.inf)
+        status = f"{rate_hz:.1f} frames/s{away}, {touches} touches, {sum(dropped.values())} frames dropped"
+        self._notifier.send(STATUS=status)
+        self._dropped, self._status_s, self._reported = dropped, now_s, self._frames
 
     def stopping(self) -> None:
         self._notifier.send(STOPPING=1)
 
     def end(self, touches: int, dropped: int) -> None:
         log.info("%d frames, %d touches, %d frames dropped in all", self._frames, touches, dropped)
-
-    def _feed(self) -> None:
-        now_s = time.monotonic()
-        if now_s < self._next_feed_s:
-            return
-        if all(self._away.get(pad) or now_s - heard_s < HEARD_S for pad, heard_s in self._heard_s.items()):
-            self._notifier.send(WATCHDOG=1)
-            self._next_feed_s = now_s + self._notifier.watchdog_s / FEEDS_PER_WATCHDOG

@@ -60,7 +60,7 @@ class Service:
         try:
             while not must_stop():
                 if not took and not self._arrived.wait(IDLE_S):
-                    self._health.idle()
+                    self._health.feed()
                 # One item of each in turn, so that a pad that floods its queue holds up no other.
                 took = False
                 for pad in self._parts.pads:

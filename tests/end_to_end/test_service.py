@@ -58,7 +58,7 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
 
 
 def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, health: Health) -> None:
-    health.idle()
+    health.feed()
     assert manager.heard() == []
     health.pad_state("pad", up=False)
     health.pad_state("pad", up=True)
@@ -70,12 +70,20 @@ def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, health: Hea
     assert "WATCHDOG=1" in manager.heard()
 
 
-def test_the_watchdog_starves_when_a_present_pad_is_silent(manager: Manager, health: Health) -> None:
+@pytest.mark.parametrize(("silent", "fed"), [("pad", []), ("nobody", ["WATCHDOG=1"])])
+def test_the_watchdog_starves_when_one_present_pad_is_silent(
+    manager: Manager, health: Health, monkeypatch: pytest.MonkeyPatch, silent: str, fed: list[str]
+) -> None:
+    now_s = time.monotonic()
     health.pad_state("pad", up=True)
+    health.pad_state("away", up=False)
     manager.heard()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s + 2000)
     health.report(touches=0, dropped={"pad": 0})
-    health.idle()
-    assert manager.heard() == []
+    if silent == "nobody":
+        health.frame_processed("pad")
+    health.feed()
+    assert [line for line in manager.heard() if "WATCHDOG" in line] == fed
 
 
 def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, health: Health) -> None:
@@ -90,11 +98,12 @@ def test_the_status_shows_rate_touches_and_drops(
     now_s = time.monotonic()
     for _ in range(540):
         health.frame_processed("pad")
+    health.pad_state("arm", up=False)
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
     health.report(touches=3, dropped={"pad": 7})
     status = manager.heard()[-1]
     assert status.startswith("STATUS=5")
-    assert status.endswith(" frames/s, 3 touches, 7 frames dropped")
+    assert status.endswith(" frames/s, arm away, 3 touches, 7 frames dropped")
 
 
 def needs(program: str) -> pytest.MarkDecorator:
