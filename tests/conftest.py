@@ -16,6 +16,7 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 if TYPE_CHECKING:
     from rigs.live_rig import Served
+    from selenium.webdriver import Chrome
 
 # Programs that tests start inherit ignored signals: Ctrl-C from a shell's background, SIGHUP from nohup.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -63,6 +64,17 @@ def own_signals() -> Iterator[None]:
 def classifier() -> Classifier:
     """The shipped model."""
     return Classifier.load(SHIPPED_MODEL)
+
+
+@pytest.fixture(scope="session")
+def chrome() -> Iterator["Chrome"]:
+    """A browser for all tests of a worker."""
+    from rigs.browser import CHROMIUM, DRIVER, browser
+
+    if CHROMIUM is None or DRIVER is None:
+        pytest.skip("chromium and chromium-driver are not installed")
+    with browser() as chrome:
+        yield chrome
 
 
 @pytest.fixture

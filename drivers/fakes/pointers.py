@@ -19,6 +19,8 @@ Series: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = Literal["hand", "finger"]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
+# So that no number of viewers makes a frame late.
+MOST_PRESSES = 20
 # Duration of touching down, and of lifting off: a hand that rests, one that moves.
 EDGE_S, LIFT_S, GLIDE_S = 0.08, 0.08, 0.25
 # A click shorter than this presses for this long.
@@ -68,7 +70,7 @@ SHAPES: Mapping[Size, Shape] = {"hand": HAND, "finger": FINGER}
 
 
 class PressingHands:
-    """The pressure of all pointers, a frame at a time."""
+    """The pressure of all pointers, a frame at a time; of at most `MOST_PRESSES`, lifting ones included."""
 
     def __init__(self, rng: RandomState) -> None:
         self._rng = rng
@@ -82,6 +84,8 @@ class PressingHands:
             self._lifting.append(self._down.pop(key))
         for key, pointer in pointers.items():
             if key not in self._down:
+                if len(self._down) + len(self._lifting) >= MOST_PRESSES:
+                    continue
                 self._down[key] = _Press(pointer, self._rng)
             total += self._down[key].follow(pointer)
         for press in self._lifting:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from rigs.browser import CHROMIUM, DRIVER, browser, prefer, show_in
+from rigs.browser import prefer, show_in
 from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import Served, serving
 from rigs.made_events import PREDICTION, TIME
@@ -31,12 +31,7 @@ from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.reactions import Words
 from touchd.drivers.robot.session import RobotSettings
 
-pytestmark = [
-    pytest.mark.timeout(300),
-    pytest.mark.skipif(
-        CHROMIUM is None or DRIVER is None, reason="chromium and chromium-driver are not installed"
-    ),
-]
+pytestmark = pytest.mark.timeout(300)
 SPEED = 6.0
 # For what the page draws at once.
 SOON_S = 20.0
@@ -112,12 +107,6 @@ def listed(chrome: Chrome) -> list[str]:
 def is_stale(chrome: Chrome) -> bool:
     """Whether the page marks its content as stale."""
     return bool(chrome.execute_script("return document.body.hasAttribute('data-stale')"))
-
-
-@pytest.fixture(scope="module")
-def chrome() -> Iterator[Chrome]:
-    with browser() as chrome:
-        yield chrome
 
 
 @pytest.fixture(scope="module")

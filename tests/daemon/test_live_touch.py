@@ -8,13 +8,15 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import pytest
-from rigs.browser import CHROMIUM, DRIVER, browser, show_in
+from numpy.typing import NDArray
+from rigs.browser import show_in
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED, Daemon
+from rigs.sensor_rig import next_frames, sensing
 from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.actions.action_builder import ActionBuilder
@@ -29,11 +31,41 @@ from touchd.daemon.live.touch import LIFTED_AFTER_S, MESSAGES_PER_S, Touching
 from touchd.daemon.playback import touched
 from touchd.daemon.playback.touched import TouchedPad, TouchPage
 from touchd.drivers.fakes.hand import SimulatedHand, repeated
+from touchd.drivers.fakes.pointers import MOST_PRESSES, Pointer, PressingHands
+from touchd.drivers.pad.sensor import FrameQueue
 
 TRIES = 5
 # About what the driver needs for a step.
 STEP_S = 0.04
 TOUCH = '{"size":"hand","at":[[1,0.5,0.5,null]]}'
+
+# Moves a pointer for two seconds, on a screen of 250 pictures a second; returns how often the page sent.
+FAST_SCREEN = """
+  const done = arguments[0];
+  import('/touch.js').then(({ Touch }) => {
+    const square = document.createElement('div');
+    square.setPointerCapture = () => {};
+    square.getBoundingClientRect = () => ({ left: 0, top: 0, width: 100, height: 100 });
+    let [now, sent, due] = [1000, 0, []];
+    const draw = window.requestAnimationFrame;
+    performance.now = () => now;
+    window.requestAnimationFrame = (what) => due.push(what);
+    new Touch(square, document.createElement('p'), () => 'hand', () => sent++).use(true);
+    const place = (step) => ({ pointerId: -7, button: 0, clientX: step % 100, clientY: 50 });
+    square.dispatchEvent(new PointerEvent('pointerdown', place(0)));
+    for (let step = 1; step <= 500; step++) {
+      now += 4;
+      square.dispatchEvent(new PointerEvent('pointermove', place(step)));
+      const drawn = due;
+      due = [];
+      drawn.forEach((what) => what(now));
+    }
+    square.dispatchEvent(new PointerEvent('pointerup', place(0)));
+    delete performance.now;
+    window.requestAnimationFrame = draw;
+    done(sent);
+  });
+"""
 
 # Places on the pad from 0 to 1, a step each; None is off the pad.
 Route: TypeAlias = list[tuple[float, float] | None]
@@ -44,10 +76,14 @@ def steps(seconds: float) -> range:
 
 
 def slow_stroke(rng: random.Random) -> Route:
-    along = [0.08 + 0.84 * step / len(steps(3.0)) for step in steps(3.0)]
-    across = rng.uniform(0.4, 0.6)
-    one_way = along if rng.random() < 0.5 else along[::-1]
-    return [(at, across) for at in one_way] if rng.random() < 0.5 else [(across, at) for at in one_way]
+    """Three passes the same way, lifted in between, as people stroke."""
+    across, turned, upright = rng.uniform(0.4, 0.6), rng.random() < 0.5, rng.random() < 0.5
+    path: Route = []
+    for _ in range(3):
+        along = [0.08 + 0.84 * step / len(steps(1.0)) for step in steps(1.0)]
+        one_way = along[::-1] if turned else along
+        path += [(across, at) if upright else (at, across) for at in one_way] + [None] * len(steps(0.5))
+    return path
 
 
 def three_pats(rng: random.Random) -> Route:
@@ -92,11 +128,9 @@ def perform(chrome: Chrome, path: Route) -> None:
 
 
 @pytest.fixture(scope="module")
-def page() -> Iterator[Chrome]:
+def page(chrome: Chrome) -> Iterator[Chrome]:
     """The demo's page, on which the simulated hand was taken away by a first touch."""
-    if CHROMIUM is None or DRIVER is None:
-        pytest.skip("chromium and chromium-driver are not installed")
-    with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo, browser() as chrome:
+    with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         assert any(line.startswith("pad up") for line in demo.stdout)
         show_in(chrome, 1280, 800)
@@ -108,6 +142,100 @@ def page() -> Iterator[Chrome]:
         yield chrome
         demo.terminate()
         assert demo.wait(WITHIN_S) == 0
+
+
+class FakePad(NamedTuple):
+    """A fake pad: its page in a browser, and the frames that come out of its serial port."""
+
+    chrome: Chrome
+    frames: FrameQueue
+
+    def place(self, across: float, down: float) -> dict[str, float]:
+        """Return a place on the pad, from 0 to 1, in the window's pixels."""
+        square = self.chrome.find_element(By.CSS_SELECTOR, ".square").rect
+        return {
+            "x": square["x"] + square["width"] * across,
+            "y": square["y"] + square["height"] * down,
+        }
+
+    def mouse(self, kind: str, across: float, down: float, **more: object) -> None:
+        button = {"button": "left", "buttons": int(kind != "mouseReleased"), "clickCount": 1}
+        event = {"type": kind, **button, **self.place(across, down), **more}
+        self.chrome.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+    def fingers(self, kind: str, *places: tuple[float, float], **more: object) -> None:
+        points = [{"id": number, **self.place(*place), **more} for number, place in enumerate(places)]
+        self.chrome.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def pressed(self) -> NDArray[np.float64]:
+        """Return the mean of the next half second of frames, once a press has settled, (8, 8)."""
+        next_frames(self.frames, 40)
+        self.frames.take_all()
+        return np.mean([frame.pressure for frame in next_frames(self.frames, 27)], axis=0)
+
+
+@pytest.fixture(scope="module")
+def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
+    """A fake pad whose simulated hand was taken away by a first touch."""
+    with Program(*TOUCHD, "fake-pad", "--live", "0", "--gestures", "constant", "--every", "3") as program:
+        url = next(found[1] for line in program.stdout if (found := SERVED.search(line)))
+        path = next(line.split()[1] for line in program.stdout if line.startswith("pad: "))
+        with sensing(path, silence_s=WITHIN_S) as frames:
+            show_in(chrome, 1280, 800)
+            chrome.get(f"{url}/")
+            pad = FakePad(chrome, frames)
+            # Nobody has touched it yet: it asks, and a simulated hand presses.
+            wait_for(lambda: chrome.find_element(By.ID, "invitation").text == "Touch here")
+            wait_for(lambda: next_frames(frames, 1)[0].pressure.max() > 50)
+            pad.mouse("mousePressed", 0.5, 0.5)
+            pad.mouse("mouseReleased", 0.5, 0.5)
+            yield pad
+        program.terminate()
+        assert program.wait(WITHIN_S) == 0
+
+
+def test_a_pointer_reaches_the_fake_pads_port(fake_pad: FakePad) -> None:
+    assert not fake_pad.chrome.find_element(By.ID, "invitation").is_displayed()
+    fake_pad.chrome.find_element(By.CSS_SELECTOR, "#sizes label:last-child").click()
+    fake_pad.mouse("mousePressed", 0.31, 0.81)
+    pressed = fake_pad.pressed()
+    fake_pad.mouse("mouseReleased", 0.31, 0.81)
+    assert np.unravel_index(pressed.argmax(), (8, 8)) == (6, 2)
+    # The simulated hand stays away.
+    assert fake_pad.pressed().max() < 15
+
+
+def test_fingers_press_where_each_touches(fake_pad: FakePad) -> None:
+    fake_pad.fingers("touchStart", (0.19, 0.19), (0.81, 0.81))
+    pressed = fake_pad.pressed()
+    fake_pad.fingers("touchEnd")
+    assert min(pressed[1, 1], pressed[6, 6]) > 5 * pressed[1, 6]
+    assert fake_pad.pressed().max() < 15
+
+
+def test_the_pressure_of_pens_and_fingers_counts(fake_pad: FakePad) -> None:
+    pen: list[float] = []
+    finger: list[float] = []
+    for force in (0.15, 0.9):
+        fake_pad.mouse("mousePressed", 0.31, 0.31, pointerType="pen", force=force)
+        pen.append(float(fake_pad.pressed().max()))
+        fake_pad.mouse("mouseReleased", 0.31, 0.31, pointerType="pen", force=0)
+        fake_pad.fingers("touchStart", (0.81, 0.31), force=force)
+        finger.append(float(fake_pad.pressed().max()))
+        fake_pad.fingers("touchEnd")
+    assert pen[1] > 2 * pen[0]
+    assert finger[1] > 2 * finger[0]
+
+
+def test_a_fast_screen_sends_no_more_than_is_taken(fake_pad: FakePad) -> None:
+    assert 100 < fake_pad.chrome.execute_async_script(FAST_SCREEN) < 2.0 * MESSAGES_PER_S
+
+
+@pytest.mark.slow
+def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
+    invitation = fake_pad.chrome.find_element(By.ID, "invitation")
+    wait_for(lambda: next_frames(fake_pad.frames, 1)[0].pressure.max() > 50)
+    wait_for(lambda: invitation.text == "Touch here")
 
 
 @pytest.mark.timeout(300)
@@ -172,11 +300,17 @@ def test_nobody_can_touch_the_page_of_the_daemon(tmp_path: Path) -> None:
         '{"size":"hand","at":[[1,0.5,0.5,2]]}',
         '{"size":"hand","at":[[-1,0.5,0.5,null]]}',
         '{"size":"hand","at":[[1,0.5,1e999,null]]}',
+        '{"size":"hand","at":[[1,NaN,0.5,null]]}',
+        '{"size":"hand","at":[[1,null,0.5,null]]}',
+        '{"size":"hand","at":[[1,0.5,0.5,-0.1]]}',
+        '{"size":"hand","at":[[1e300,0.5,0.5,null]]}',
         '{"size":"hand","at":[],"speed":1}',
+        500 * "[",
+        b"\xff\xfe{}",
         json.dumps({"size": "hand", "at": [[n, 0.5, 0.5, None] for n in range(11)]}),
     ],
 )
-def test_a_message_that_is_not_a_touch_is_refused(message: str) -> None:
+def test_a_message_that_is_not_a_touch_is_refused(message: str | bytes) -> None:
     touching = Touching()
     assert touching.take("viewer", message) == "not a touch"
     assert touching.pointers() == {}
@@ -227,3 +361,11 @@ def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.Mon
     time.sleep(0.4)
     pad.scan(0)
     assert begun == ["notouch", "rub", "notouch"]
+
+
+def test_many_viewers_pointers_make_no_frame_late() -> None:
+    hands = PressingHands(np.random.RandomState(1))
+    spots = (Pointer(row, column, "hand") for row in range(8) for column in range(8))
+    for turn in range(30):
+        hands.frame({(turn, number): spot for number, spot in enumerate(spots)})
+    assert len(hands._down) + len(hands._lifting) <= MOST_PRESSES

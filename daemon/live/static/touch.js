@@ -5,6 +5,8 @@ const ALONE_MS = 20_000;
 // Pointers that are held still are sent again, so that touchd knows that they still press.
 const AGAIN_MS = 100;
 const MOST_POINTERS = 10;
+// A screen of 120 pictures a second would send more than touchd takes.
+const LEAST_MS = 15;
 
 export class Touch {
   #square;
@@ -13,6 +15,7 @@ export class Touch {
   #pointers = new Map();
   #isDue = false;
   #again = 0;
+  #toldAt = 0;
   #alone = 0;
   #isTouchable = false;
   #size;
@@ -69,13 +72,20 @@ export class Touch {
   #soon() {
     if (this.#isDue) return;
     this.#isDue = true;
+    this.#whenDrawn();
+  }
+
+  #whenDrawn() {
     requestAnimationFrame(() => {
-      if (this.#isDue) this.#tell();
+      if (!this.#isDue) return;
+      if (performance.now() - this.#toldAt < LEAST_MS) this.#whenDrawn();
+      else this.#tell();
     });
   }
 
   #tell() {
     this.#isDue = false;
+    this.#toldAt = performance.now();
     clearTimeout(this.#again);
     const { left, top, width, height } = this.#square.getBoundingClientRect();
     const at = [];
@@ -87,7 +97,7 @@ export class Touch {
       if (x < 0 || x > 1 || y < 0 || y > 1) continue;
       // A mouse, and a screen that measures no pressure, report a constant.
       const isMeasured = pointerType === "pen" || (pointerType === "touch" && ![0, 0.5, 1].includes(pressure));
-      at.push([pointerId % 2 ** 31, round(x), round(y), isMeasured ? round(Math.min(pressure, 1)) : null]);
+      at.push([pointerId >>> 0, round(x), round(y), isMeasured ? round(Math.min(pressure, 1)) : null]);
     }
     this.#send(JSON.stringify({ size: isFine ? "finger" : this.#size(), at }));
     if (this.#pointers.size > 0) this.#again = setTimeout(() => this.#tell(), AGAIN_MS);
