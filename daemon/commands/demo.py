@@ -177,11 +177,9 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
         pad = TouchedPad(rng, page.touching, hand, show.show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
         show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
-        # The daemon's own page, for this process alone, has what is not an event.
-        with listen(LiveSettings(port=0)) as free:
-            inner = LiveSettings(port=free.getsockname()[1])
-        page.follow(inner.port)
-        _run(port, show, closing, msgspec.structs.replace(settings, live=inner))
+        # The daemon's own page, for this process alone, has what is not an event; its log has the address.
+        inner = msgspec.structs.replace(settings, live=LiveSettings(port=0), log_level="info")
+        _run(port, show, closing, inner, page.follow)
     return 0
 
 
@@ -210,11 +208,15 @@ def _show(
 
 
 def _run(
-    port: FakePort | LivePort, show: Show, closing: ExitStack, settings: Settings
+    port: FakePort | LivePort,
+    show: Show,
+    closing: ExitStack,
+    settings: Settings,
+    follow: Callable[[Path], None] = lambda log: None,
 ) -> tuple[Sequence[Prediction], Sequence[str]]:
     """Run the daemon on a fake port and show its events; returns all answers, and each touch's last.
 
-    It ends with the stream of a FakePort.
+    It ends with the stream of a FakePort. follow: gets the daemon's log.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
@@ -244,6 +246,7 @@ def _run(
         link.start()
         closing.callback(link.stop)
     daemon = SpawnedDaemon(settings, folder, log)
+    follow(folder / "log")
     closing.callback(daemon.stop)
     if isinstance(port, FakePort):
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()

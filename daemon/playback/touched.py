@@ -2,11 +2,13 @@
 
 import itertools
 import json
+import re
 import socket
 import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -28,6 +30,8 @@ from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
 ALONE_S = 20.0
 RETRY_S = 0.2
 STOP_S = 1.0
+# What a daemon with a page logs.
+SERVED = re.compile(r"live page: http://(\S+)/")
 
 
 class TouchedPad:
@@ -89,18 +93,19 @@ class TouchPage:
     def show_frame(self, counts: Counts, sensor_ms: int) -> None:
         self._server.put_frame(Frame(next(self._numbers), sensor_ms, time.monotonic(), counts), 0)
 
-    def follow(self, port: int) -> None:
-        """Show the live predictions of a daemon whose own page is at this port of this computer."""
-        threading.Thread(target=self._relay, args=(port,), name="touchd-relay", daemon=True).start()
+    def follow(self, log: Path) -> None:
+        """Show the live predictions of a daemon with a page of its own, whose address is in its log."""
+        threading.Thread(target=self._relay, args=(log,), name="touchd-relay", daemon=True).start()
 
-    def _relay(self, port: int) -> None:
+    def _relay(self, log: Path) -> None:
         while not self._stopping.wait(RETRY_S):
-            with (
-                suppress(OSError, WebSocketException),
-                connect(f"ws://127.0.0.1:{port}/stream", compression=None) as viewer,
-            ):
-                for message in viewer:
-                    if self._stopping.is_set():
-                        return
-                    if isinstance(message, str) and json.loads(message)["type"] == "live_prediction":
-                        self._server.put(msgspec.json.decode(message, type=LivePrediction))
+            with suppress(OSError, WebSocketException):
+                served = SERVED.search(log.read_text(errors="replace"))
+                if served is None:
+                    continue
+                with connect(f"ws://{served[1]}/stream", compression=None) as viewer:
+                    for message in viewer:
+                        if self._stopping.is_set():
+                            return
+                        if isinstance(message, str) and json.loads(message)["type"] == "live_prediction":
+                            self._server.put(msgspec.json.decode(message, type=LivePrediction))

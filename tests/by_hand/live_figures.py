@@ -1,8 +1,9 @@
-"""Measures the live page's cost for the daemon, with none, one and many viewers.
+"""Measures the live page's cost: for the daemon, with none, one and many viewers, and for a browser.
 
 PYTHONPATH=.:tests nice -n -5 python tests/by_hand/live_figures.py
 """
 
+import itertools
 import subprocess
 import sys
 import threading
@@ -12,7 +13,10 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
+from rigs.browser import browser
+from rigs.live_rig import serving
 from rigs.sockets import free_port
+from selenium.webdriver import Chrome
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
@@ -20,12 +24,19 @@ from touchd.daemon.commands.bench import measure
 from touchd.daemon.commands.run import SWITCH_S
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.setup.parts import load_model, open_live_page
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import FRAME_RATE_HZ, Frame
 
-TOUCH_S = 60.0
+TOUCH_S = 30.0
+DRAW_S = 10.0
 LOOP_S = 20.0
 RETRY_S = 0.1
 VIEWERS = (None, 0, 1, 16)
+COUNT_PICTURES = """
+  window.drawn = 0;
+  const put = CanvasRenderingContext2D.prototype.putImageData;
+  CanvasRenderingContext2D.prototype.putImageData = function (...all) { drawn++; put.apply(this, all); };
+"""
 
 
 def watch(port: int) -> None:
@@ -66,8 +77,46 @@ def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
     return np.percentile(took, [50, 99]).tolist()
 
 
+def drawing(seconds: float) -> tuple[float, float]:
+    """Return how many pictures a second a browser draws of a rubbed pad, and the milliseconds for one.
+
+    The milliseconds are processor time of the page's main thread, so that other work counts for nothing.
+    """
+    stream = simulate([("rub", seconds + 5.0)], 1)[0].counts
+    with browser() as chrome, serving() as served:
+        chrome.execute_cdp_cmd("Performance.enable", {"timeDomain": "threadTicks"})
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        over = threading.Event()
+
+        def play() -> None:
+            for counts in itertools.cycle(stream):
+                if over.wait(1 / FRAME_RATE_HZ):
+                    return
+                served.put_frame(counts)
+
+        playing = threading.Thread(target=play)
+        playing.start()
+        time.sleep(2.0)
+        chrome.execute_script(COUNT_PICTURES)
+        began, busy_s = time.monotonic(), busy(chrome)
+        time.sleep(seconds)
+        pictures, took_s = chrome.execute_script("return drawn"), busy(chrome) - busy_s
+        passed_s = time.monotonic() - began
+        over.set()
+        playing.join()
+    return pictures / passed_s, 1000 * took_s / pictures
+
+
+def busy(chrome: Chrome) -> float:
+    """Return the seconds of processor time that the page's main thread has used."""
+    metrics = chrome.execute_cdp_cmd("Performance.getMetrics", {})["metrics"]
+    return float(next(one["value"] for one in metrics if one["name"] == "TaskDuration"))
+
+
 def main() -> None:
     """Measure and print a table."""
+    rate_hz, took_ms = drawing(DRAW_S)
+    sys.stdout.write(f"a browser draws {rate_hz:.0f} pictures a second, in {took_ms:.1f} ms each\n")
     sys.setswitchinterval(SWITCH_S)
     sys.stdout.write("viewers  loop p50, p99 us  latency p50, p99 ms  CPU idle, touching %  memory MB\n")
     for viewers in VIEWERS:

@@ -1,24 +1,28 @@
-"""Makes the pictures of the live page and of the terminal view in the middle of the demo.
+"""Makes the pictures of the live page and of the terminal view, and an animation of a page that is touched.
 
 PYTHONPATH=.:tests python tests/by_hand/pictures.py docs/figures/live.png [--scheme light] [--visitors]
 PYTHONPATH=.:tests python tests/by_hand/pictures.py --terminal docs/figures/demo.png [--size 100x30]
+PYTHONPATH=.:tests python tests/by_hand/pictures.py --touched docs/figures/touched.webp
 """
 
 import argparse
 import io
+import math
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 
 from matplotlib import font_manager
+from numpy.random import RandomState
 from PIL import Image, ImageDraw, ImageFont
 from rich.console import Console
 from rigs.browser import browser, picture, prefer, show_in
 from rigs.live_rig import serving
 
 from touchd.daemon.commands.demo import ACTIONS
-from touchd.daemon.config import Settings
+from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import (
     Event,
     LivePrediction,
@@ -29,11 +33,18 @@ from touchd.daemon.events import (
     TouchBegan,
     timestamp,
 )
+from touchd.daemon.live import server, touch
+from touchd.daemon.live.address import listen
+from touchd.daemon.live.memory import Scene
+from touchd.daemon.live.server import LiveServer
+from touchd.daemon.live.touch import Touching
 from touchd.daemon.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.setup.parts import load_model
 from touchd.daemon.terminal.view import View
-from touchd.drivers.frame import Frame
+from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.pointers import PressingHands
+from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.recording import read_recordings, splice
 from touchd.drivers.robot.reactions import Reactions, RobotMessage, spoken
 from touchd.drivers.robot.session import RobotSettings
@@ -48,8 +59,58 @@ BLOCKS = {"▀": (0, 0, WIDTH, HEIGHT // 2), "▐": (WIDTH // 2, 0, WIDTH, HEIGH
 for number, (lower, left) in enumerate(zip("▁▂▃▄▅▆▇█", "▏▎▍▌▋▊▉█", strict=True), 1):
     BLOCKS[lower] = (0, HEIGHT - HEIGHT * number // 8, WIDTH, HEIGHT)
     BLOCKS[left] = (0, 0, WIDTH * number // 8, HEIGHT)
+# An animation: its length, frames between two moves of the mouse and two pictures, quality.
+FILM_S, FRAMES_A_MOVE, FRAMES_A_PICTURE, FILM_QUALITY, FILM_SEED = 11.5, 2, 6, 60, 2
+# The page's clock follows the pad's.
+STEPPED_CLOCK = "window.padMs = 0; performance.now = () => window.padMs;"
+# Set the page's clock, and wait until what came meanwhile is drawn.
+STEP = """
+  const [ms, done] = arguments;
+  window.padMs = ms;
+  setTimeout(() => requestAnimationFrame(() => requestAnimationFrame(() => done())), 60);
+"""
 # The third touch, a rub, after its final answer.
 TOUCH, AFTER_S = 3, 3.1
+
+
+class Played:
+    """A pipeline in the pad's own time, and what the robot says to its answers.
+
+    began_ms: the pad's clock at which each touch began.
+    """
+
+    def __init__(
+        self, settings: Settings, put: Callable[[Event], None], put_live: Callable[[LivePrediction], None]
+    ) -> None:
+        self._put = put
+        self._reactions = Reactions(ACTIONS)
+        self._vocabulary = settings.vocabulary
+        self.began_ms: dict[int, int] = {}
+        # A frame arrives at the sensor's time; real time is added after it, so that latencies are true.
+        self._now_s = self._came_s = 0.0
+        clock = Clock(monotonic_s=lambda: self._now_s + time.monotonic() - self._came_s)
+        self._pipeline = Pipeline(
+            settings.pipeline, load_model(settings), self._emit, clock, viewers=lambda: [put_live]
+        )
+
+    def on_frame(self, frame: Frame) -> None:
+        self._now_s, self._came_s = frame.host_s, time.monotonic()
+        self._pipeline.on_frame(frame)
+
+    def _emit(self, event: Event) -> None:
+        self._put(event)
+        if isinstance(event, TouchBegan):
+            self.began_ms[event.touch] = event.sensor_ms
+        if not isinstance(event, Prediction):
+            return
+        answer = RobotMessage(event.gesture, event.confidence, 0.0, event.stage, event.touch, 0)
+        reaction = self._reactions.choose(answer, time.monotonic(), is_told=event.told)
+        for action in reaction.actions if reaction else ():
+            if template := action.say or action.animated_say:
+                words = spoken(template, event.gesture, event.confidence, self._vocabulary)
+                self._put(
+                    RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time()))
+                )
 
 
 def play(
@@ -60,35 +121,96 @@ def play(
 ) -> Frame:
     """Hand over all events and frames up to the moment, as fast as possible; returns its frame."""
     stream = splice(read_recordings(DEMO_RECORDING))
-    reactions = Reactions(ACTIONS)
-    began_ms: list[int] = []
-
-    def emit(event: Event) -> None:
-        put(event)
-        if isinstance(event, TouchBegan) and event.touch == TOUCH:
-            began_ms.append(event.sensor_ms)
-        if not isinstance(event, Prediction):
-            return
-        answer = RobotMessage(event.gesture, event.confidence, 0.0, event.stage, event.touch, 0)
-        reaction = reactions.choose(answer, time.monotonic(), is_told=event.told)
-        for action in reaction.actions if reaction else ():
-            if template := action.say or action.animated_say:
-                words = spoken(template, event.gesture, event.confidence, settings.vocabulary)
-                put(RobotAction(touch=event.touch, action="say", what=words, time=timestamp(time.time())))
-
-    # A frame arrives at the sensor's time; real time is added after it, so that latencies are true.
-    now_s = came_s = 0.0
-    clock = Clock(monotonic_s=lambda: now_s + time.monotonic() - came_s)
-    pipeline = Pipeline(settings.pipeline, load_model(settings), emit, clock, viewers=lambda: [put_live])
+    played = Played(settings, put, put_live)
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-        now_s = sensor_ms / 1000
-        frame = Frame(number, sensor_ms, now_s, counts)
+        frame = Frame(number, sensor_ms, sensor_ms / 1000, counts)
         put_frame(frame)
-        came_s = time.monotonic()
-        pipeline.on_frame(frame)
-        if began_ms and sensor_ms - began_ms[0] >= 1000 * AFTER_S:
+        played.on_frame(frame)
+        if sensor_ms - played.began_ms.get(TOUCH, sensor_ms) >= 1000 * AFTER_S:
             return frame
     raise RuntimeError(f"{DEMO_RECORDING} has no touch {TOUCH} of {AFTER_S} s")
+
+
+def hand_at(time_s: float) -> tuple[float, float] | None:
+    """Return where the mouse presses, across and down from 0 to 1: it strokes, and then it pats."""
+    stroking_s, patting_s = time_s - 1.0, time_s - 7.5
+    if 0.0 <= stroking_s < 4.0 and stroking_s % 1.4 < 0.9:
+        return 0.08 + 0.93 * (stroking_s % 1.4), 0.45 + 0.05 * math.sin(3.0 * stroking_s)
+    if 0.0 <= patting_s < 2.2 and patting_s % 0.44 < 0.14:
+        return 0.55, 0.5
+    return None
+
+
+def film_page(path: Path, size: tuple[int, int], scheme: str) -> None:
+    """Touch the page of a simulated pad with a real browser's mouse; save an animation of it.
+
+    A picture's time is the pad's, not this machine's, however long the picture takes.
+    """
+    rng = RandomState(FILM_SEED)
+    fabric, hands, touching = Fabric(rng), PressingHands(rng), Touching()
+    settings = Settings(robot=RobotSettings(url="tcp://127.0.0.1:9559"))
+    clock = SimpleNamespace(monotonic=lambda: number / FRAME_RATE_HZ + 1e-6 * time.monotonic())
+    number = 0
+    pictures: list[Image.Image] = []
+    with browser() as chrome, listen(LiveSettings(port=0)) as listening:
+        server.time, touch.LIFTED_AFTER_S = clock, math.inf
+        scene = Scene(settings, load_model(settings))
+        page = LiveServer(listening, LiveSettings(), {DEFAULT_PAD: scene}, touching)
+        page.start()
+        played = Played(settings, page.put, page.put)
+        prefer(chrome, color_scheme=scheme)
+        show_in(chrome, *size)
+        chrome.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": STEPPED_CLOCK})
+        chrome.get(f"http://127.0.0.1:{listening.getsockname()[1]}/")
+        page.put(SensorEvent(state="up", time=timestamp(time.time())))
+        page.put(RobotEvent(state="up", time=timestamp(time.time())))
+        square = chrome.execute_script(
+            "return document.querySelector('.square').getBoundingClientRect().toJSON()"
+        )
+
+        def pixels(place: tuple[float, float]) -> tuple[float, float]:
+            return tuple(
+                square[side] + square[length] * at
+                for side, length, at in zip("xy", ("width", "height"), place, strict=True)
+            )
+
+        def use_mouse(kind: str, at: tuple[float, float]) -> None:
+            event = {"type": kind, "button": "left", "buttons": 1, "clickCount": 1, "x": at[0], "y": at[1]}
+            chrome.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+        at: tuple[float, float] | None = None
+        while number < FILM_S * FRAME_RATE_HZ:
+            place = hand_at(number / FRAME_RATE_HZ)
+            if place is None and at is not None:
+                use_mouse("mouseReleased", at)
+            if place is not None:
+                use_mouse("mouseMoved" if at else "mousePressed", pixels(place))
+            at = None if place is None else pixels(place)
+            chrome.execute_async_script(STEP, 1000 * number / FRAME_RATE_HZ)
+            for _ in range(FRAMES_A_MOVE):
+                sensor_ms = round(1000 * number / FRAME_RATE_HZ)
+                counts = fabric.read(hands.frame(touching.pointers()))
+                frame = Frame(number, sensor_ms, sensor_ms / 1000, counts)
+                page.put_frame(frame, 0)
+                played.on_frame(frame)
+                number += 1
+            if number % FRAMES_A_PICTURE == 0:
+                chrome.execute_async_script(STEP, 1000 * number / FRAME_RATE_HZ)
+                shown = Image.open(io.BytesIO(chrome.get_screenshot_as_png())).convert("RGB")
+                if at is not None:
+                    ring = ImageDraw.Draw(shown)
+                    ring.ellipse((at[0] - 11, at[1] - 11, at[0] + 11, at[1] + 11), outline=INK, width=3)
+                pictures.append(shown)
+        page.stop(1.0)
+    pictures[0].save(
+        path,
+        save_all=True,
+        append_images=pictures[1:],
+        duration=round(1000 * FRAMES_A_PICTURE / FRAME_RATE_HZ),
+        loop=0,
+        quality=FILM_QUALITY,
+        method=6,
+    )
 
 
 def picture_page(path: Path, size: tuple[int, int], scheme: str, anchor: str) -> None:
@@ -167,13 +289,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--terminal", action="store_true", help="of the terminal view; else of the live page")
+    parser.add_argument("--touched", action="store_true", help="an animation of a page that is touched")
     parser.add_argument("--size", help="of the terminal in characters (100x30) or of the page (1366x768)")
     parser.add_argument("--scheme", choices=("dark", "light"), default="dark", help="of the page")
     parser.add_argument("--visitors", action="store_true", help="the page's view for visitors")
     options = parser.parse_args()
-    width, height = map(int, (options.size or ("100x30" if options.terminal else "1366x768")).split("x"))
+    usual = "100x30" if options.terminal else "800x600" if options.touched else "1366x768"
+    width, height = map(int, (options.size or usual).split("x"))
     if options.terminal:
         picture_terminal(options.out, (width, height))
+    elif options.touched:
+        film_page(options.out, (width, height), options.scheme)
     else:
         anchor = "#visitors" if options.visitors else ""
         picture_page(options.out, (width, height), options.scheme, anchor)

@@ -11,6 +11,8 @@ const REST_FRAMES = 54;
 const NOISE_COUNTS = 3;
 // The sum of counts from which the middle of the pressure is that of a hand.
 const LIGHTEST_LOAD = 12;
+// Share of the way to the middle of the pressure that the trail moves in a frame.
+const FOLLOW = 0.3;
 
 /** The place of the pad that a frame is of. */
 export const padOf = (buffer) => new DataView(buffer).getUint8(PAD_AT);
@@ -119,12 +121,19 @@ export class Store {
       down += pressed * Math.floor(taxel / 8);
       over += pressed * (taxel % 8);
     }
-    this.trail.push(load > LIGHTEST_LOAD ? [this.frameMs, down / load, over / load] : [this.frameMs, null, null]);
-    if (this.trail.length > RECENT_FRAMES) this.trail.shift();
+    this.#followHand(load > LIGHTEST_LOAD ? [down / load, over / load] : [null, null]);
     this.#recent.push([this.frameMs, load]);
     if (this.#recent.length > RECENT_FRAMES) this.#recent.shift();
     if (this.isTouched) this.trace.push([this.#sinceBegan(this.frameMs), load]);
     if (this.trace.length > 60 * this.scene.frame_rate_hz) this.trace.shift();
+  }
+
+  /** Under a light hand, noise moves the middle of the pressure: the trail follows it smoothly. */
+  #followHand([row, column]) {
+    const [, lastRow, lastColumn] = this.trail.at(-1) ?? [0, null, null];
+    const follow = (last, now) => (now === null || last === null ? now : last + FOLLOW * (now - last));
+    this.trail.push([this.frameMs, follow(lastRow, row), follow(lastColumn, column)]);
+    if (this.trail.length > RECENT_FRAMES) this.trail.shift();
   }
 
   /** What each taxel reads untouched is followed while nothing touches, and taken for little until then. */
