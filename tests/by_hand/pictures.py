@@ -209,7 +209,7 @@ def film_page(path: Path, size: tuple[int, int], scheme: str) -> None:
         duration=round(1000 * FRAMES_A_PICTURE / FRAME_RATE_HZ),
         loop=0,
         quality=FILM_QUALITY,
-        method=6,
+        method=4,
     )
 
 
