@@ -70,7 +70,7 @@ function whyItStands({ touch, isTouched, scene }, shown, best) {
   const isHeard = touch.predictions.some((one) => one.told);
   if (isHeard && lead < scene.revise_margin) {
     const [points, needed] = [lead, scene.revise_margin].map((share) => Math.round(100 * share));
-    return `${name} stands: ${other} leads by ${points} points, ${needed} are needed`;
+    return `${name} stands: ${other} leads by ${points} point${points === 1 ? "" : "s"}, ${needed} are needed`;
   }
   if (isHeard && shown.probabilities[best] < scene.speak_above) {
     return `${name} stands: ${other} is likelier, but not yet ${percent(scene.speak_above)} sure`;
