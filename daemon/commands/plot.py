@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
 
     path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
     names = ", ".join(file.name for file in options.files)
-    if all(file.name.endswith(SUFFIXES) for file in options.files):
+    if all(file.is_dir() or file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options).settings
         model = load_model(settings)
         stream = chosen_stream(options)

@@ -14,7 +14,9 @@ from touchd.daemon.pipeline import Pipeline
 from touchd.drivers.frame import FRAME_RATE_HZ, Frame
 from touchd.drivers.recording import (
     EVERYTHING,
+    KEYS,
     NO_TOUCH,
+    SUFFIXES,
     Recording,
     RecordingError,
     Selection,
@@ -40,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=[DEMO_RECORDING],
         metavar="FILE",
-        help="recordings, .csv or .csv.gz; the demo's without it",
+        help="recordings, .csv or .csv.gz, or folders of them; the demo's without it",
     )
     examples = {"participant": "P3", "substrate": "foam", "cover": "fur", "gesture": "stroke"}
     for key, example in examples.items():
@@ -62,23 +64,51 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
         tuple(arguments.cover),
         (*gestures, NO_TOUCH) if gestures else (),
     )
+    files = recording_files(arguments.files)
     found: list[Recording] = []
     # A large file takes seconds.
     with Console(stderr=True).status("") as status:
-        for path in arguments.files:
+        for path in files:
             status.update(f"reading {path}")
             found += [realign(recording) for recording in read_recordings(path, select)]
     wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
     if not wanted:
         names = ", ".join(str(path) for path in arguments.files)
-        none = "no recording matches; see which there are with fewer options"
-        raise RecordingError(f"{names}: {'no frames' if select == EVERYTHING else none}")
+        if select == EVERYTHING:
+            raise RecordingError(f"{names}: no frames")
+        raise RecordingError(f"{names}: no recording matches; {_there_are(files, select)}")
     hours = sum(len(part.counts) + 2 * QUIET_FRAMES for part in wanted) / FRAME_RATE_HZ / 3600
     if hours > MOST_HOURS:
         raise RecordingError(
             f"{hours:.0f} hours of recordings and quiet, {MOST_HOURS} at most; choose among them"
         )
     return with_quiet(wanted, [recording for recording in found if recording.gesture == NO_TOUCH])
+
+
+def recording_files(paths: Sequence[Path]) -> list[Path]:
+    """Return the files among paths, and the recordings in folders among them by name."""
+    files: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(file for file in path.iterdir() if file.name.endswith(SUFFIXES))
+        if not inside:
+            raise RecordingError(f"{path}: no recording ({' or '.join(SUFFIXES)}) is in this folder")
+        files += inside
+    return files
+
+
+def _there_are(files: Sequence[Path], select: Selection) -> str:
+    """Say which participants, substrates, covers or gestures there are, if none that is wanted."""
+    everything = [recording for path in files for recording in read_recordings(path)]
+    wanted = (select.participants, select.substrates, select.covers, select.gestures)
+    for key, names in zip(KEYS, wanted, strict=True):
+        there = sorted({str(getattr(recording, key)) for recording in everything})
+        asked = set(names) - {NO_TOUCH}
+        if asked and not asked & set(there):
+            return f"{key} is one of {', '.join(there)}"
+    return "see which there are with fewer options"
 
 
 def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:

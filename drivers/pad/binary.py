@@ -191,3 +191,14 @@ class Replies(BinaryFrames):
             self.counts.bad_framing += not self._has_stray
             self._has_stray = True
         return readings
+
+
+class Datagrams(BinaryFrames):
+    """Parser for a pad that sends bare cells over UDP: each datagram is a frame, or is refused."""
+
+    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+        if len(data) != self._size:
+            if data:
+                self.counts.refuse("bad_framing", len(data))
+            return []
+        return super()._parse(data, host_s)

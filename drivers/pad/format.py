@@ -119,10 +119,6 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def _check_binary(self) -> None:
         if self.end:
             raise FormatError("end is for a text format; a binary one has a footer")
-        if not (self.header or self.footer or self.poll):
-            raise FormatError(
-                "a binary format needs a header, a footer or a poll: nothing else tells frames apart"
-            )
         if self.tail and self.checksum != "none":
             raise FormatError("tail and checksum both describe a frame's last bytes: keep one")
         if self.full_scale > CELL_TOP.get(self.cell, self.full_scale):

@@ -93,7 +93,8 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
         ("clasify", "clasify is not a command; did you mean classify?"),
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
-        (f"replay {GESTURES} --participant nobody", "no recording matches"),
+        (f"replay {GESTURES} --participant nobody", "no recording matches; participant is one of "),
+        ("classify docs", "docs: no recording (.csv or .csv.gz) is in this folder"),
     ],
 )
 def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message: str) -> None:

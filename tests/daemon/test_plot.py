@@ -124,6 +124,17 @@ def test_a_picture_is_written_to_the_working_folder(
     assert Path("mine.png").read_bytes().startswith(PNG)
 
 
+def test_a_folder_of_recordings_becomes_one_picture(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("mine").mkdir()
+    for name in ("one", "two"):
+        (Path("mine") / f"{name}.csv.gz").write_bytes(recorded.read_bytes())
+    assert cli.main(["plot", "mine"]) == 0
+    assert capsys.readouterr().out == "mine.png\n"
+    assert Path("mine.png").read_bytes().startswith(PNG)
+
+
 def prediction(touch: int, stage: Stage, gesture: str) -> Prediction:
     return msgspec.structs.replace(PREDICTION, touch=touch, stage=stage, gesture=gesture)
 

@@ -197,6 +197,21 @@ def test_a_datagram_of_text_is_a_frame(line_end: str, lines: int) -> None:
     assert [frame.pressure.tolist() for frame in frames] == STREAM.counts[1:5].tolist()
 
 
+def test_a_datagram_without_a_header_is_a_frame() -> None:
+    described = PadFormat(cell="u8", rows=8, columns=8, full_scale=255)
+    parser = parser_of(described)
+    with udp_pad() as (address, give), open_port(address, 9600) as opened:
+        frames = []
+        for counts in STREAM.counts[:5]:
+            give(b"hello")
+            give(encode_frame(described, counts, 0))
+            frames += [frame for _ in range(2) for frame in parser.feed(read_waiting(opened, parser), 0.0)]
+    layout = layout_of(described)
+    expected = [layout.pressure(layout.values(counts).ravel()).tolist() for counts in STREAM.counts[:5]]
+    assert [frame.pressure.tolist() for frame in frames] == expected
+    assert parser.counts.bad_framing == 5
+
+
 def test_a_pad_may_have_an_ipv6_address() -> None:
     try:
         listening = socket.create_server(("::1", 0), family=socket.AF_INET6)

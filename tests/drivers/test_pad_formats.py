@@ -275,7 +275,6 @@ def test_a_pad_is_turned_then_mirrored() -> None:
         ({"header": "aa", "end": "x"}, "end is for a text format"),
         ({"header": "aa", "tail": 1, "checksum": "sum8"}, "tail and checksum"),
         ({"rows": 10, "crop": 4, "header": "aa"}, "10x10 with crop 4 leaves 2x2"),
-        ({}, "needs a header, a footer or a poll"),
         ({"header": "aa", "cell": "u8"}, "full_scale 1023 does not fit into a cell of u8"),
     ],
 )
