@@ -22,9 +22,15 @@ MOSTLY_WON = 8.0
 PAIRS_WON = 1.0
 SHUFFLES = 100
 # Standard deviations by which neighbours must exceed shuffled cells, in total and along each side.
-SURE_Z, SURE_Z_A_SIDE = 5.0, 3.2
+# By contact, shuffled cells of a real pad reach 3.7 in total; that pad along its weaker side reaches 2.
+SURE_Z, SURE_Z_A_SIDE, CONTACT_Z_A_SIDE = 5.0, 3.2, 2.0
 # Within as many, a movement is noise; noise drifts along the wires, too.
 QUIET_NOISES = 4.0
+# A number is pressed if it rises by more noises than this. A frame in which far fewer numbers are pressed
+# than this share of the most weighs less than the others.
+CONTACT_NOISES, FEW_PRESSED = 2.0, 0.05
+# Where a hand presses for most of the time, a pad is at rest for this share of it.
+SELDOM_AT_REST = 0.25
 # The 30th percentile of a normal distribution's deviations: half a pad's time may be pressed.
 NORMAL_30 = 0.385
 # Below, the movement is the pad's noise.
@@ -39,6 +45,8 @@ REACHED = 0.3
 # A later frame that resembles a frame by so much more than the next one does: frames of two kinds by turns.
 TURNS_SHARE = 0.8
 MOST_TURNS = 64
+NOT_TOGETHER = "neighbouring cells do not move together: press one place at a time while I listen"
+TOO_LITTLE = "a hand reached too little of the pad: press all over it while I listen"
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +98,13 @@ class Movement:
     """How (frames, numbers) move about their rest, on a scale on which noise is small and firm is not huge.
 
     Numbers that only count are left out, and so is what all numbers have in common.
+    by_contact: compare which numbers are pressed instead of how far they move. That finds the neighbours on a
+    pad whose cells differ widely under one hand, or go the other way where a hand is near.
     """
 
-    def __init__(self, numbers: Numbers, counters: NDArray[np.bool_] | None = None) -> None:
+    def __init__(
+        self, numbers: Numbers, counters: NDArray[np.bool_] | None = None, by_contact: bool = False
+    ) -> None:
         counts = is_counter(numbers) if counters is None else counters
         chosen = numbers[:: -(-len(numbers) // MOST_FRAMES)]
         off = chosen - np.median(chosen, axis=0)
@@ -100,22 +112,34 @@ class Movement:
         self.wild = _is_wild(off)
         off[:, self.wild] = 0.0
         self.noise = _noise_of(off)
+        left_out = counts | self.wild
+        self.goes_negative = bool(chosen[:, ~left_out].min(initial=0.0) < -CONTACT_NOISES * self.noise)
+        if self.goes_negative and _skew(off) < 0:
+            # Signed counts do not fall under a hand, so it pressed for most of the time.
+            off = np.where(left_out, 0.0, chosen - np.quantile(chosen, SELDOM_AT_REST, axis=0))
         self.largest = float(np.abs(off).max(initial=0.0))
         # A pad whose largest value means no pressure moves down.
         self.falls = bool(_skew(off) < 0)
         moved = _beyond_noise(off, self.noise)
         # Numbers that a hand moves.
         self.pressed = (moved != 0).any(axis=0)
-        moved -= moved.mean(axis=1, keepdims=True)
-        moved[:, counts] = 0.0
+        if by_contact:
+            moved = _contacts(-off if self.falls else off, self.noise)
+        else:
+            moved -= moved.mean(axis=1, keepdims=True)
+            moved[:, counts] = 0.0
         self.moved: NDArray[np.float32] = moved.astype(np.float32)
         self.counters = counts
         self.alive = (off != 0).any(axis=0)
+        self._resembles_cells = _resembles(chosen, off, self.pressed) & ~left_out & by_contact
         energy = np.square(moved).sum(axis=1)
         busy = np.flatnonzero(energy > 0.25 * energy.mean())
         # Where less moves, every grid scores 0.
         self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
         self._total = np.square(self.moved).sum(axis=1)
+        # What two numbers share by chance: without their mean, nothing.
+        others = max(np.count_nonzero(~counts), 2) * max(np.count_nonzero(~counts) - 1, 1)
+        self._chance = (np.square(self.moved.sum(axis=1)) - self._total) / others if by_contact else None
         self._sums: dict[int, Numbers] = {}
         self._steps: dict[int, Numbers] = {}
 
@@ -134,13 +158,18 @@ class Movement:
         along = along - wraps[:, start + columns - 1 : stop - 1 : columns].sum(axis=1)
         below = self._between(columns)
         across = below[:, stop - columns] - below[:, start]
+        together = along + across
+        if self._chance is not None:
+            pairs = rows * (columns - 1) + columns * (rows - 1)
+            together -= pairs * np.array([self._chance[part].sum() for part in self._stretches])
         total = np.array([self._total[part].sum() for part in self._stretches])
-        return Fold(start, rows, columns, (along + across) / np.maximum(2 * total, 1e-9))
+        return Fold(start, rows, columns, together / np.maximum(2 * total, 1e-9))
 
     def misfits(self, start: int, cells: int) -> int:
-        """Return how many numbers a hand moves outside these cells, and how many jump inside."""
+        """Return how many numbers outside these cells look like cells, and how many jump inside."""
         stop = start + cells
-        outside = self.pressed.sum() - self.pressed[start:stop].sum()
+        like_cells = self.pressed | self._resembles_cells
+        outside = like_cells.sum() - like_cells[start:stop].sum()
         return int(outside + self.wild[start:stop].sum())
 
     def lag(self, distance: int) -> float:
@@ -161,14 +190,16 @@ class Movement:
         return self._sums[distance]
 
 
-def objection(numbers: Numbers, rows: int, columns: int) -> str:
+def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = False) -> str:
     """Say why (frames, cells) are no pad of this grid that somebody presses; "" if they are proven to be."""
-    movement = Movement(numbers, np.zeros(numbers.shape[1], np.bool_))
+    movement = Movement(numbers, np.zeros(numbers.shape[1], np.bool_), by_contact)
     if not movement.is_pressed:
         return "nothing presses the pad: press it while I listen"
+    if movement.falls and movement.goes_negative:
+        return "a press makes its numbers negative, and those are cut at 0: print what a press adds"
     reached = movement.pressed.reshape(rows, columns)
     if reached.mean() < REACHED or min(reached.any(axis=0).mean(), reached.any(axis=1).mean()) < 0.5:
-        return "a hand reached too little of the pad: press all over it while I listen"
+        return TOO_LITTLE
     moved = movement.moved
     cells = np.arange(rows * columns).reshape(rows, columns)
     together = moved.T @ moved
@@ -182,8 +213,11 @@ def objection(numbers: Numbers, rows: int, columns: int) -> str:
         return float((together[one, other].sum() - by_chance.mean()) / max(by_chance.std(), 1e-9))
 
     both = np.concatenate([beside[0], below[0]]), np.concatenate([beside[1], below[1]])
-    if deviations(*both) < SURE_Z or min(deviations(*beside), deviations(*below)) < SURE_Z_A_SIDE:
-        return "neighbouring cells do not move together: press one place at a time while I listen"
+    sure_a_side = CONTACT_Z_A_SIDE if by_contact else SURE_Z_A_SIDE
+    if by_contact and abs(rows - columns) > min(abs(one - other) for one, other in sides(cells.size)):
+        return NOT_TOGETHER
+    if deviations(*both) < SURE_Z or min(deviations(*beside), deviations(*below)) < sure_a_side:
+        return NOT_TOGETHER
     if _has_seam(together, cells) or _has_seam(together, cells.T):
         return "its halves move apart: two pads in one frame? press across the middle, too"
     if _takes_turns(numbers):
@@ -200,11 +234,29 @@ def _is_wild(off: Numbers) -> NDArray[np.bool_]:
     return wild
 
 
+def _resembles(numbers: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether each number changes, with a rest and a spread that pressed ones have, as a cell at an edge."""
+    if not pressed.any():
+        return pressed
+    rest, spread = np.median(numbers, axis=0), off.std(axis=0)
+    is_near = (rest >= rest[pressed].min()) & (rest <= rest[pressed].max())
+    alike: NDArray[np.bool_] = is_near & (spread > 0) & (spread <= spread[pressed].max())
+    return alike
+
+
 def _beyond_noise(off: Numbers, noise: float) -> Numbers:
     """Return movements beyond noise, firm ones compressed."""
     beyond = np.maximum(np.abs(off) - QUIET_NOISES * noise, 0)
     moved: Numbers = np.arcsinh(beyond / (QUIET_NOISES * noise)) * np.sign(off)
     return moved
+
+
+def _contacts(off: Numbers, noise: float) -> Numbers:
+    """Return which numbers are pressed; each frame weighs the same, but for those in which hardly any is."""
+    pressed = off > CONTACT_NOISES * noise
+    pressed_at_once = pressed.sum(axis=1, keepdims=True)
+    contacts: Numbers = pressed / np.sqrt(pressed_at_once + max(FEW_PRESSED * pressed_at_once.max(), 1e-9))
+    return contacts
 
 
 def _noise_of(off: Numbers) -> float:
@@ -224,16 +276,21 @@ def _skew(off: Numbers) -> float:
 
 
 def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
-    """Whether one half repeats the other, or the two rows at the middle do not move together as others do."""
+    """Whether one half repeats the other, or the two rows at the middle do not move together as others do.
+
+    Halves too short for a pad are not compared.
+    """
+    if len(cells) % 2 or len(cells) < 2 * SHORTEST_SIDE:
+        return False
     own = np.array([together[row, row].sum() for row in cells])
     shared = np.array([together[cells[i], cells[i + 1]].sum() for i in range(len(cells) - 1)])
     is_busy = np.minimum(own[:-1], own[1:]) > BUSY_SHARE * own.mean()
     middle = len(cells) // 2 - 1
-    if len(cells) % 2 or not is_busy[middle] or is_busy.sum() < 3:
+    if not is_busy[middle] or is_busy.sum() < 3:
         return False
     top, bottom = cells[: middle + 1].ravel(), cells[middle + 1 :].ravel()
     repeated = together[top, bottom].sum() / np.sqrt(own[: middle + 1].sum() * own[middle + 1 :].sum())
-    if len(cells) >= 2 * SHORTEST_SIDE and repeated > shared.sum() / own.sum():
+    if repeated > shared.sum() / own.sum():
         return True
     share = shared / np.sqrt(np.maximum(own[:-1] * own[1:], 1e-9))
     return bool(share[middle] < SEAM_SHARE * np.median(share[is_busy]))

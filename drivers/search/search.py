@@ -15,7 +15,7 @@ from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import CELL_TOP, PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
-from touchd.drivers.search.coupling import Movement, Numbers, objection
+from touchd.drivers.search.coupling import NOT_TOGETHER, TOO_LITTLE, Movement, Numbers, objection
 from touchd.drivers.search.text import Guess
 
 # More bytes than a search looks at, and more than any pad sends in a second.
@@ -39,6 +39,11 @@ MOST_RANKED = 40
 MISFIT_GAIN = 1.15
 # A right checksum decides between grids of nearly the same score.
 NEAR = 0.85
+
+
+TIED = "both explain what came equally well"
+# After one of these, contacts may still show what the movement does not.
+UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE)
 
 
 class Chunk(NamedTuple):
@@ -79,6 +84,15 @@ def search(chunks: Sequence[Chunk]) -> Finding:
         return Finding(None, (), "is it the pad's port, and does the pad run?", "nothing arrives")
     sizes = [len(chunk.data) for chunk in kept]
     times_s = np.repeat([chunk.host_s for chunk in kept], sizes)
+    finding = _searched(data, kept, times_s, by_contact=False)
+    if finding.missing in UNSURE and is_text(data):
+        by_contact = _searched(data, kept, times_s, by_contact=True)
+        return finding if by_contact.proposed is None else by_contact
+    return finding
+
+
+def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: bool) -> Finding:
+    """Return what bytes are by one measure of what moves together."""
     seconds = max(kept[-1].host_s - kept[0].host_s, 1e-3)
     printed = is_text(data)
     saw = f"{len(data) / seconds:.0f} bytes/s of {looks_like(data)}"
@@ -86,14 +100,14 @@ def search(chunks: Sequence[Chunk]) -> Finding:
     def nothing(missing: str, likely: Sequence[Guess] = ()) -> Finding:
         return Finding(None, tuple(_finished(each) for each in likely), missing, saw)
 
-    found = text.guesses(data) if printed else binary.guesses(data)
+    found = text.guesses(data, by_contact) if printed else binary.guesses(data)
     plausible = (each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ)
     ranked = nsmallest(MOST_RANKED, plausible, key=_rank)
     if not ranked:
         return nothing(NO_FRAMES_IN_TEXT if printed else NO_FRAMES_IN_BYTES)
     # What a hand moves is a cell, unless a grid without it is surely better.
     best = min((each for each in ranked if not ranked[0].fold.beats(each.fold)), key=_misfits)
-    wanting = objection(best.values, best.described.rows, best.described.columns)
+    wanting = objection(best.values, best.described.rows, best.described.columns, by_contact)
     if not printed:
         ranked = _confirmed(ranked, data, times_s)
         best = ranked[0] if best not in ranked else best
@@ -101,7 +115,7 @@ def search(chunks: Sequence[Chunk]) -> Finding:
     if wanting:
         return nothing(wanting, [best, *ties[:1]])
     if ties:
-        return nothing("both explain what came equally well", [best, ties[0]])
+        return nothing(TIED, [best, ties[0]])
     described = _finished(best) if printed else binary.complete(_finished(best), data, times_s)
     if missing := _unexplained(described, best, kept):
         return nothing(missing, [best])

@@ -42,8 +42,8 @@ class Guess:
     misfits: int
 
 
-def guesses(data: bytes) -> Iterator[Guess]:
-    """Yield the grids that the numbers of a text may form, each with the best score of its kind."""
+def guesses(data: bytes, by_contact: bool = False) -> Iterator[Guess]:
+    """Yield the grids that the numbers of a text may form."""
     text = data[: ended_at(data)]
     lines = [Line(*numbers_in(line), line) for line in lines_in(text)][1:] if text else []
     weight: Counter[int] = Counter()
@@ -54,16 +54,18 @@ def guesses(data: bytes) -> Iterator[Guess]:
         if width == 0 or numbers < total / 2:
             continue
         if width >= LEAST_NUMBERS:
-            yield from _in_one_line([line.numbers for line in lines if len(line.numbers) == width])
+            yield from _in_one_line(
+                [line.numbers for line in lines if len(line.numbers) == width], by_contact
+            )
         if width <= LONGEST_SIDE + MOST_SKIP + MOST_TAIL:
-            yield from _in_several_lines(lines, width)
+            yield from _in_several_lines(lines, width, by_contact)
 
 
-def _in_one_line(frames: Sequence[Sequence[float]]) -> Iterator[Guess]:
+def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterator[Guess]:
     numbers = np.array(frames)
     if len(numbers) < LEAST_FRAMES:
         return
-    movement = Movement(numbers)
+    movement = Movement(numbers, by_contact=by_contact)
     width = numbers.shape[1]
     last_counter = int(np.flatnonzero(movement.counters[:MOST_SKIP]).max(initial=-1))
     for skip in range(last_counter + 1, MOST_SKIP + 1):
@@ -75,7 +77,7 @@ def _in_one_line(frames: Sequence[Sequence[float]]) -> Iterator[Guess]:
                 yield Guess(described, values, movement.fold(skip, rows, columns), misfits)
 
 
-def _in_several_lines(lines: Sequence[Line], width: int) -> Iterator[Guess]:
+def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> Iterator[Guess]:
     found = _frames_of(lines, width)
     if found is None:
         return
@@ -94,7 +96,7 @@ def _in_several_lines(lines: Sequence[Line], width: int) -> Iterator[Guess]:
             if columns < 1 or _leads(numbers, still, counts, skip, stop):
                 continue
             cells = numbers[:, :, skip:stop].reshape(len(numbers), -1)
-            movement = Movement(cells, np.zeros(cells.shape[1], np.bool_))
+            movement = Movement(cells, np.zeros(cells.shape[1], np.bool_), by_contact)
             # Cells that are left out must not make a grid look better.
             share = float(np.square(flat[:, :, skip:stop]).sum()) / max(total, 1e-9)
             grids = sides(cells.shape[1])
@@ -112,7 +114,9 @@ def _leads(numbers: Numbers, still: Flags, counts: Flags, skip: int, stop: int) 
     """Whether the first or last column is no cell: it counts, or never changes but differs in each line, or
     never changes while nearly all others do."""
     first = numbers[0]
-    others_live = (~still).mean() > MOSTLY - 1 / max(still.shape[1], 2)
+    never_changes = still[:, skip:stop].all(axis=0)
+    others = ~still[:, skip:stop][:, ~never_changes]
+    others_live = bool(others.size and others.mean() > MOSTLY)
     for column in {skip, stop - 1}:
         if counts[:, column].all():
             return True

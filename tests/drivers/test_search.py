@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from rigs.haart_folder import THIRD_STUDY, needs_third_study
 from rigs.pressing import chunks_of, pressed
 
@@ -80,6 +81,7 @@ EVERY = [
     *(pad for pad in PRESETS.values() if not pad.poll),
     PadFormat(framing="text", rows=15, columns=14),
     PadFormat(framing="text", rows=40, columns=30, end="--"),
+    PadFormat(framing="text", rows=11, columns=4, skip=2, end="END"),
     PadFormat(header="ff", cell="u8", rows=8, columns=8, full_scale=250),
     PadFormat(header="55aa", skip=8, rows=8, columns=8),
     PadFormat(header="aa55", rows=16, columns=16, tail=2),
@@ -218,16 +220,42 @@ def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
     assert has_single_bits(RNG.bytes(1000))
 
 
-@needs_third_study
-def test_light_touches_on_a_coarse_pad_suggest_no_other_grid() -> None:
-    streams: dict[str, list[Chunk]] = defaultdict(list)
+def third_study() -> list[tuple[str, bool, NDArray[np.int_]]]:
+    """Return who touched, whether they did, and (frames, clock and 36 counts) of each stream."""
+    streams: dict[str, list[list[int]]] = defaultdict(list)
+    keys: dict[str, tuple[str, bool]] = {}
     with gzip.open(Path(str(THIRD_STUDY)) / "streams.csv.gz", "rt") as file:
         for row in csv.DictReader(file):
-            clock_ms = int(row["ms"])
-            numbers = [clock_ms, *(int(row[f"c{cell}"]) for cell in range(1, 37))]
-            streams[row["stream"]].append(
-                Chunk((",".join(map(str, numbers)) + "\r\n").encode(), clock_ms / 1000)
-            )
-    found = [search(chunks).proposed for chunks in list(streams.values())[::4]]
-    assert found
-    assert all(each is None or (each.rows, each.columns, each.skip) == (6, 6, 1) for each in found)
+            cells = (int(row[f"c{cell}"]) for cell in range(1, 37))
+            streams[row["stream"]].append([int(row["ms"]), *cells])
+            keys[row["stream"]] = row["participant"], row["gesture"] != "notouch"
+    return [(*keys[name], np.array(rows)) for name, rows in streams.items()]
+
+
+def printed(stream: NDArray[np.int_]) -> list[Chunk]:
+    return [Chunk((",".join(map(str, row)) + "\r\n").encode(), row[0] / 1000) for row in stream.tolist()]
+
+
+# The limits of the proof were chosen on the streams of the three others.
+JUDGED_ON = ("S10", "S12", "S15", "S18")
+
+
+@needs_third_study
+def test_light_touches_of_a_coarse_pad_prove_its_grid_or_nothing() -> None:
+    streams = [(touched, each) for who, touched, each in third_study() if who in JUDGED_ON]
+    touches = [search(printed(each)).proposed for touched, each in streams if touched]
+    rests = [search(printed(each)).proposed for touched, each in streams if not touched]
+    found = [each for each in touches if each is not None]
+    assert len(found) >= len(touches) // 10
+    assert {(each.rows, each.columns, each.skip, each.tail, each.invert) for each in found} == {
+        (6, 6, 1, 0, False)
+    }
+    assert rests == [None] * len(rests)
+
+
+@needs_third_study
+def test_a_coarse_pads_shuffled_cells_are_never_a_grid() -> None:
+    rng = np.random.default_rng(0)
+    for _, _, each in third_study()[::6]:
+        shuffled = np.hstack([each[:, :1], rng.permutation(each[:, 1:], axis=1)])
+        assert search(printed(shuffled)).proposed is None
