@@ -56,7 +56,7 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | N
         find = (lambda: find_with_a_hand(talk, opened)) if talk else None
         yield check_protocol(heard, sensor, opened, find)
         if len(heard.frames) < LEAST_FRAMES:
-            yield Check("pad", "not checked", "no frames come")
+            yield Check("pad", "not checked", "no frames arrive")
             return
         yield check_damage(heard)
         yield check_rate(heard)
@@ -66,11 +66,11 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | N
             yield check_rest(heard, settings)
             yield check_noise(heard)
         else:
-            yield Check("rest", "not checked", "rest and noise cannot be told from a touch")
+            yield Check("rest", "not checked", "measured only while nothing touches the pad")
         yield from check_taxels(heard)
         yield from check_format(heard.chunks, sensor)
         if talk is None:
-            yield Check("orientation", "not checked", "in a terminal touchd doctor asks for a corner")
+            yield Check("orientation", "not checked", "asked for in a terminal only")
             return
         rest = np.median(heard.counts(), axis=0)
         say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")

@@ -149,7 +149,7 @@ def check_rate(heard: Heard) -> Check:
     if heard.broke_off:
         return Check("rate", "to do", heard.broke_off, "try another cable")
     if heard.ended_s - heard.frames[-1].host_s > STOPPED_S:
-        return Check("rate", "to do", "the frames stopped while they were listened to", "try another cable")
+        return Check("rate", "to do", "the frames stopped during the check", "try another cable")
     pace = pace_of(heard.frames)
     waits_ms = 1000 * np.diff([frame.host_s for frame in heard.frames])
     figures = {

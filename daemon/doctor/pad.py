@@ -83,7 +83,11 @@ def check_taxels(heard: Heard) -> list[Check]:
     listened_s = float(steps_ms(heard.frames).sum()) / 1000
     if listened_s < HEALTH_S:
         return [
-            Check("taxels", "not checked", f"that takes {HEALTH_S:g} s, frames came for {listened_s:.1f}")
+            Check(
+                "taxels",
+                "not checked",
+                f"needs frames for {HEALTH_S:g} s; they arrived for {listened_s:.1f} s",
+            )
         ]
     if not heard.counts().std(axis=0).any():
         advice = "press all over the pad in touchd run --view: where nothing lights up, it is broken"
