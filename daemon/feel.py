@@ -1,5 +1,6 @@
 """Describes a touch from its frames: duration, pressure, area, path and rhythm."""
 
+import cmath
 import math
 
 import msgspec
@@ -16,7 +17,8 @@ CENTROID_SHARE = 0.25
 FALLEN_SHARE, RISEN_SHARE = 0.15, 0.4
 MOST_LOADS = round(60 * FRAME_RATE_HZ)
 
-PLACES = np.indices((ROWS, COLUMNS), np.float32).reshape(2, -1)
+# (2, 64): the column and the row of each taxel.
+PLACES = np.indices((ROWS, COLUMNS), np.float32)[::-1].reshape(2, -1)
 
 
 class Feel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -56,19 +58,22 @@ class FeelMeter:
     ) -> None:
         self._rest = rest.copy()
         self._threshold = np.maximum(2 * noise, TOUCHED_COUNTS)
-        self._pitch_mm = None if size_mm is None else np.array(size_mm) / (ROWS, COLUMNS)
+        self._has_size = size_mm is not None
+        height, width = size_mm or (0.0, 0.0)
+        self._pitch_mm = (height / ROWS, width / COLUMNS)
         self._frames = self._last = self._touched_frames = 0
         self._peak = self._touched = self._pressed = self._path = self._path_mm = 0.0
-        self._place_sum = np.zeros(2)
-        self._start = self._end = np.zeros(2)
-        self._place: NDArray[np.float64] | None = None
+        # Places are complex: column + row * 1j.
+        self._place_sum = self._start = self._end = 0j
+        self._place: complex | None = None
         self._loads: list[float] = []
 
     def add(self, pressure: NDArray[np.float32]) -> None:
         """Take the touch's next frame on the 54 Hz grid, (8, 8) counts."""
         rise = pressure.reshape(-1) - self._rest
-        rise[rise < self._threshold] = 0
-        load = float(rise.sum())
+        is_touched = rise >= self._threshold
+        rise *= is_touched
+        load = float(np.add.reduce(rise))
         if len(self._loads) < MOST_LOADS:
             self._loads.append(load)
         self._frames += 1
@@ -79,46 +84,46 @@ class FeelMeter:
             self._place = None
         self._last = self._frames
         self._touched_frames += 1
-        self._peak = max(self._peak, float(rise.max()))
-        self._touched += int(np.count_nonzero(rise))
+        self._peak = max(self._peak, float(np.maximum.reduce(rise)))
+        self._touched += int(np.count_nonzero(is_touched))
         self._pressed += load
-        self._move(PLACES @ rise / load)
+        self._move(complex(*(PLACES @ rise).tolist()) / load)
 
     def feel(self) -> Feel:
         """Return the measures of the touch so far."""
         count = max(self._touched_frames, 1)
-        row, column = self._place_sum / count
-        way = self._end - self._start
-        down, right = way
-        far = math.hypot(down, right) >= 1
+        place, way = self._place_sum / count, self._end - self._start
         return Feel(
             duration_s=round(self._last / FRAME_RATE_HZ, 3),
             peak=round(self._peak, 1),
             mean=round(self._pressed / max(self._touched, 1), 1),
             area=round(self._touched / count, 1),
-            row=round(float(row), 2),
-            column=round(float(column), 2),
+            row=round(place.imag, 2),
+            column=round(place.real, 2),
             path=round(self._path, 2),
-            down=round(float(down), 2),
-            right=round(float(right), 2),
-            direction_deg=round(math.degrees(math.atan2(-down, right))) if far else None,
+            down=round(way.imag, 2),
+            right=round(way.real, 2),
+            direction_deg=round(math.degrees(cmath.phase(way.conjugate()))) if abs(way) >= 1 else None,
             rhythm_hz=round(self._rhythm_hz(), 2),
-            path_mm=None if self._pitch_mm is None else round(self._path_mm, 1),
-            stroke_mm=None if self._pitch_mm is None else round(math.hypot(*(self._pitch_mm * way)), 1),
+            path_mm=round(self._path_mm, 1) if self._has_size else None,
+            stroke_mm=round(self._in_mm(way), 1) if self._has_size else None,
         )
 
-    def _move(self, centroid: NDArray[np.float64]) -> None:
+    def _move(self, centroid: complex) -> None:
         self._place_sum += centroid
         if self._place is None:
             self._place = centroid
         step = CENTROID_SHARE * (centroid - self._place)
-        self._place = self._place + step
-        self._path += math.hypot(*step)
-        if self._pitch_mm is not None:
-            self._path_mm += math.hypot(*(step * self._pitch_mm))
-        self._end = self._place
+        self._place = self._end = self._place + step
+        self._path += abs(step)
+        self._path_mm += self._in_mm(step)
         if self._touched_frames == 1:
             self._start = self._place
+
+    def _in_mm(self, way: complex) -> float:
+        """Return the length of a way in mm; 0 on a pad whose size is not given."""
+        height, width = self._pitch_mm
+        return math.hypot(way.real * width, way.imag * height)
 
     def _rhythm_hz(self) -> float:
         """Return the pace of the beats from the first to the last."""

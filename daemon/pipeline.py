@@ -36,7 +36,7 @@ from touchd.daemon.tracker.tracker import (
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
-from touchd.drivers.pad.monitor import PadMonitor
+from touchd.drivers.pad.monitor import REST_FRAMES, PadMonitor
 from touchd.model.classifier import Classifier, State
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
@@ -169,15 +169,15 @@ class Pipeline:
                 self._begin(first_index, frame)
             case Release() as release:
                 self._end(release, frame.host_s)
-        if self._touch is None:
-            is_noisy, loose_lines = self._tracker.is_disturbed, self._tracker.loose_lines
-            self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
-        else:
+        if self._touch is not None:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
             self._feed(self._touch)
             self._answer_what_is_due(self._touch, frame)
+        elif frame.index % REST_FRAMES == 0:
+            is_noisy, loose_lines = self._tracker.is_disturbed, self._tracker.loose_lines
+            self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
 
     def _p_no_touch(self, window: NDArray[np.float32]) -> float:
         """Return the model's probability that nothing touches the pad in these frames."""

@@ -10,7 +10,7 @@ from touchd.daemon.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.pad.monitor import Kind, TaxelFaults
+from touchd.drivers.pad.monitor import TaxelFaults
 from touchd.drivers.pad.pace import steps_ms
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
@@ -21,7 +21,7 @@ HEALTH_S = 6.0
 PRESSED_COUNTS = 40
 NAMED_TAXELS = 3
 
-ADVICE_FOR: dict[Kind, str] = {
+ADVICE_FOR: dict[str, str] = {
     "frozen": "press the reset button of its board; look at the cable between pad and board",
     "dead line": "look at that wire and its plug",
     "stuck taxel": "look at the pad there: a thread that came loose, a short?",

@@ -11,8 +11,8 @@ SECOND_FRAMES = 54
 
 # Time constant of the baseline, three seconds: a light touch of a second moves it by a third of a count.
 TRACK_FRAMES = 3.0 * FRAME_RATE_HZ
-# Largest deviation that the baseline follows, so that a touch not noticed yet does not become rest.
-TRACK_COUNTS = 1.0
+# The baseline follows a deviation of one count at most, so that a touch not noticed yet does not become rest.
+MOST_TRACKED = 1.0 / TRACK_FRAMES
 # Noise floor: two mean deviations, at least 1.6 counts, the mean floor of HAART's pad at rest.
 NOISE_DEVIATIONS = 2.0
 MIN_NOISE_FLOOR = 1.6
@@ -38,7 +38,7 @@ class Baseline:
         self.noise_floor = np.full(TAXELS, MIN_NOISE_FLOOR, np.float32)
         self.sway = np.zeros(TAXELS, np.float32)
         self._deviation = np.zeros(TAXELS, np.float32)
-        self._noise = self.noise_floor
+        self._least_floor = self.noise_floor
 
     def calibrate(self, frames: NDArray[np.float32]) -> None:
         """Take (T, 64) counts as the untouched pad."""
@@ -49,15 +49,16 @@ class Baseline:
 
     def track(self, pressure: Taxels) -> None:
         """Move slowly towards (64,) counts of an untouched pad."""
-        off = pressure - self.counts
-        self.counts += np.maximum(np.minimum(off, TRACK_COUNTS), -TRACK_COUNTS) / TRACK_FRAMES
-        self._deviation += (np.abs(off) - self._deviation) / TRACK_FRAMES
+        step = (pressure - self.counts) / TRACK_FRAMES
+        self.counts += np.minimum(np.maximum(step, -MOST_TRACKED), MOST_TRACKED)
+        self._deviation *= 1 - 1 / TRACK_FRAMES
+        self._deviation += np.abs(step)
         self._set_noise_floor()
 
     @property
     def mean_noise_floor(self) -> float:
         """Mean noise floor from noise alone, without sway."""
-        return float(np.add.reduce(self._noise)) / TAXELS
+        return float(np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR).mean())
 
     @property
     def is_disturbed(self) -> bool:
@@ -67,11 +68,11 @@ class Baseline:
     def track_sway(self, change: Taxels) -> None:
         """Take the (64,) counts by which an untouched pad moved from one half second to the next."""
         self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_SWAY_COUNTS))
+        self._least_floor = np.maximum(self.sway * SWAY_FLOOR, MIN_NOISE_FLOOR)
 
     def _set_noise_floor(self) -> None:
         np.minimum(self._deviation, MAX_DEVIATION_COUNTS, out=self._deviation)
-        self._noise = np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR)
-        self.noise_floor = np.maximum(self._noise, self.sway * SWAY_FLOOR)
+        self.noise_floor = np.maximum(self._deviation * NOISE_DEVIATIONS, self._least_floor)
 
 
 class LastSecond:
@@ -101,7 +102,7 @@ class LastSecond:
     def halves(self) -> tuple[Taxels, Taxels]:
         """Return each taxel's mean in the older and in the newer half second."""
         frames = self.last(SECOND_FRAMES).reshape(2, -1, TAXELS)
-        older, newer = frames.mean(axis=1)
+        older, newer = np.add.reduce(frames, axis=1) * (2 / SECOND_FRAMES)
         return older, newer
 
     def spread(self) -> Taxels:

@@ -12,6 +12,10 @@ from numpy.typing import NDArray
 from touchd.daemon.tracker.baseline import TAXELS, Taxels
 from touchd.drivers.frame import COLUMNS, ROWS
 
+# (16, 64): which taxels are on each line, rows before columns.
+LINES = np.array([*np.eye(ROWS).repeat(COLUMNS, axis=1), *np.tile(np.eye(COLUMNS), ROWS)], np.float32)
+LINE_TAXELS = TAXELS // ROWS
+
 # The constants were chosen on the breathing robot's sessions: five of its 16 set-ups have a loose wire.
 # A jump is the difference between the means of the first and the last three of 15 frames.
 MEAN_FRAMES = 3
@@ -56,15 +60,15 @@ class LooseWire:
 
         frames: without the jumps learned so far.
         """
-        self._heights *= KEPT
-        change = frames[-MEAN_FRAMES:].mean(axis=0) - frames[:MEAN_FRAMES].mean(axis=0)
-        grid = change.reshape(ROWS, COLUMNS)
-        means = np.concatenate([grid.mean(axis=1), grid.mean(axis=0)])
-        line = int(np.abs(means).argmax())
-        height = abs(float(means[line]))
+        if self.lines:
+            self._heights *= KEPT
+        change = (np.add.reduce(frames[-MEAN_FRAMES:]) - np.add.reduce(frames[:MEAN_FRAMES])) / MEAN_FRAMES
+        means = (LINES @ change / LINE_TAXELS).tolist()
+        line = max(range(len(means)), key=lambda line: abs(means[line]))
+        height = abs(means[line])
         if height < LEAST_COUNTS:
             return False
-        is_on_line = _mask(line)
+        is_on_line = LINES[line] > 0
         jump, others = change[is_on_line], np.abs(change[~is_on_line])
         if (
             others.mean() > max(OTHERS_COUNTS, OTHERS_SHARE * height)
@@ -78,7 +82,7 @@ class LooseWire:
         """Learn the heights of a line once it has jumped there and back."""
         before = self._jumped.get(line)
         if before is not None and np.abs(before + jump).sum() <= UNLIKE * np.abs(jump).sum():
-            self._heights[_mask(line)] += np.abs(jump)
+            self._heights[LINES[line] > 0] += np.abs(jump)
             self._jumped.clear()
             name = f"row {line + 1}" if line < ROWS else f"column {line - ROWS + 1}"
             self.lines = tuple(sorted({*self.lines, name}))
@@ -87,16 +91,6 @@ class LooseWire:
         if before is None or before.mean() * jump.mean() < jump.mean() ** 2:
             self._jumped[line] = jump
         return False
-
-
-def _mask(line: int) -> NDArray[np.bool_]:
-    """Return (64,), which taxels are on a line: rows, then columns."""
-    mask = np.zeros((ROWS, COLUMNS), np.bool_)
-    if line < ROWS:
-        mask[line] = True
-    else:
-        mask[:, line - ROWS] = True
-    return mask.reshape(-1)
 
 
 def _is_steady(means: NDArray[np.float32], height: float) -> bool:

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from touchd.daemon.events import EndReason
 from touchd.daemon.tracker.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
-from touchd.daemon.tracker.loose_wire import LOOK_FRAMES, LooseWire
+from touchd.daemon.tracker.loose_wire import LINES, LOOK_FRAMES, LooseWire
 from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, TOUCH, NetworkCheck, PNoTouch
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.frame import FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.grid import GridFrame
 
 # A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
@@ -285,13 +285,12 @@ class TouchTracker:
         self._look_for_loose_wire()
         smooth = self._smooth()
         rise = smooth - self.baseline.counts
-        above = self._above(rise)
-        contact = beyond_one_wire(above)
-        if is_in_common(rise):
-            contact = 0.0 if contact >= self._onset_counts else contact
+        contact = beyond_one_wire(self._above(rise))
         if contact >= self._onset_counts:
-            self._state = Maybe(quiet, self._index, self._index, smooth)
-            return self._weigh(self._state)
+            if not is_in_common(rise):
+                self._state = Maybe(quiet, self._index, self._index, smooth)
+                return self._weigh(self._state)
+            contact = 0.0
         self._restless = max(self._restless * RESTLESS_KEPT, contact)
         quiet.peak = max(quiet.peak, contact)
         if quiet.frames == LEAVING_FRAMES:
@@ -461,7 +460,10 @@ class TouchTracker:
         return max(self._settings.onset_threshold, RESTLESS_FACTOR * self._restless)
 
     def _smooth(self) -> Taxels:
-        return _median(*self._recent.last(SMOOTH_FRAMES))
+        frames = self._recent.last(SMOOTH_FRAMES).copy()
+        frames.sort(axis=0)
+        median: Taxels = frames[SMOOTH_FRAMES // 2]
+        return median
 
     def _above(self, rise: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return what of (..., 64) counts is above the noise floor."""
@@ -482,9 +484,8 @@ def is_in_common(rise: Taxels) -> bool:
 
 def beyond_one_wire(above: Taxels) -> float:
     """Sum (64,) counts, less the strongest row or column up to what a loose wire lifts."""
-    grid = above.reshape(ROWS, COLUMNS)
-    rows, columns = np.add.reduce(grid, axis=1).tolist(), np.add.reduce(grid, axis=0).tolist()
-    return float(sum(rows) - min(max(*rows, *columns), WIRE_COUNTS))
+    sums = LINES.dot(above).tolist()
+    return float(sum(sums[:ROWS]) - min(max(sums), WIRE_COUNTS))
 
 
 def _median(a: NDArray[np.float32], b: NDArray[np.float32], c: NDArray[np.float32]) -> NDArray[np.float32]:

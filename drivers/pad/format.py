@@ -188,9 +188,10 @@ class Layout:
         """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""
         counts: Counts
         if self._cells is not None:
-            counts = values.take(self._cells).astype(np.uint16, copy=False)
+            counts = values.take(self._cells)
             if self._format.invert:
                 counts = MAX_COUNT - counts
+            counts = counts.astype(np.uint16, copy=False)
         else:
             laid = (self._shares @ values.astype(np.float32)) * self._scale
             if self._format.invert:
@@ -278,7 +279,7 @@ def decode_cells(described: PadFormat, data: bytes) -> Values:
     """Return the values (cells,) of a binary frame's cells."""
     if described.cell != "u12":
         sent = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
-        return sent.astype(sent.dtype.newbyteorder("="), copy=False)
+        return sent if sent.dtype.isnative else sent.astype(sent.dtype.newbyteorder("="))
     bits = np.unpackbits(np.frombuffer(data, np.uint8), count=12 * described.cells, bitorder=described.order)
     values: NDArray[np.uint16] = (bits.reshape(-1, 12) << U12_BITS[described.order]).sum(
         axis=1, dtype=np.uint16

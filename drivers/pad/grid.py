@@ -71,7 +71,6 @@ class Ring:
         bridge, and when the sensor's clock has restarted.
         """
         pressure = frame.pressure.astype(np.float32)
-        pressure.flags.writeable = False
         if self._sensor_ms is None:
             return [self._restart(frame, pressure)]
         elapsed_ms = (frame.sensor_ms - self._sensor_ms) % CLOCK_MODULUS
@@ -140,12 +139,12 @@ class Ring:
 
     def _between(self, frame: Frame, pressure: NDArray[np.float32], now_ms: int, at_ms: float) -> GridFrame:
         """Lay the grid frame at `at_ms`, between the previous sensor frame and this one."""
+        if at_ms == now_ms:
+            return self._lay(at_ms, frame.host_s, pressure, bridged=False, restarted=False)
         span_ms = now_ms - self._clock_ms
         share = np.float32((at_ms - self._clock_ms) / span_ms)
-        exact = at_ms == now_ms
-        laid = pressure if exact else self._pressure + share * (pressure - self._pressure)
-        bridged = span_ms > LOST_MS and not exact
-        return self._lay(at_ms, frame.host_s, laid, bridged=bridged, restarted=False)
+        laid = self._pressure + share * (pressure - self._pressure)
+        return self._lay(at_ms, frame.host_s, laid, bridged=span_ms > LOST_MS, restarted=False)
 
     def _lay(
         self, at_ms: float, host_s: float, pressure: NDArray[np.float32], *, bridged: bool, restarted: bool

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,8 +30,6 @@ from touchd.drivers.pad.parser import FrameParser
 
 log = logging.getLogger(__name__)
 
-Kind = Literal["frozen", "dead line", "stuck taxel", "saturated", "drift"]
-
 # Faults that last are noted again so often, by the frames' arrival.
 NOTE_S = 1.0
 # With these no touch, or no light one, is recognised; other faults cost a part of the pad or some frames.
@@ -48,8 +45,10 @@ PAUSE_S = 2.0
 LOOK_S = 10.0
 MANY_SHARE = 0.02
 
-# The noise measured while a hand leaves is too high, and falls within three seconds.
-NOISY_FRAMES = round(5 * FRAME_RATE_HZ)
+# Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
+# three seconds; a pad is noisy if it is for five.
+REST_FRAMES = 6
+NOISY_LOOKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
 
 
 # The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
@@ -119,16 +118,14 @@ class PadMonitor:
         return self._note(frame.host_s)
 
     def on_rest(self, *, is_noisy: bool, loose_lines: Sequence[str]) -> None:
-        """Take what the tracker knows of the untouched pad, once a frame of the grid."""
+        """Take what the tracker knows of the untouched pad, every REST_FRAMES."""
         self._rest.update(is_noisy, loose_lines)
 
     def _note(self, now_s: float) -> SensorState | None:
         """Log what has begun and ended; return the state if it is another one now."""
-        found: dict[str, str] = dict(self._gaps.faults)
-        found.update(self._taxels.faults.items())
-        found.update(self._rest.faults)
+        found = self._gaps.faults | self._taxels.faults | self._rest.faults
         if self._line is not None:
-            found.update(self._line.faults)
+            found |= self._line.faults
         if found.keys() == self._lasting.keys() and now_s - self._noted_s < NOTE_S:
             return None
         self._noted_s = now_s
@@ -237,12 +234,12 @@ class _Rest:
 
     def __init__(self) -> None:
         self.faults: dict[str, str] = {}
-        self._other_frames = 0
+        self._other_looks = 0
 
     def update(self, is_noisy: bool, loose_lines: Sequence[str]) -> None:
-        self._other_frames = self._other_frames + 1 if is_noisy != ("noise" in self.faults) else 0
-        if self._other_frames >= NOISY_FRAMES:
-            self._other_frames = 0
+        self._other_looks = self._other_looks + 1 if is_noisy != ("noise" in self.faults) else 0
+        if self._other_looks >= NOISY_LOOKS:
+            self._other_looks = 0
             if is_noisy:
                 self.faults["noise"] = (
                     "light touches are not recognised: the pad is noisy though nobody touches it; a motor, "
@@ -274,8 +271,8 @@ class TaxelFaults:
         self._has_noise = False
         self._saturation = 0.0
         self._rest = _RestLevel()
-        self.faults: dict[Kind, str] = {}
-        self._changing_since_s: dict[Kind, float] = {}
+        self.faults: dict[str, str] = {}
+        self._changing_since_s: dict[str, float] = {}
 
     def update(self, frame: Frame) -> None:
         """Take the next frame."""
@@ -299,21 +296,21 @@ class TaxelFaults:
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
         self._rest.update(pressure[1:].min(axis=0), self._clock_s)
 
-    def _current(self) -> dict[Kind, str]:
+    def _current(self) -> dict[str, str]:
         """Return what looks faulty now."""
-        found: dict[Kind, str] = {}
+        found: dict[str, str] = {}
         if self._saturation > (0.5 if "saturated" in self.faults else 0.9):
             found["saturated"] = "a quarter of the pad or more is at its limit: too heavy a load, a short?"
         elif self._has_noise and self._is_still.all():
             found["frozen"] = "frames arrive but no value changes: the pad is off its board, or it hangs"
-        elif self._has_noise:
+        elif self._has_noise and self._is_still.any():
             found |= _still_parts(self._is_still)
         rise = self._rest.rise_counts
         if rise > (DRIFT_COUNTS / 2 if "drift" in self.faults else DRIFT_COUNTS):
             found["drift"] = f"the level at rest rose by {rise:.0f} counts: drift, or something lies there"
         return found
 
-    def _follow(self, found: Mapping[Kind, str]) -> None:
+    def _follow(self, found: Mapping[str, str]) -> None:
         """Take over what has begun or ended and stayed so for SETTLE_S."""
         changing = sorted(found.keys() ^ self.faults.keys())
         self._changing_since_s = {kind: self._changing_since_s.get(kind, self._clock_s) for kind in changing}
@@ -355,11 +352,11 @@ def _passed_s(frames: Sequence[Frame]) -> float:
     return float(np.minimum(np.diff(clock_ms) % CLOCK_MODULUS / 1000, 1.0).sum())
 
 
-def _still_parts(is_still: NDArray[np.bool_]) -> dict[Kind, str]:
+def _still_parts(is_still: NDArray[np.bool_]) -> dict[str, str]:
     """Name the rows, columns and single taxels (counted from 1) of a mask (8, 8)."""
     rows: NDArray[np.bool_] = is_still.sum(axis=1) == COLUMNS
     columns: NDArray[np.bool_] = is_still.sum(axis=0) == ROWS
-    parts: dict[Kind, str] = {}
+    parts: dict[str, str] = {}
     lines = [f"row {row + 1}" for row in np.flatnonzero(rows)]
     lines += [f"column {column + 1}" for column in np.flatnonzero(columns)]
     if lines:

@@ -62,14 +62,14 @@ class FrameParser(ABC):
         self._asked = False
         self.clock.reset()
 
-    def _judge(self, stamp: float | None, host_s: float, values: Values) -> list[Reading]:
+    def _judge(self, stamp: float | None, host_s: float, values: Values, highest: float) -> list[Reading]:
         """Return the readings that a well-formed frame confirms.
 
         stamp: its clock as sent, None for a pad without one. values: (cells,) as sent; those out of range are
-        cut.
+        cut. highest: of the values.
         """
         self._asked = False
-        if np.maximum.reduce(values) > self.format.full_scale:
+        if highest > self.format.full_scale:
             self.counts.clipped += 1
             values = np.minimum(values, self.format.full_scale)
         if values.dtype.kind != "u":

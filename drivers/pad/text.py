@@ -93,7 +93,8 @@ class TextFrames(FrameParser):
         self._is_first_run = True
 
     def _parse(self, data: bytes, host_s: float) -> list[Reading]:
-        text = self._buffer + data
+        # Where a line begins, a CR belongs to the LF before it.
+        text = (self._buffer + data).lstrip(b"\r")
         ended = ended_at(text)
         self._buffer = text[ended:]
         readings: list[Reading] = []
@@ -106,8 +107,11 @@ class TextFrames(FrameParser):
             else:
                 readings += self._line(line, host_s)
         if self._skipping:
-            self.counts.bytes_dropped += len(self._buffer)
-            self._buffer = b""
+            # A CR ends the line once something else follows, so keep it, with the character before it.
+            kept = len(self._buffer) - len(self._buffer.rstrip(b"\r"))
+            kept = min(kept + 1, self._longest) if kept else 0
+            self.counts.bytes_dropped += len(self._buffer) - kept
+            self._buffer = self._buffer[len(self._buffer) - kept :]
         elif len(self._buffer) > self._longest:
             readings += self._give_up(len(self._buffer))
             self._buffer = b""
@@ -183,4 +187,4 @@ class TextFrames(FrameParser):
         self._run_leads = ()
 
     def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Reading]:
-        return self._judge(skipped[0] if skipped else None, host_s, np.array(cells))
+        return self._judge(skipped[0] if skipped else None, host_s, np.array(cells), max(cells))

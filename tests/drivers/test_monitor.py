@@ -25,7 +25,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import AGAIN_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat, encode_frame
-from touchd.drivers.pad.monitor import LOOK_S, NOISY_FRAMES, PadMonitor, TaxelFaults
+from touchd.drivers.pad.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
@@ -361,7 +361,7 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
 def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
     monitor = PadMonitor()
     for is_noisy, state in ((True, "degraded"), (False, "up")):
-        for _ in range(NOISY_FRAMES - 1):
+        for _ in range(NOISY_LOOKS - 1):
             monitor.on_rest(is_noisy=is_noisy, loose_lines=())
         assert states_of(monitor, [0]) == []
         monitor.on_rest(is_noisy=is_noisy, loose_lines=())
