@@ -1,7 +1,7 @@
 """Hands and fingertips that follow pointers: mouse, fingers or pens on the picture of a pad.
 
 The hand has the simulated hand's palm and fingers. Its forces are set to match load, peak and area of HAART's
-still hands, pats, strokes and rubs on the bare pad; no network's answers were used.
+still hands, pats, strokes and rubs on the bare pad.
 """
 
 from collections.abc import Hashable, Mapping

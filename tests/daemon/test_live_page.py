@@ -366,6 +366,19 @@ def test_the_visitors_view_hides_the_vitals(played: WatchedPage) -> None:
     assert seen("#vitals")
 
 
+def test_a_pointer_on_the_daemons_page_sends_nothing(played: WatchedPage) -> None:
+    played.run(
+        """window.sent = 0;
+           const send = WebSocket.prototype.send;
+           WebSocket.prototype.send = function (message) { sent++; send.call(this, message); };"""
+    )
+    square = played.chrome.find_element(By.CSS_SELECTOR, ".square")
+    ActionChains(played.chrome).click_and_hold(square).move_by_offset(30, 30).release().perform()
+    assert played.run("return sent") == 0
+    assert not played.chrome.find_element(By.ID, "invitation").is_displayed()
+    assert text_of(played.chrome, "#vital-link dd") == "live"
+
+
 def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> None:
     with serving(language="de") as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
