@@ -1,13 +1,15 @@
 """What reaches the log and the terminal from outside: printable, one line each, and not too often."""
 
 import logging
+import os
 
 import pytest
 from rigs.made_events import record
+from rigs.wait import WITHIN_S
 
 from touchd.daemon.cli import main
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.log import MOST_LINES, LogGate
+from touchd.daemon.log import MOST_LINES, LogGate, LogWriter
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
@@ -27,6 +29,20 @@ def test_an_errors_message_is_printable() -> None:
 
 def test_a_check_shows_what_a_robot_answered_printably() -> None:
     assert Check("robot", "ok", f"NAOqi {HOSTILE}").found.isprintable()
+
+
+def test_every_written_line_has_passed_the_gate() -> None:
+    reader, writer = os.pipe()
+    log = LogWriter(writer)
+    log.start()
+    for _ in range(MOST_LINES + 1):
+        log.handle(record("closed: %s", HOSTILE))
+    log.stop(WITHIN_S)
+    os.close(writer)
+    with open(reader, encoding="utf-8") as file:
+        lines = file.read().removesuffix("\n").split("\n")
+    assert len(lines) == MOST_LINES
+    assert all(line.startswith("WARNING library: closed: one") and line.isprintable() for line in lines)
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,15 +15,20 @@ import msgspec
 import pytest
 from rigs.made_events import PREDICTION, touch
 from rigs.programs import Program, ran
+from rigs.robots import needs_qi
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.config import JournalSettings, Settings
 from touchd.daemon.events import Event, RobotAction, SensorEvent, decode, encode
+from touchd.daemon.health import Health, Notifier
 from touchd.daemon.journal import Journal, JournalError, JournalSink
 from touchd.daemon.kept.touches import read_since
+from touchd.daemon.service import Service
 from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink, RobotSink
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import RobotMessage
+from touchd.drivers.robot.session import RobotSettings
 
 
 @pytest.fixture
@@ -132,6 +137,26 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
     lines.stop(WITHIN_S)
     lines.stop(WITHIN_S)
     assert read(reader, 2) == [PREDICTION, done]
+
+
+@needs_qi
+def test_the_robot_stops_first_so_its_last_acts_are_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopped: list[str] = []
+
+    def noted(stop: Callable[..., None]) -> Callable[..., None]:
+        return lambda sink, timeout_s: (stopped.append(sink.name), stop(sink, timeout_s))[1]
+
+    for kind in (RobotSink, JournalSink, LinesSink):
+        monkeypatch.setattr(kind, "stop", noted(kind.stop))
+    settings = Settings(
+        robot=RobotSettings(url="tcp://127.0.0.1:1"), journal=JournalSettings(path=str(tmp_path / "events"))
+    )
+    service = Service(settings, Health(Notifier({})))
+    service.tell(LinesSink("stdout", 1, encode))
+    service.run(lambda: True)
+    assert stopped == ["robot", "journal", "stdout"]
 
 
 def test_states_outlast_events_in_a_full_queue(pipe: tuple[int, int]) -> None:

@@ -110,12 +110,14 @@ def test_lines_of_the_log_that_nobody_read_are_counted() -> None:
     log.start()
     wait_for(lambda: select.select([reader], [], [], 0)[0] and log.queue.empty())
     log.handle(record("line 10", line=10))
+    wait_for(log.queue.empty)
+    log.handle(record("line 11", line=11))
     log.stop(WITHIN_S)
     os.close(writer)
     with open(reader) as file:
         lines = [line.partition(": ")[2] for line in file.read().splitlines()]
     gap = "7 lines of the log were dropped: nobody read them"
-    assert lines == ["line 0", "line 1", "line 2", gap, "line 10"]
+    assert lines == ["line 0", "line 1", "line 2", gap, "line 10", "line 11"]
 
 
 def test_a_full_disk_at_standard_output_loses_lines_only(caplog: pytest.LogCaptureFixture) -> None:

@@ -77,6 +77,8 @@ def test_only_what_is_selected_is_read(pad: Path) -> None:
 
 def test_a_file_is_never_written_over(pad: Path) -> None:
     write_recordings(pad, [made("P1", "rub")], {})
+    # Recordings are of people.
+    assert pad.stat().st_mode & 0o007 == 0
     with pytest.raises(RecordingError, match=r"pad\.csv: is there already"):
         write_recordings(pad, [made("P2", "rub")], {})
 
