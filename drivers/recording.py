@@ -215,8 +215,8 @@ def set_up(recording: Recording) -> tuple[str, str, str]:
 def splice(recordings: Sequence[Recording]) -> Stream:
     """Join recordings end to end into one stream, as one pad would send it.
 
-    The clock runs on without a jump, and starts anew, as after the pad was set up again, where participant,
-    substrate or cover change: its rest is then another. Raises RecordingError when there is none to join.
+    The clock runs on without a jump. Where participant, substrate or cover change, it restarts, as after the
+    pad was set up again, because its rest differs. Raises RecordingError when there is none to join.
     """
     if not recordings:
         raise RecordingError("no recording to play: none matches what was selected")
@@ -266,7 +266,7 @@ def _open_text(path: Path, mode: Literal["r", "x"]) -> IO[str]:
 
 @contextmanager
 def _lines_of(path: Path) -> Iterator[Iterator[str]]:
-    """Yield the lines of a file; raises RecordingError for what is wrong with it meanwhile."""
+    """Yield the lines of a file; raises RecordingError if it turns out to be damaged."""
     try:
         with _open_text(path, "r") as file:
             yield _lines(path, file)

@@ -273,7 +273,7 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
 
 
 def read_frames(kept: KeptTouch) -> KeptFrames:
-    """Read a kept touch; raises RecordingError, also when it has been deleted meanwhile."""
+    """Read a kept touch; raises RecordingError, also if it has just been deleted."""
     parts = read_recordings(kept.path)
     place = next((i for i, part in enumerate(parts) if part.gesture == UNLABELLED), None)
     if place is None:

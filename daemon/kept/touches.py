@@ -91,7 +91,7 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
         try:
             events, _ = read_events(file)
         except JournalError as error:
-            # Rotated away meanwhile, or not there yet.
+            # Just rotated away, or not there yet.
             if isinstance(error.__cause__, FileNotFoundError):
                 continue
             raise
