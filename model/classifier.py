@@ -3,7 +3,7 @@
 import hashlib
 import os
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -68,8 +68,6 @@ class Classifier:
     session: onnxruntime.InferenceSession
     states: tuple[str, ...]
     """Inputs that take the state; none in a file from before there was one."""
-    side_by_side: frozenset[str]
-    """Of these, those that take several touches' states at once; none in a file from before that."""
 
     @classmethod
     def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> "Classifier":
@@ -86,8 +84,7 @@ class Classifier:
             raise ModelError(f"{path}: its touchd metadata is damaged ({error}); export it again") from error
         _check_fit(path, metadata, session)
         states = session.get_overridable_initializers()
-        several = frozenset(entry.name for entry in states if not isinstance(entry.shape[0], int))
-        return cls(metadata, session, tuple(entry.name for entry in states), several)
+        return cls(metadata, session, tuple(entry.name for entry in states))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -125,34 +122,6 @@ class Classifier:
             return self.batch_probabilities(counts)[0], {"counts": counts}
         answers, tensors = self._run(counts, state or {})
         return answers[0], tensors
-
-    def steps(
-        self, frames: Sequence[NDArray[np.generic]], states: Sequence[State | None]
-    ) -> list[tuple[NDArray[np.float64], State]]:
-        """Return what `step` does, for touches of one length so far, of each as many new frames.
-
-        In one run, which reads the weights once: 16 touches take as long as three one after the other.
-        """
-        if len(frames) == 1 or not self.side_by_side:
-            return [self.step(*each) for each in zip(frames, states, strict=True)]
-        before = [state for state in states if state is not None]
-        together = {
-            name: np.concatenate([tensors[name] for tensors in before])
-            if name in self.side_by_side
-            else before[0][name]
-            for name in (self.states if before else ())
-        }
-        answers, after = self._run(self._checked(np.stack(frames)), together)
-        return [
-            (
-                answer,
-                {
-                    name: tensor[number : number + 1] if name in self.side_by_side else tensor
-                    for name, tensor in after.items()
-                },
-            )
-            for number, answer in enumerate(answers)
-        ]
 
     def _run(self, counts: NDArray[np.float32], state: State) -> tuple[NDArray[np.float64], State]:
         # Plain arrays: wrapping ONNX Runtime's own values takes a quarter of a step's time.

@@ -11,7 +11,7 @@ from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Heard, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.pad.arrived import RECENT_BYTES, is_text, why_no_frame
+from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.monitor import MANY_SHARE
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
@@ -27,6 +27,9 @@ SLOWEST_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
 CLEAN_SHARE = 0.001
 CLOCK_TOLERANCE = 0.05
 STOPPED_S = 1.0
+# Several frames of any grid that a serial port carries.
+RECENT_BYTES = 32768
+LEAST_FRAMES = 4
 
 ADVICE_FOR_PORT = {
     "missing": "plug the pad in, or name its port in sensor.port or with --port",
@@ -79,7 +82,7 @@ def check_protocol(
             "is it the pad's port? press the reset button of its board; flash its firmware; a pad that only "
             "answers needs sensor.format with a poll",
         )
-    kind, looks = why_no_frame(data[-RECENT_BYTES:], described)
+    kind, looks = _why_no_frame(data[-RECENT_BYTES:], described)
     if kind != "format":
         return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
     if not is_text(data) and (baud := _other_baud(sensor, opened)):
@@ -178,3 +181,16 @@ def check_rate(heard: Heard) -> Check:
         found += f"; the model uses {FRAME_RATE_HZ:g} of them"
         return Check("rate", "warning", found, "", figures)
     return Check("rate", "ok", found, "", figures)
+
+
+def _why_no_frame(data: bytes, described: PadFormat) -> tuple[str, str]:
+    """Say why the last bytes, a few frames' worth, give no frame: the kind of trouble and a sentence.
+
+    The kinds are "clock" and "format".
+    """
+    parser = parser_of(described)
+    parser.feed(data, 0.0)
+    counts = parser.counts
+    if counts.duplicates + counts.bad_time >= LEAST_FRAMES:
+        return "clock", f"frames of {described} arrive, but their clock stands still or jumps"
+    return "format", f"no frame of {described} in {looks_like(data)}"

@@ -13,8 +13,8 @@ import yaml
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import Event, decode
+from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
-from touchd.drivers.pad.format import encode_frame
 
 STOP_S = 10.0
 

@@ -1,11 +1,5 @@
-"""What bytes look like in which no frame is found: for a pad that is down, for the doctor, for a search."""
+"""Describes bytes in which no frame is found: for a pad that is down, for the doctor, for a search."""
 
-from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.protocol import parser_of
-
-# Several frames of any grid that a serial port carries.
-RECENT_BYTES = 32768
-LEAST_FRAMES = 4
 # Bytes that are not printable: damage, or another encoding.
 FEW_SHARE = 0.02
 EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
@@ -28,16 +22,3 @@ def looks_like(data: bytes) -> str:
     line = max(lines[1:-1] or lines, key=len, default="")[:EXCERPT_CHARACTERS]
     shown = "".join(each if each.isprintable() else " " for each in line).strip()
     return f"text, such as {shown!r}"
-
-
-def why_no_frame(data: bytes, described: PadFormat) -> tuple[str, str]:
-    """Say why the last bytes, a few frames' worth, give no frame: the kind of trouble and a sentence.
-
-    The kinds are "clock" and "format".
-    """
-    parser = parser_of(described)
-    parser.feed(data, 0.0)
-    counts = parser.counts
-    if counts.duplicates + counts.bad_time >= LEAST_FRAMES:
-        return "clock", f"frames of {described} arrive, but their clock stands still or jumps"
-    return "format", f"no frame of {described} in {looks_like(data)}"

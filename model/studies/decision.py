@@ -362,12 +362,11 @@ def collect(split: Split, title: str, missing: Sequence[str] = ()) -> Streams:
 
 def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
     """Return a network's answers about windows of FRAMES frames, frame by frame, "notouch" included."""
-    states: list[State | None] = [None] * len(windows.labels)
     outputs = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
-    for frame in range(FRAMES):
-        answered = model.steps(list(windows.counts[:, frame : frame + 1]), states)
-        outputs[:, frame] = [answer for answer, _ in answered]
-        states = [state for _, state in answered]
+    for answers, window in zip(outputs, windows.counts, strict=True):
+        state: State | None = None
+        for frame in range(FRAMES):
+            answers[frame], state = model.step(window[frame : frame + 1], state)
     detected = np.zeros(len(windows.labels), np.int64)
     return Streams(outputs, windows.labels, detected, windows.participants, model.labels)
 

@@ -21,10 +21,11 @@ from rigs.sensor_rig import stream_of
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.playback.rig import encoder_for
+from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import AGAIN_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
-from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of

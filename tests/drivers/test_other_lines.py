@@ -17,9 +17,10 @@ from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_gr
 from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.sockets import free_port
 
+from touchd.drivers.fakes.encode import encode_frame, values_of
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad import port as port_module
-from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame, layout_of
+from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.port import GONE_S, SensorError, check_port, open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 
@@ -207,7 +208,9 @@ def test_a_datagram_without_a_header_is_a_frame() -> None:
             give(encode_frame(described, counts, 0))
             frames += [frame for _ in range(2) for frame in parser.feed(read_waiting(opened, parser), 0.0)]
     layout = layout_of(described)
-    expected = [layout.pressure(layout.values(counts).ravel()).tolist() for counts in STREAM.counts[:5]]
+    expected = [
+        layout.pressure(values_of(described, counts).ravel()).tolist() for counts in STREAM.counts[:5]
+    ]
     assert [frame.pressure.tolist() for frame in frames] == expected
     assert parser.counts.bad_framing == 5
 
@@ -253,7 +256,7 @@ def test_a_flooding_pad_is_read_more_slowly() -> None:
 def answered(described: PadFormat, number: int) -> bytes:
     """Return the expected frame for a poll, counted from 0."""
     layout = layout_of(described)
-    return layout.pressure(layout.values(STREAM.counts[number + 1]).ravel()).tobytes()
+    return layout.pressure(values_of(described, STREAM.counts[number + 1]).ravel()).tobytes()
 
 
 @contextmanager

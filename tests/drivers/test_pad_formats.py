@@ -12,16 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rigs.wire import counts_of
 
+from touchd.drivers.fakes.encode import encode_frame, encode_values, values_of
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.format import (
-    PRESETS,
-    FormatError,
-    Layout,
-    PadFormat,
-    encode_frame,
-    encode_values,
-    layout_of,
-)
+from touchd.drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
 
@@ -53,7 +46,7 @@ FEW = settings(deadline=None, max_examples=20)
 def laid(described: PadFormat, number: int) -> bytes:
     """Return the pressure that this format's grid can carry of `counts_of(number)`."""
     layout = layout_of(described)
-    return layout.pressure(layout.values(counts_of(number)).ravel()).tobytes()
+    return layout.pressure(values_of(described, counts_of(number)).ravel()).tobytes()
 
 
 @cache
@@ -260,7 +253,7 @@ def test_a_pad_is_turned_then_mirrored() -> None:
         described = PadFormat(header="aa", rows=8, columns=8, turn=turn, mirror=True)  # type: ignore[arg-type]
         laid = Layout(described).pressure(grid.ravel())
         np.testing.assert_array_equal(laid, np.rot90(grid, -turn // 90)[:, ::-1])
-        np.testing.assert_array_equal(Layout(described).values(laid), grid)
+        np.testing.assert_array_equal(values_of(described, laid), grid)
 
 
 @pytest.mark.parametrize(

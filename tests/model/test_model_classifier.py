@@ -21,7 +21,7 @@ from touchd.model.classifier import (
     digest_file,
 )
 from touchd.model.settings import LENGTHS
-from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand
+from touchd.model.studies.checks.hard_cases import hand
 from touchd.model.studies.checks.stability import chunked
 
 ANY_WINDOW = ("batch", "frames", 8, 8)
@@ -106,17 +106,6 @@ def test_an_empty_or_too_long_window_is_refused(classifier: Classifier) -> None:
             classifier.probabilities(np.zeros((length, 8, 8), dtype=np.uint16))
 
 
-@pytest.mark.parametrize("begun", [0, 26, 53])
-def test_touches_side_by_side_are_answered_as_alone(classifier: Classifier, begun: int) -> None:
-    windows = [hand(54), checkerboard(54), flat(200.0, 54)]
-    states = [classifier.step(window[:begun])[1] if begun else None for window in windows]
-    halves = [(window[begun:40], window[40:]) if begun < 40 else (window[begun:],) for window in windows]
-    for frames in zip(*halves, strict=True):
-        answers, states = zip(*classifier.steps(frames, states), strict=True)
-    for answer, window in zip(answers, windows, strict=True):
-        assert answer == pytest.approx(classifier.probabilities(window), abs=1e-5)
-
-
 @pytest.mark.parametrize(("name", "why"), [("no.onnx", "No such file or directory"), (".", "Is a directory")])
 def test_an_unreadable_file_is_named(tmp_path: Path, name: str, why: str) -> None:
     message = refusal(tmp_path / name)
@@ -191,16 +180,6 @@ class TestOtherModels:
         without = Classifier.load(self.saved(proto))
         assert not without.states
         assert chunked(without, hand(54), (20, 1, 7)) <= 1e-6
-
-    def test_a_file_for_one_state_answers_touches_in_turn(self) -> None:
-        proto = self.shipped()
-        for entry in proto.graph.input[1:]:
-            entry.type.tensor_type.shape.dim[0].dim_value = 1
-        before, windows = Classifier.load(self.saved(proto)), [hand(20), checkerboard(20)]
-        _, states = zip(*before.steps([window[:9] for window in windows], [None, None]), strict=True)
-        answers = before.steps([window[9:] for window in windows], states)
-        for (answer, _), window in zip(answers, windows, strict=True):
-            assert answer == pytest.approx(before.probabilities(window), abs=1e-5)
 
     @pytest.mark.parametrize(
         ("values", "shape", "message"),

@@ -16,10 +16,11 @@ from rigs.wire import read_too_fast
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import Heard, listen
+from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
-from touchd.drivers.pad.format import PadFormat, encode_frame
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.port import open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Stream, ideal_clock_ms

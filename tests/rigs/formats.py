@@ -4,9 +4,10 @@ from typing import Any
 
 import msgspec
 
+from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.binary import BinaryFrames
-from touchd.drivers.pad.format import PRESETS, PadFormat, encode_frame
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.text import TextFrames
 
 

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from touchd.drivers.pad.format import PadFormat, encode_values
+from touchd.drivers.fakes.encode import encode_values
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.search.search import Chunk
 
 SECONDS = 8.0

@@ -1,0 +1,55 @@
+"""Encodes pressure as a described pad would send it: the inverse of the parsers, for fake pads and tests."""
+
+import numpy as np
+
+from touchd.drivers.frame import MAX_COUNT, Counts
+from touchd.drivers.pad.format import PLAIN_CELLS, U12_BITS, PadFormat, Values, checksum
+
+
+def encode_frame(described: PadFormat, counts: Counts, sensor_ms: int | None) -> bytes:
+    """Return pressure (8, 8) as the pad would send it; sensor_ms: None leaves the clock at 0."""
+    return encode_values(described, values_of(described, counts), sensor_ms)
+
+
+def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -> bytes:
+    """Return values (rows, columns) as the pad would send them.
+
+    Text has a row in each line where `end` follows the frame, with the row's number as what is skipped; else
+    all cells in one line, after the clock where something is skipped.
+    """
+    time = (sensor_ms or 0) % 2**32
+    if described.framing == "text":
+        lines = values.reshape(-1, described.columns if described.end else described.cells).tolist()
+        firsts = range(len(lines)) if described.end else [time]
+        rest = [0] * (described.skip - 1)
+        after = [0] * described.tail
+        text = [
+            ",".join(f"{number:.10g}" for number in (*[first, *rest][: described.skip], *line, *after))
+            for first, line in zip(firsts, lines, strict=True)
+        ]
+        return "\n".join([*text, *([described.end] if described.end else []), ""]).encode()
+    body = time.to_bytes(4, described.order) if described.clock else b""
+    body += bytes(described.skip) + _cells(described, values.ravel()) + bytes(described.tail)
+    if described.checksum != "none":
+        body += bytes([checksum(described, body, int(values.sum()) + time * described.clock)])
+    return bytes.fromhex(described.header) + body + bytes.fromhex(described.footer)
+
+
+def values_of(described: PadFormat, counts: Counts) -> Values:
+    """Turn pressure (8, 8) into values (rows, columns) that decode to it; cropped cells are at rest."""
+    turned = np.rot90(counts[:, ::-1] if described.mirror else counts, described.turn // 90)
+    left = (described.rows - 2 * described.crop, described.columns - 2 * described.crop)
+    at = [np.arange(side) * 8 // side for side in left]
+    grid = np.pad(turned[np.ix_(*at)], described.crop)
+    if described.invert:
+        grid = MAX_COUNT - grid
+    values = grid * (described.full_scale / MAX_COUNT)
+    return values if described.cell == "f32" else np.rint(values).astype(np.uint16)
+
+
+def _cells(described: PadFormat, values: Values) -> bytes:
+    """Return values (cells,) as a binary frame contains them."""
+    if described.cell != "u12":
+        return values.astype(PLAIN_CELLS[described.cell, described.order]).tobytes()
+    bits = values.astype(np.uint16)[:, None] >> U12_BITS[described.order] & 1
+    return np.packbits(bits.astype(np.uint8), bitorder=described.order).tobytes()
