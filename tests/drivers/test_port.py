@@ -1,8 +1,10 @@
 """A port is checked before anything starts, and each fault is reported in one line."""
 
 import errno
+import fcntl
 import logging
 import os
+import struct
 import time
 
 import numpy as np
@@ -14,6 +16,9 @@ from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.port import open_port
 from touchd.drivers.pad.sensor import SensorError, check_port
+
+# See ioctl_tty(2); the module termios lacks it.
+TIOCGEXCL = 0x80045440
 
 
 def test_a_readable_port_passes_undisturbed() -> None:
@@ -95,3 +100,23 @@ def test_missing_permission_says_how_to_get_it(caplog: pytest.LogCaptureFixture)
         finally:
             if is_root:
                 os.seteuid(0)
+
+
+def test_a_device_is_opened_for_this_program_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = os.openpty()
+    path = os.ttyname(slave)
+
+    def is_exclusive() -> bool:
+        return bool(struct.unpack("i", fcntl.ioctl(slave, TIOCGEXCL, bytes(4)))[0])
+
+    try:
+        # A pseudo-terminal would stay closed to others after touchd was killed.
+        with open_port(path, BAUD):
+            assert not is_exclusive()
+        # Root may open an exclusive device all the same, so ask the kernel.
+        monkeypatch.setattr(os.path, "realpath", lambda port: "/dev/ttyACM0" if port == path else port)
+        with open_port(path, BAUD):
+            assert is_exclusive()
+    finally:
+        os.close(master)
+        os.close(slave)

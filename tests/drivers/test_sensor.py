@@ -55,12 +55,12 @@ def test_a_frames_time_is_the_arrival_of_its_last_byte() -> None:
 
 def test_frames_after_a_stall_keep_their_true_arrival() -> None:
     stream = stream_of(30)
-    stalled_s = 0.0
+    stall_s, stalled_s = 0.4, 0.0
 
     def stall_once(counts: Counts, sensor_ms: int) -> bytes:
         nonlocal stalled_s
         if sensor_ms == stream.sensor_ms[10]:
-            time.sleep(0.4)
+            time.sleep(stall_s)
             stalled_s = time.monotonic()
         return encode_fabric_grid(counts, sensor_ms)
 
@@ -68,7 +68,7 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
         frames = next_frames(queue, 30)
     assert_played(frames, stream, range(30))
     assert frames[9].host_s < stalled_s <= frames[10].host_s
-    assert np.median(delays_s(frames[10:], port)) < 0.01
+    assert np.median(delays_s(frames[10:], port)) < stall_s / 4
 
 
 def test_any_pyserial_address_works() -> None:
