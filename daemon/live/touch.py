@@ -17,7 +17,7 @@ MOST_POINTERS = 10
 # A page sends at most one message for each picture that it draws.
 MESSAGES_PER_S = 90.0
 # A page that presses sends ten messages a second or more; without one for this long its pointers are lifted.
-LIFTED_AFTER_S = 0.5
+LIFTED_AFTER_S = 1.5
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 PointerId = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]

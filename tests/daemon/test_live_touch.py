@@ -66,6 +66,29 @@ FAST_SCREEN = """
   });
 """
 
+# Moves a pointer along places, each for so many milliseconds; null is off the pad.
+FOLLOW_ROUTE = """
+  const [places, stepMs, done] = arguments;
+  const square = document.querySelector('.square');
+  square.setPointerCapture = () => {};
+  const box = square.getBoundingClientRect();
+  const begun = performance.now();
+  let down = null;
+  const tell = (kind, [x, y]) => square.dispatchEvent(new PointerEvent(kind, {
+    pointerId: 1, pointerType: 'mouse', bubbles: true, button: 0, buttons: 1, pressure: 0.5,
+    clientX: box.left + x * box.width, clientY: box.top + y * box.height,
+  }));
+  const moving = setInterval(() => {
+    const place = places[Math.floor((performance.now() - begun) / stepMs)] ?? null;
+    if (place !== null) tell(down === null ? 'pointerdown' : 'pointermove', place);
+    else if (down !== null) tell('pointerup', down);
+    down = place;
+    if (performance.now() - begun < places.length * stepMs) return;
+    clearInterval(moving);
+    done();
+  }, 5);
+"""
+
 # A place on the pad, across and down from 0 to 1, at a time in seconds; None while the pointer is up.
 Route: TypeAlias = Callable[[float], tuple[float, float] | None]
 
@@ -113,27 +136,9 @@ def use_mouse(chrome: Chrome, kind: str, place: dict[str, float], **more: object
 
 
 def perform(chrome: Chrome, route: Route, seconds: float) -> None:
-    """Move the mouse over the pad; on a busy machine in larger steps, but at the route's own pace."""
-    corner, far = place_of(chrome, 0.0, 0.0), place_of(chrome, 1.0, 1.0)
-    begun_s = time.monotonic()
-    down: dict[str, float] | None = None
-    while (now_s := time.monotonic() - begun_s) < seconds:
-        place = route(now_s)
-        if place is None:
-            if down:
-                use_mouse(chrome, "mouseReleased", down)
-            down = None
-        else:
-            across, below = place
-            at = {
-                "x": corner["x"] + (far["x"] - corner["x"]) * across,
-                "y": corner["y"] + (far["y"] - corner["y"]) * below,
-            }
-            use_mouse(chrome, "mouseMoved" if down else "mousePressed", at)
-            down = at
-        time.sleep(STEP_S)
-    if down:
-        use_mouse(chrome, "mouseReleased", down)
+    """Move a pointer over the pad at the pace of the route, on a busy machine in larger steps."""
+    places = [route(step * STEP_S) for step in range(round(seconds / STEP_S))]
+    chrome.execute_async_script(FOLLOW_ROUTE, places, 1000 * STEP_S)
 
 
 @pytest.fixture(scope="module")
