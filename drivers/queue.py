@@ -1,4 +1,4 @@
-"""The one queue between threads: bounded, and never waited for by whoever fills it."""
+"""The queue between threads: bounded; its writer never waits."""
 
 import threading
 import time
@@ -11,29 +11,29 @@ Item = TypeVar("Item")
 
 
 class Signal:
-    """Wakes the one thread that waits; a bare lock, as a Condition takes five times as long a frame."""
+    """Wakes one waiting thread. It is a bare lock: a Condition takes five times as long."""
 
     def __init__(self) -> None:
         self._asleep = threading.Lock()
         self._asleep.acquire()
 
     def set(self) -> None:
-        """Wake the thread, or have its next wait return at once."""
+        """Wake the thread, or make its next wait return at once."""
         if self._asleep.locked():
-            # Another thread may have been quicker.
+            # Another thread may have released it first.
             with suppress(RuntimeError):
                 self._asleep.release()
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Return True once it is set, False after `timeout_s` (None: never)."""
+        """Wait until it is set; return False if `timeout_s` passes first (None: no limit)."""
         return self._asleep.acquire(timeout=-1 if timeout_s is None else timeout_s)
 
 
 class DroppingQueue(Generic[Item]):
-    """A bounded queue for one reader that gives up its oldest item when full, and counts it in `dropped`.
+    """A bounded queue with one reader. When it is full, it drops its oldest item and counts it in `dropped`.
 
-    may_drop: returns False for items to keep as long as there are others to drop.
-    filled: set when something is put; of several queues, one thread can wait on the same.
+    may_drop: returns False for items that are dropped only when the queue holds no others.
+    filled: set on each `put`; several queues may share one, so that one thread waits for all.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class DroppingQueue(Generic[Item]):
         self._filled.set()
 
     def get(self, timeout_s: float | None = None) -> Item | None:
-        """Take the oldest item, waiting for one at most `timeout_s` (None: for ever)."""
+        """Return the oldest item, waiting for one at most `timeout_s` (None: no limit); None if none came."""
         until_s = None if timeout_s is None else time.monotonic() + timeout_s
         while not self._items:
             if not self._filled.wait(None if until_s is None else max(0.0, until_s - time.monotonic())):
@@ -68,7 +68,7 @@ class DroppingQueue(Generic[Item]):
         return self.get_nowait()
 
     def get_nowait(self) -> Item | None:
-        """Take the oldest item, if there is one."""
+        """Return the oldest item, or None."""
         with self._lock:
             return self._items.popleft() if self._items else None
 

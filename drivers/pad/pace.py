@@ -1,4 +1,4 @@
-"""How fast and how evenly frames came, by the pad's own clock."""
+"""Frame rate, jitter and lost frames, by the pad's own clock."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,14 +8,17 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import CLOCK_MODULUS, Frame
 
-# Two frames so much further apart than usual have lost one between them.
+# A step between two frames that is longer than usual by this factor has lost a frame.
 LOST_STEP = 1.75
 COMPARABLE_S = 1.5
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Frames a second and how much the time between two strays, lost ones left out; how many were lost."""
+    """Frames a second, the standard deviation of the steps between them, and lost frames.
+
+    Steps in which a frame was lost count for neither.
+    """
 
     rate_hz: float
     jitter_ms: float
@@ -26,9 +29,9 @@ class Pace:
 
 
 def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
-    """Return the times between T frames by the pad's clock, (T - 1,), over its wrap.
+    """Return the steps between T frames by the pad's clock, (T - 1,) ms; the clock may wrap.
 
-    A step back is a clock that started anew, as after a reset: it counts as the usual step.
+    If the clock runs back, the pad was reset; that step counts as a usual one.
     """
     stamps = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
     steps: NDArray[np.int64] = np.diff(stamps) % CLOCK_MODULUS
@@ -39,7 +42,7 @@ def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
 
 
 def clock_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
-    """Return the pad's clock at T frames, (T,), from the first one's on, without a wrap."""
+    """Return the pad's clock at T frames, (T,) ms, unwrapped."""
     clock: NDArray[np.int64] = frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(frames))])
     return clock
 
@@ -54,7 +57,7 @@ def pace_of(frames: Sequence[Frame]) -> Pace:
 
 
 def clock_by_ours(frames: Sequence[Frame]) -> float:
-    """Return how many times as fast as this machine's the pad's clock runs; 1 with too few frames to tell."""
+    """Return how fast the pad's clock runs, relative to ours; 1 if the frames span less than COMPARABLE_S."""
     since_s = np.array([frame.host_s - frames[0].host_s for frame in frames])
     if since_s[-1] < COMPARABLE_S:
         return 1.0

@@ -1,9 +1,10 @@
-"""Takes out of the grid's frames what vibrates on all taxels at once: mains hum, a motor.
+"""Removes vibration of the whole pad, such as mains hum or a motor, from the frames on the grid.
 
-A hand changes some taxels, each by another amount; hum changes all of them equally, and a motor with similar
-weights. Sampled at 54 Hz each is one sine, hum one of 4 Hz. Where all taxels follow one, its frequency, phase
-and each taxel's weight are learned, and it is subtracted from every frame, also under a hand: the taxels that
-the hand does not touch show the sine. A pad that does not vibrate passes unchanged.
+A hand changes some taxels, each by a different amount. Hum changes all taxels equally, a motor all of them by
+similar amounts. Sampled at 54 Hz, either is one sine; hum appears at 4 Hz. If all taxels follow a sine, this
+learns its frequency, its phase and each taxel's weight, and subtracts it from every frame. It goes on under a
+hand, because the taxels that the hand does not touch still show the sine. Frames of a pad that does not
+vibrate pass unchanged.
 
 The constants were chosen on HAART's and the second study's sessions under hum and motors (docs/sessions.md).
 """
@@ -19,37 +20,37 @@ from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
 Counts = NDArray[np.float32]
 
-# The last two thirds of a second are fitted six times a second.
+# Six times a second, fit the last two thirds of a second.
 STRIDE_FRAMES = 9
 LOOK_FRAMES = 36
-# A sine counts if it has this amplitude in counts and explains this share of the variance of the pad's mean,
-# as one does about 20 frames after it began. One of 802 recordings of touches and rest has such a sine: its
-# pad shakes.
+# A sine counts if it has this amplitude in counts and explains this share of the variance of the pad's mean.
+# A new vibration reaches both after about 20 frames. Of 802 recordings of touches and rest one has such a
+# sine; its pad shakes.
 LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
-# The mean of a calm pad varies by less, and is not searched.
+# If the pad's mean varies by less, the pad is calm, and no sine is searched.
 LEAST_VARIANCE = LEAST_COUNTS**2 / 4
-# Taxels follow the sine together: the lower tenth and quarter by these shares of the upper tenth. Taxels that
-# stand still, as on a row whose wire broke, are left out; this many must be alive.
+# How well all taxels follow the sine: the lower tenth and quarter must reach these shares of the upper tenth.
+# Constant taxels, such as a row with a broken wire, do not count; at least LEAST_ALIVE must vary.
 LOW, QUARTER, HIGH = 6 / 64, 16 / 64, 57 / 64
 LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
 LEAST_ALIVE = 48
-# The sine is learned again in the first looks, while it fills less than the window.
+# Refit in the first looks, until the vibration spans the window.
 NEW_LOOKS = 3
-# A fit that differs by more in amplitude or phase comes from a hand or a step of the rest. Six weak fits, or
-# fits on an untouched pad, that differ come from another vibration.
+# A fit whose amplitude or phase differs by more is due to a hand or to a step of the rest. After six such
+# fits that are weak or on an untouched pad, the vibration is another one.
 LIKE, LIKE_RADIANS = (0.75, 1.35), 0.4
 WEAK = 0.4
 MISFITS = 6
-# Shares by which weights, phase and frequency follow each fit.
+# Learning rates of weights, phase and frequency, per fit.
 LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
-# The fit uses the taxel a third from the lightest: a hand seldom covers more.
+# Fit the taxel at the lower third by load: a hand seldom covers more than two thirds.
 LIGHT = 19
-# The vibration has ended if taking it out leaves four times the variance, over this many frames.
+# If subtracting the sine quadruples the variance over ENDED_FRAMES, the vibration has ended.
 ENDED_FRAMES, ENDED = 18, 4.0
 
-# Weights are learned where the sine is above 0, whose values vary by a tenth of its amplitude's square, but
-# may be equal where a period takes two to four frames; then from all values.
+# Weights are learned from frames in which the sine is positive. If a period takes two to four frames, these
+# may all have the same value; then from all frames.
 LEAST_SPREAD = 0.03
 LEAST_SCALE = 0.1
 
@@ -57,7 +58,7 @@ AGO = np.arange(1 - LOOK_FRAMES, 1)
 HANN = np.hanning(LOOK_FRAMES + 2)[1:-1]
 SLOPE = AGO - AGO.mean()
 LEVEL_AND_SLOPE = np.stack([np.ones(LOOK_FRAMES), SLOPE])
-# The first and the last are not vibrations: they are slower or faster ones, aliased.
+# A maximum at the first or last frequency belongs to a vibration outside the range.
 TURNS = 2 * np.pi * np.arange(2.75, 25.26, 0.25) / FRAME_RATE_HZ
 WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
 
@@ -100,7 +101,7 @@ class _Wave:
 
 
 class Vibration:
-    """Takes a pad's frames on the grid, and returns them without its vibration."""
+    """Follows a pad's frames on the grid and returns them without vibration."""
 
     def __init__(self) -> None:
         self._newest: list[Counts] = []
@@ -195,7 +196,7 @@ def _is_alive(frames: Counts) -> NDArray[np.bool_]:
 
 
 def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
-    """Learn from an untouched pad how each taxel follows, where the sine is above 0: no count is cut off."""
+    """Learn each taxel's weight from an untouched pad, while the sine is positive: no count is cut at 0."""
     values = (now * np.exp(1j * turn * AGO)).real
     above, upper = values[values > 0], frames[values > 0]
     if above.var() < LEAST_SPREAD * abs(now) ** 2:
