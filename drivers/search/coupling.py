@@ -218,6 +218,8 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
         return NOT_TOGETHER
     if deviations(*both) < SURE_Z or min(deviations(*beside), deviations(*below)) < sure_a_side:
         return NOT_TOGETHER
+    if _runs_to_and_fro(together, rows, columns):
+        return "every other row seems to run backwards: print all rows in one direction"
     if _has_seam(together, cells) or _has_seam(together, cells.T):
         return "its halves move apart: two pads in one frame? press across the middle, too"
     if _takes_turns(numbers):
@@ -273,6 +275,22 @@ def _noise_of(off: Numbers) -> float:
 def _skew(off: Numbers) -> float:
     scaled = off / max(float(np.abs(off).max(initial=0.0)), 1e-9)
     return float(np.power(scaled, 3).sum())
+
+
+def _runs_to_and_fro(together: NDArray[np.float32], rows: int, columns: int) -> bool:
+    """Whether neighbours move together more if every other row, or every other half of one, is reversed."""
+
+    def total(cells: NDArray[np.int_]) -> float:
+        beside, below = together[cells[:, :-1], cells[:, 1:]], together[cells[:-1], cells[1:]]
+        return float(beside.sum() + below.sum())
+
+    plain = np.arange(rows * columns).reshape(rows, columns)
+    for length in {columns, columns // 2} if columns % 2 == 0 else {columns}:
+        folded = plain.reshape(-1, length).copy()
+        folded[1::2] = folded[1::2, ::-1]
+        if total(folded) > total(plain):
+            return True
+    return False
 
 
 def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:

@@ -70,6 +70,8 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
     last_counter = int(np.flatnonzero(movement.counters[:MOST_SKIP]).max(initial=-1))
     for skip in range(last_counter + 1, MOST_SKIP + 1):
         for tail in range(MOST_TAIL + 1):
+            if movement.counters[skip : width - tail].any():
+                continue
             for rows, columns in sides(width - skip - tail):
                 described = PadFormat(framing="text", rows=rows, columns=columns, skip=skip, tail=tail)
                 values = numbers[:, skip : width - tail]
@@ -93,7 +95,7 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
         for tail in range(MOST_TAIL + 1):
             stop = width - tail
             columns = stop - skip
-            if columns < 1 or _leads(numbers, still, counts, skip, stop):
+            if columns < 1 or counts[:, skip:stop].any() or _leads(numbers, still, skip, stop):
                 continue
             cells = numbers[:, :, skip:stop].reshape(len(numbers), -1)
             movement = Movement(cells, np.zeros(cells.shape[1], np.bool_), by_contact)
@@ -110,16 +112,14 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
                 yield Guess(described, cells, fold, int(pressed.sum() - pressed[:, skip:stop].sum()))
 
 
-def _leads(numbers: Numbers, still: Flags, counts: Flags, skip: int, stop: int) -> bool:
-    """Whether the first or last column is no cell: it counts, or never changes but differs in each line, or
+def _leads(numbers: Numbers, still: Flags, skip: int, stop: int) -> bool:
+    """Whether the first or last column is no cell: it never changes but differs in each line, or
     never changes while nearly all others do."""
     first = numbers[0]
     never_changes = still[:, skip:stop].all(axis=0)
     others = ~still[:, skip:stop][:, ~never_changes]
     others_live = bool(others.size and others.mean() > MOSTLY)
     for column in {skip, stop - 1}:
-        if counts[:, column].all():
-            return True
         is_still = bool(still[:, column].all())
         if is_still and (len(set(first[:, column])) > 1 or others_live) and len(first) > 1:
             return True
