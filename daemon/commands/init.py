@@ -23,10 +23,12 @@ from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud, listen
-from touchd.drivers.search.search import as_yaml, search
+from touchd.drivers.search.search import UNSURE, as_yaml, search
 from touchd.drivers.whole_file import whole_file
 
 LISTEN_S = 8.0
+# A hand that presses but does not yet prove the grid gets this long to reach more of it.
+LONGER_S = 20.0
 ANSWER_S = 0.5
 
 
@@ -154,7 +156,11 @@ def _describe(console: Console, opened: Line, where: str, tried: Sequence[int]) 
         finding = find_with_a_hand(console, opened)
     else:
         console.print(f"press the pad: listening for {LISTEN_S:g} s ...")
-        finding = search(listen(opened, LISTEN_S))
+        chunks = listen(opened, LISTEN_S)
+        finding = search(chunks)
+        if finding.missing in UNSURE:
+            console.print(f"not proven yet, go on pressing: listening for {LONGER_S:g} s more ...")
+            finding = search(chunks + listen(opened, LONGER_S))
     if finding.proposed is None:
         rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
         console.print(f"{where}: {finding}{rates}", style="yellow")

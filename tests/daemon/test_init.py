@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rigs.coarse_pad import JUDGED_ON, printed, third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
+from rigs.haart_folder import needs_third_study
 from rigs.programs import TOUCHD, Program
 from rigs.robots import LOGIN, Robot, needs_qi
 from rigs.sensor_rig import PolledPad
@@ -28,6 +30,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import Login, RobotError
+from touchd.drivers.search.search import search
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
@@ -70,6 +73,24 @@ def test_a_pad_is_found_at_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> Non
     with pad:
         assert write("--port", pad.path) == 0
     assert load(FILE).sensor.baud == 57_600
+
+
+@needs_third_study
+def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
+    judged = (each for who, touched, each in third_study() if touched and who in JUDGED_ON)
+    # Somebody touches all the time: any eight seconds prove it, wherever init begins to listen.
+    played = next(
+        each
+        for each in judged
+        if all(search(printed(each[late : late + 360])).proposed for late in range(45, 300, 45))
+    )
+    stream = Stream(played[:, 1:], played[:, 0] - played[0, 0], ())
+    with FakePort(
+        stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), loop=True
+    ) as pad:
+        assert write("--port", pad.path) == 0
+    found = load(FILE).sensor.described
+    assert (found.rows, found.columns, found.skip, found.invert) == (6, 6, 1, False)
 
 
 def test_a_pad_that_nobody_presses_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

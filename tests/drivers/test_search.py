@@ -1,20 +1,16 @@
 """A pad is proposed only from bytes that prove it; anything else is refused in words."""
 
-import csv
-import gzip
 import json
 import resource
 import time
-from collections import defaultdict
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
-from rigs.haart_folder import THIRD_STUDY, needs_third_study
+from rigs.coarse_pad import JUDGED_ON, printed, third_study
+from rigs.haart_folder import needs_third_study
 from rigs.pressing import chunks_of, pressed
 
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
@@ -180,6 +176,28 @@ def test_two_pads_in_one_line_are_not_one() -> None:
     assert "two pads" in finding.missing
 
 
+def lines_of(described: PadFormat, seed: int) -> list[tuple[float, list[bytes]]]:
+    return [(each.host_s, each.data.strip().split(b",")) for each in chunks_of(described, seed)]
+
+
+def test_a_clock_among_the_cells_is_not_a_cell() -> None:
+    chunks = [
+        Chunk(b",".join([*cells[:32], b"%d" % round(1000 * at_s), *cells[32:]]) + b"\n", at_s)
+        for at_s, cells in lines_of(PadFormat(framing="text", rows=8, columns=8), 3)
+    ]
+    assert search(chunks).proposed is None
+
+
+def test_rows_that_run_to_and_fro_are_not_a_grid() -> None:
+    chunks = []
+    for at_s, cells in lines_of(PadFormat(framing="text", rows=8, columns=8), 3)[1:]:
+        rows = [cells[8 * row : 8 * row + 8][:: -1 if row % 2 else 1] for row in range(8)]
+        chunks.append(Chunk(b",".join(cell for row in rows for cell in row) + b"\n", at_s))
+    finding = search(chunks)
+    assert finding.proposed is None
+    assert "backwards" in finding.missing
+
+
 def test_two_alternating_pads_are_not_one() -> None:
     one = PadFormat(framing="text", rows=8, columns=8)
     turns = two(chunks_of(one, 1), chunks_of(one, 2), b"\n")
@@ -218,26 +236,6 @@ def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
     assert rates == sorted(rates, reverse=True)
     assert rates[0] > rates[1] > rates[2]
     assert has_single_bits(RNG.bytes(1000))
-
-
-def third_study() -> list[tuple[str, bool, NDArray[np.int_]]]:
-    """Return who touched, whether they did, and (frames, clock and 36 counts) of each stream."""
-    streams: dict[str, list[list[int]]] = defaultdict(list)
-    keys: dict[str, tuple[str, bool]] = {}
-    with gzip.open(Path(str(THIRD_STUDY)) / "streams.csv.gz", "rt") as file:
-        for row in csv.DictReader(file):
-            cells = (int(row[f"c{cell}"]) for cell in range(1, 37))
-            streams[row["stream"]].append([int(row["ms"]), *cells])
-            keys[row["stream"]] = row["participant"], row["gesture"] != "notouch"
-    return [(*keys[name], np.array(rows)) for name, rows in streams.items()]
-
-
-def printed(stream: NDArray[np.int_]) -> list[Chunk]:
-    return [Chunk((",".join(map(str, row)) + "\r\n").encode(), row[0] / 1000) for row in stream.tolist()]
-
-
-# The limits of the proof were chosen on the streams of the three others.
-JUDGED_ON = ("S10", "S12", "S15", "S18")
 
 
 @needs_third_study
