@@ -22,6 +22,7 @@ STUDIES = {
     "speed": ("studies.speed", "speed.md: the time of one answer, ours and others'"),
     "decision": ("studies.decision", "decision.md: how early the robot is told, and how often rightly"),
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
+    "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
     "tracker": ("studies.tracker.report", "sessions.md: how well touches are detected"),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
 }

@@ -1,6 +1,7 @@
 """How adapting changes a person's accuracy and others': `python -m touchd.model.studies adapting`."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 
@@ -20,9 +21,10 @@ from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.results import STORED
 from touchd.model.training import checkpoint, haart, metrics
+from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.recipe import fold_jobs, read_recipe
 from touchd.model.training.ship import remember
-from touchd.model.training.studies import Folders
+from touchd.model.training.studies import MISSING, Folders, study_of
 from touchd.model.training.train import CHECKPOINT_NAME
 from touchd.model.training.weights import fold_path
 
@@ -30,6 +32,8 @@ SHOTS = (1, 2, 4)
 """Recordings a gesture to adapt to. The recordings that no draw uses are evaluated."""
 DRAWS = 2
 FRAMES = 144
+PIECE_FRAMES = 216
+"""The third study's recordings last 12 s, two a gesture and person; cut to the 4 s that `record` makes."""
 FILE = STORED / "adapt.json"
 
 
@@ -37,7 +41,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     """One network, adapted to `each` recordings a gesture of a person it never saw.
 
     before, after: macro accuracy on that person's other recordings over 144 frames; error: of calibration.
-    others: mean gain on the other people it never saw.
+    others: mean gain on the other people it never saw, on the same kind of pad.
     """
 
     participant: str
@@ -74,6 +78,8 @@ class PersonFold:
         """Return macro accuracy and calibration error over the windows of these recordings."""
         chosen: NDArray[np.bool_] = np.isin(self.windows.recordings, recordings)
         answers = logits(head, self.windows, chosen) / self.pretrained.temperatures[FRAMES]
+        for gesture in MISSING.get(study_of(self.unseen[recordings[0]].participant), ()):
+            answers[:, haart.GESTURES.index(gesture)] = IMPOSSIBLE
         odds = np.exp(answers - answers.max(axis=1, keepdims=True))
         odds /= odds.sum(axis=1, keepdims=True)
         predicted = odds.argmax(axis=1).astype(np.int64)
@@ -85,7 +91,7 @@ class PersonFold:
     def trials(self, name: str, rehearsed: CropFeatures, settings: AdaptSettings) -> Iterator[Trial]:
         """Yield every trial of one person."""
         own, pretrained = self.of(name), self.pretrained
-        others = [self.of(other) for other in self.people if other != name]
+        others = [self.of(other) for other in self.people if other != name and same_kind(other, name)]
         start = pretrained.head
         others_before = [self.accuracy(start, theirs)[0] for theirs in others]
         for number in range(DRAWS):
@@ -108,6 +114,21 @@ class PersonFold:
                 yield Trial(participant=name, draw=number, each=each, **rounded)
 
 
+def same_kind(one: str, other: str) -> bool:
+    """Whether two people touched the same kind of pad: HAART's and the second study's are fabric."""
+    return (study_of(one) == "third") == (study_of(other) == "third")
+
+
+def pieces(recordings: Iterable[Recording]) -> list[Recording]:
+    """Cut recordings into pieces of PIECE_FRAMES; a rest that is shorter is left out."""
+    return [
+        replace(each, counts=each.counts[start:end], sensor_ms=each.sensor_ms[start:end])
+        for each in recordings
+        for end in range(PIECE_FRAMES, len(each.counts) + 1, PIECE_FRAMES)
+        for start in (end - PIECE_FRAMES,)
+    ]
+
+
 def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[int]]:
     """Return, for each gesture, four random recordings of one person, by their indices."""
     rng = np.random.default_rng([number, *name.encode()])
@@ -119,8 +140,8 @@ def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[i
 
 
 def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
-    """Yield the trials of everybody in both studies."""
-    takes = folders.to_train_on(("haart", "second"))
+    """Yield the trials of everybody in the three studies."""
+    takes = [*folders.to_train_on(("haart", "second")), *pieces(folders.to_train_on(("third",)))]
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
@@ -138,7 +159,7 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables by their places."""
     rows = []
-    for group, letter in (("second study", "R"), ("HAART", "P")):
+    for group, letter in (("third study", "S"), ("second study", "R"), ("HAART", "P")):
         for each in SHOTS:
             cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
             interval = mean_interval([_by_person(cell, lambda t: t.after - t.before)])

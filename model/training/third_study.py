@@ -6,6 +6,7 @@ Made Of?" (UIST 2024). Scans are laid on 8x8 taxels and on the 54 Hz grid by the
 
 import csv
 import gzip
+from collections.abc import Collection
 from itertools import groupby
 from pathlib import Path
 
@@ -17,13 +18,13 @@ from touchd.model.training.haart import find
 
 FILE = "recordings.csv"
 PAD = PadFormat(framing="text", rows=6, columns=6)
-KEYS = ("recording", "participant", "substrate", "seven")
+KEYS = ("recording", "participant", "substrate", "gesture", "seven")
 
 
-def read(folder: Path) -> list[Recording]:
+def read(folder: Path, others: Collection[str] = ()) -> list[Recording]:
     """Read the recordings of gestures that touchd has a name for, in file order, on the 54 Hz grid.
 
-    Raises RecordingError when the file is not there.
+    others: further gestures to read, by the study's own names. Raises RecordingError without the file.
     """
     path = find(folder, FILE, "name its folder: --third-study")
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
@@ -33,8 +34,11 @@ def read(folder: Path) -> list[Recording]:
     clock = header.index("ms")
     layout = layout_of(PAD)
     recordings = []
-    for (_, participant, substrate, gesture), group in groupby(rows, lambda row: tuple(row[i] for i in at)):
-        if not gesture:
+    for (_, participant, substrate, own, seven), group in groupby(
+        rows, lambda row: tuple(row[i] for i in at)
+    ):
+        gesture = seven or own
+        if not seven and own not in others:
             continue
         scans = list(group)
         values = np.array([row[first_cell:] for row in scans], dtype=np.float64).astype(np.uint16)
