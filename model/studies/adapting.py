@@ -32,8 +32,10 @@ SHOTS = (1, 2, 4)
 """Recordings a gesture to adapt to. The recordings that no draw uses are evaluated."""
 DRAWS = 2
 FRAMES = 144
-PIECE_FRAMES = 216
-"""The third study's recordings last 12 s, two a gesture and person; cut to the 4 s that `record` makes."""
+PIECE_FRAMES = 189
+"""The third study's recordings last 12 s, two a gesture and person; cut into pieces of 3.5 s."""
+FEW = ("L1", "L2", "S01", "S14")
+"""These made too few recordings."""
 FILE = STORED / "adapt.json"
 
 
@@ -150,8 +152,7 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
         fold = PersonFold(pretrained, haart.only(takes, left_out))
         rehearsed = remembered.samples(haart.GESTURES, settings.seed)
         for name in fold.people:
-            # L1 and L2 made too few recordings.
-            if name.startswith("L"):
+            if name in FEW:
                 continue
             yield from fold.trials(name, rehearsed, settings)
 

@@ -185,8 +185,8 @@ def tables(measured: Measured) -> dict[str, str]:
             )
         )
     return {
-        "new pad": table(("people recorded on the pad", "after 1 s", "after 1.5 s", "after 2.67 s"), rows),
-        "new gestures": table(("after", *NEW, "the others, third pad", "the others, fabric pads"), changed),
+        "new-pad": table(("people recorded on the pad", "after 1 s", "after 1.5 s", "after 2.67 s"), rows),
+        "new-gestures": table(("after", *NEW, "the others, third pad", "the others, fabric pads"), changed),
     }
 
 

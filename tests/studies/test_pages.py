@@ -17,7 +17,7 @@ pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.studies import accuracy, adapting, decision, paper, speed
+from touchd.model.studies import accuracy, adapting, decision, new_pad, paper, speed
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
 from touchd.model.studies.marked import PLACE, PageError, fill, table
@@ -35,7 +35,10 @@ def stored(path: Path, kind: Any) -> Any:
 Tables = Callable[[], dict[str, str]]
 PAGES: dict[str, Tables] = {
     "accuracy": lambda: accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
-    "adapt": lambda: adapting.tables(stored(adapting.FILE, adapting.Measured)),
+    "adapt": lambda: {
+        **adapting.tables(stored(adapting.FILE, adapting.Measured)),
+        **new_pad.tables(stored(new_pad.FILE, new_pad.Measured)),
+    },
     "decision": lambda: decision.tables(stored(decision.FILE, decision.Measured)),
     "report": lambda: {
         **challenge.tables(Results(challenge.FILE)),
@@ -58,7 +61,7 @@ def test_a_page_shows_the_stored_figures(name: str, tmp_path: Path) -> None:
 
 def test_adapting_was_measured_with_the_shipped_settings_on_everybody() -> None:
     measured = stored(adapting.FILE, adapting.Measured)
-    people = [name for fold in read_recipe().folds for name in sorted(fold) if name[0] in "PR"]
+    people = [name for fold in read_recipe().folds for name in sorted(fold) if name not in adapting.FEW]
     expected = list(product(people, range(adapting.DRAWS), adapting.SHOTS))
     assert measured.settings == AdaptSettings()
     assert [(t.participant, t.draw, t.each) for t in measured.trials] == expected
