@@ -107,9 +107,9 @@ class TextFrames(FrameParser):
             else:
                 readings += self._line(line, host_s)
         if self._skipping:
-            # A CR ends the line once something else follows, so keep it, with the character before it.
-            kept = len(self._buffer) - len(self._buffer.rstrip(b"\r"))
-            kept = min(kept + 1, self._longest) if kept else 0
+            # A CR ends the line once something else follows: keep the last character, and CRs after it.
+            kept = min(len(self._buffer) - len(self._buffer.rstrip(b"\r")) + 1, self._longest)
+            kept = min(kept, len(self._buffer))
             self.counts.bytes_dropped += len(self._buffer) - kept
             self._buffer = self._buffer[len(self._buffer) - kept :]
         elif len(self._buffer) > self._longest:

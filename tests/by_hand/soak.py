@@ -111,7 +111,7 @@ class Soak:
         for data in line:
             before = frames
             for frame in self._parser.feed(data, time.monotonic()):
-                self._touch_sink.take(frame)
+                self._touch_sink.put_frame(frame)
                 self._pipeline.on_frame(frame)
                 self._live_sink.put_frame(frame, 0)
                 frames += 1
