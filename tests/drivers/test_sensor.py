@@ -86,7 +86,7 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
         frames = next_frames(queue, 30)
     assert_played(frames, stream, range(30))
     assert frames[9].host_s < stalled_s <= frames[10].host_s
-    assert np.median(delays_s(frames[10:], port)) < stall_s / 4
+    assert np.median(delays_s(frames[10:], port)) < 0.01
 
 
 def test_any_pyserial_address_works() -> None:
