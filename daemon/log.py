@@ -1,9 +1,7 @@
 """The log of the daemon and its libraries: printable, not too often, written by a thread of its own."""
 
 import logging
-import os
 import queue
-import select
 import threading
 import time
 from collections.abc import Callable
@@ -11,6 +9,7 @@ from contextlib import suppress
 from logging.handlers import QueueHandler, QueueListener
 from typing import Any
 
+from touchd.daemon.sinks import written_in_pieces
 from touchd.drivers.errors import one_line
 
 # Lines that one place in the code may log in this time: enough for sixteen pads, too few to fill a disk.
@@ -19,7 +18,6 @@ WHILE_S = 60.0
 MOST_TRACE_LINES = 100
 # Records that wait for a slow reader of the log.
 CAPACITY = 1000
-WRITABLE_WAIT_S = 0.1
 LINE = logging.Formatter("%(levelname)s %(name)s: %(message)s")
 _TRACE = logging.Formatter()
 
@@ -125,10 +123,8 @@ class LogWriter(QueueHandler):
         data = f"{LINE.format(record)}\n".encode(errors="replace")
         # A full disk, or a reader that is gone.
         with suppress(OSError):
-            while data and not self._abandoned.is_set():
-                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
-                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
-                    data = data[os.write(self._fd, data[: select.PIPE_BUF]) :]
+            for _ in written_in_pieces(self._fd, data, self._abandoned):
+                pass
 
 
 class _Listener(QueueListener):

@@ -9,7 +9,7 @@ import threading
 import time
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
 import msgspec
@@ -141,6 +141,15 @@ def _may_drop(item: object) -> bool:
     return item is not None and not isinstance(item, SensorEvent | RobotEvent)
 
 
+def written_in_pieces(fd: int, data: bytes, abandoned: threading.Event) -> Iterator[bytes]:
+    """Write to a slow reader until `abandoned` is set; yield what is left after each piece."""
+    while data and not abandoned.is_set():
+        # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
+        if select.select([], [fd], [], WRITABLE_WAIT_S)[1]:
+            data = data[os.write(fd, data[: select.PIPE_BUF]) :]
+            yield data
+
+
 class LinesSink(QueuedSink[Item]):
     """Writes lines to a file descriptor, which may have no reader or a full disk.
 
@@ -162,12 +171,8 @@ class LinesSink(QueuedSink[Item]):
         # First end the line that a full disk cut off.
         data = b"\n" * self._is_cut_off + self._form(item) + b"\n"
         try:
-            while data and not self._abandoned.is_set():
-                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
-                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
-                    written = os.write(self._fd, data[: select.PIPE_BUF])
-                    data = data[written:]
-                    self._is_cut_off = bool(data)
+            for left in written_in_pieces(self._fd, data, self._abandoned):
+                self._is_cut_off = bool(left)
         except OSError as error:
             if error.errno in DISK_FULL:
                 self._items.dropped += 1

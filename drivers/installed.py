@@ -42,22 +42,22 @@ def installed() -> list[str]:
 
 def how_to_install(extra: str) -> str:
     """Return the shell command that adds an extra, with the tool by which touchd was installed."""
-    here, has_torch = Path(sys.prefix), extra == "train"
+    here = Path(sys.prefix)
+    pips, uvs = [], []
+    if extra == "train":
+        pips, uvs = ["--extra-index-url", TORCH_ON_CPU], ["--torch-backend", "cpu"]
     if (here / "uv-receipt.toml").exists():
         # A tool is installed as a whole: what the command does not name is removed.
         extras = ",".join(sorted({*installed(), extra}))
-        backend = ["--torch-backend", "cpu"] if has_torch else []
-        return shlex.join(["uv", "tool", "install", *backend, f"touchd[{extras}]{_source()}"])
+        return shlex.join(["uv", "tool", "install", *uvs, f"touchd[{extras}]{_source()}"])
     wanted = _requirements(extra)
-    index = ["--extra-index-url", TORCH_ON_CPU] if has_torch else []
     if (here / "pipx_metadata.json").exists():
-        arguments = [f"--pip-args={' '.join(index)}"] if index else []
+        arguments = [f"--pip-args={' '.join(pips)}"] if pips else []
         return shlex.join(["pipx", "inject", *arguments, here.name, *wanted])
     sudo = [] if os.access(here, os.W_OK) else ["sudo"]
     if importlib.util.find_spec("pip") is None:
-        backend = ["--torch-backend", "cpu"] if has_torch else []
-        return shlex.join([*sudo, "uv", "pip", "install", "--python", sys.executable, *backend, *wanted])
-    return shlex.join([*sudo, sys.executable, "-m", "pip", "install", *index, *wanted])
+        return shlex.join([*sudo, "uv", "pip", "install", "--python", sys.executable, *uvs, *wanted])
+    return shlex.join([*sudo, sys.executable, "-m", "pip", "install", *pips, *wanted])
 
 
 def _requirements(extra: str) -> Sequence[str]:

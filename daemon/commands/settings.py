@@ -46,9 +46,11 @@ def find_settings(given: Path | None) -> Found:
 
     Raises ConfigError.
     """
+    if given is not None:
+        return Found(load(given), given)
     users = written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / "touchd" / NAME
-    for path in [Path(NAME), users] if given is None else [given]:
-        if given or path.exists():
+    for path in (Path(NAME), users):
+        if path.exists():
             return Found(load(path), path)
     service = SERVICE_FOLDER / NAME
     try:

@@ -26,6 +26,7 @@ from touchd.drivers.robot.session import (
     RobotRefused,
     RobotSettings,
     read_login,
+    without_password,
 )
 from touchd.model.classifier import ModelError
 
@@ -67,8 +68,7 @@ def robot_urls(typed: str) -> Sequence[str]:
     """
     parts = re.fullmatch(r"(?:(tcps?)://)?([^\s/@:]+)(?::(\d{1,5}))?", typed)
     if parts is None or int(parts[3] or 0) > 65535:
-        shown = re.sub(r"//.*@", "//***@", typed)
-        raise RobotError(f"{shown!r} is not a robot's name or address, such as nao.local")
+        raise RobotError(f"{without_password(typed)!r} is not a robot's name or address, such as nao.local")
     scheme, host, port = parts.groups()
     urls = [f"{scheme}://{host}:{port or ROBOT_PORTS[scheme]}"] if scheme else []
     urls += [f"{each}://{host}:{port}" for each in ROBOT_PORTS if port]

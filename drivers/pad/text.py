@@ -108,8 +108,8 @@ class TextFrames(FrameParser):
                 readings += self._line(line, host_s)
         if self._skipping:
             # A CR ends the line once something else follows: keep the last character, and CRs after it.
-            kept = min(len(self._buffer) - len(self._buffer.rstrip(b"\r")) + 1, self._longest)
-            kept = min(kept, len(self._buffer))
+            kept = len(self._buffer) - len(self._buffer.rstrip(b"\r")) + 1
+            kept = min(kept, self._longest, len(self._buffer))
             self.counts.bytes_dropped += len(self._buffer) - kept
             self._buffer = self._buffer[len(self._buffer) - kept :]
         elif len(self._buffer) > self._longest:

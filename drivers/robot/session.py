@@ -89,6 +89,11 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             )
 
 
+def without_password(address: str) -> str:
+    """Return an address to show: what stands before an @ may be a password."""
+    return re.sub(r"//.*@", "//***@", address)
+
+
 def read_login(settings: RobotSettings) -> Login | None:
     """Return whom to log in as, None where no user is set; raises RobotError with one line.
 
@@ -96,8 +101,7 @@ def read_login(settings: RobotSettings) -> Login | None:
     """
     address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
     if address is None or int(address[2]) > 65535:
-        # Do not show a password in it.
-        shown = re.sub(r"//.*@", "//***@", settings.url)
+        shown = without_password(settings.url)
         raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
     if settings.user is None:
         if settings.token_file:
@@ -157,8 +161,8 @@ def _warn_of_readers(token_file: str) -> None:
 
 
 def _shown(token_file: str) -> str:
-    # A value that is no path may be the token itself.
-    return token_file if "/" in token_file else "(not shown, since it is no full path)"
+    # A value that is not a path may be the token.
+    return token_file if "/" in token_file else "(not shown, since it is not a full path)"
 
 
 class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error

@@ -124,10 +124,13 @@ def same_kind(one: str, other: str) -> bool:
 def pieces(recordings: Iterable[Recording]) -> list[Recording]:
     """Cut recordings into pieces of PIECE_FRAMES; a rest that is shorter is left out."""
     return [
-        replace(each, counts=each.counts[start:end], sensor_ms=each.sensor_ms[start:end])
+        replace(
+            each,
+            counts=each.counts[start : start + PIECE_FRAMES],
+            sensor_ms=each.sensor_ms[start : start + PIECE_FRAMES],
+        )
         for each in recordings
-        for end in range(PIECE_FRAMES, len(each.counts) + 1, PIECE_FRAMES)
-        for start in (end - PIECE_FRAMES,)
+        for start in range(0, len(each.counts) - PIECE_FRAMES + 1, PIECE_FRAMES)
     ]
 
 
