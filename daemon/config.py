@@ -27,7 +27,7 @@ DEFAULT_PORT = "/dev/touchd-pad"
 MAX_PADS = 16
 FABRIC = "fabric-grid"
 # On a pad of a kind that the network never met, 43 % of the answers after 2.67 s are right, and 61 % of those
-# with this confidence, a half of them (docs/decision.md).
+# with this confidence, a half of them (fabric.onnx on the third study's windows).
 FINAL_ABOVE_ON_ANOTHER_PAD = 0.5
 OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 

@@ -43,7 +43,7 @@ class PathError(TouchdError):
 
 
 def written_out(path: str) -> Path:
-    """Expand ~ and ~name at the beginning of a path; raises PathError if there is no such home."""
+    """Expand ~ and ~name at the beginning of a path; raises PathError if that home does not exist."""
     try:
         return Path(path).expanduser()
     except RuntimeError as error:

@@ -1,1 +1,1 @@
-"""Files of the daemon: the journal, and the frames of touches."""
+"""Reads the journal back, and keeps the frames of touches."""

@@ -101,7 +101,7 @@ class _Press:
         self._shape = SHAPES[pointer.size]
         self._rng = rng
         parts = self._shape.parts
-        # No two hands press with each finger alike; a fingertip is one part.
+        # The fingers of a hand press unevenly, each hand in its own way; a fingertip has one part.
         uneven = len(parts) > 1
         self._along = np.array([part.along for part in parts]) + rng.normal(0.0, 0.2 * uneven, len(parts))
         self._across = np.array([part.across for part in parts])

@@ -113,8 +113,8 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
 
 
 def _leads(numbers: Numbers, still: Flags, skip: int, stop: int) -> bool:
-    """Whether the first or last column is no cell: it never changes but differs in each line, or
-    never changes while nearly all others do."""
+    """Whether the first or last column is not a cell: it never changes, but differs in each line, or nearly
+    all others change."""
     first = numbers[0]
     never_changes = still[:, skip:stop].all(axis=0)
     others = ~still[:, skip:stop][:, ~never_changes]

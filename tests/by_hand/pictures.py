@@ -63,7 +63,7 @@ for number, (lower, left) in enumerate(zip("▁▂▃▄▅▆▇█", "▏▎�
 FILM_S, FRAMES_A_MOVE, FRAMES_A_PICTURE, FILM_QUALITY, FILM_SEED = 11.5, 2, 6, 60, 2
 # The page's clock follows the pad's.
 STEPPED_CLOCK = "window.padMs = 0; performance.now = () => window.padMs;"
-# Set the page's clock, and wait until what came meanwhile is drawn.
+# Set the page's clock, and wait until everything received so far is drawn.
 STEP = """
   const [ms, done] = arguments;
   window.padMs = ms;

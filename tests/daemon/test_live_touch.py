@@ -66,7 +66,7 @@ FAST_SCREEN = """
   });
 """
 
-# Moves a pointer along places, each for so many milliseconds; null is off the pad.
+# Moves a pointer along places, each held for its milliseconds; null is off the pad.
 FOLLOW_ROUTE = """
   const [places, stepMs, done] = arguments;
   const square = document.querySelector('.square');
