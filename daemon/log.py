@@ -4,7 +4,6 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from logging.handlers import QueueHandler, QueueListener
 from typing import Any
@@ -68,18 +67,6 @@ class _Place:
             self.left_out += 1
             return False
         return True
-
-
-class LogHandler(logging.Handler):
-    """Passes the records that the gate lets through to a function, at once."""
-
-    def __init__(self, take: Callable[[logging.LogRecord], None]) -> None:
-        super().__init__()
-        self.addFilter(LogGate())
-        self._take = take
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._take(record)
 
 
 class LogWriter(QueueHandler):

@@ -176,7 +176,7 @@ class Pipeline:
             self._feed(self._touch)
             self._answer_what_is_due(self._touch, frame)
         elif frame.index % REST_FRAMES == 0:
-            is_noisy, loose_lines = self._tracker.is_disturbed, self._tracker.loose_lines
+            is_noisy, loose_lines = self._tracker.baseline.is_disturbed, self._tracker.loose_lines
             self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
 
     def _p_no_touch(self, window: NDArray[np.float32]) -> float:

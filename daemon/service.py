@@ -13,8 +13,7 @@ from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
 from touchd.daemon.setup.parts import PadChannel, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.sensor import SensorState
+from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.queue import Signal
 
 # How often the loop looks at the stop flag when nothing arrives.

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 
 from numpy.random import RandomState
 
-from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.config import Settings
 from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
 from touchd.daemon.playback.rig import encoder_for

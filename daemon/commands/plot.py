@@ -7,7 +7,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.kept.touches import read_journal
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.daemon.setup.parts import load_model

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
 from touchd.daemon.recorder.label import label, label_of

@@ -15,7 +15,7 @@ from touchd.daemon.commands.settings import Found, add_config, find_settings
 from touchd.daemon.config import ConfigError, Settings, config_errors, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
-from touchd.daemon.log import LogHandler, LogWriter
+from touchd.daemon.log import LogWriter
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink
 
@@ -109,13 +109,13 @@ def main(arguments: Sequence[str]) -> int:
         favour_latency()
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
-            from touchd.daemon.terminal.view import View
+            from touchd.daemon.terminal.view import View, ViewLog
 
             (name, first), *_ = settings.pads.items()
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
             view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
             closing.enter_context(view)
-            handler: logging.Handler = LogHandler(view.log)
+            handler: logging.Handler = ViewLog(view)
             service.show_on(view)
         else:
             handler = writer = LogWriter(sys.stderr.fileno())

@@ -1,12 +1,11 @@
-"""Finds the configuration of a command, and the settings of one pad in it."""
+"""Finds the configuration of a command."""
 
 import argparse
 import os
-import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from touchd.daemon.config import Settings, load, only_pad
+from touchd.daemon.config import Settings, load
 from touchd.drivers.errors import written_out
 
 NAME = "touchd.yaml"
@@ -27,13 +26,6 @@ class Found(NamedTuple):
             return f"settings: {self.file.absolute()}"
         closed = f"; {self.closed} can be read only with sudo" if self.closed else ""
         return f"settings: the defaults{closed}"
-
-
-def add_settings(parser: argparse.ArgumentParser, what: str = "settings", port: bool = True) -> None:
-    add_config(parser, what)
-    parser.add_argument("--pad", metavar="NAME", help="the pad to use, if several are configured")
-    if port:
-        parser.add_argument("--port", help="read this port instead of the configured one")
 
 
 def add_config(parser: argparse.ArgumentParser, what: str = "settings") -> None:
@@ -62,14 +54,3 @@ def find_settings(given: Path | None) -> Found:
     except OSError:
         return Found(Settings(), None)
     return Found(Settings(), None, service)
-
-
-def settings_of(options: argparse.Namespace) -> Found:
-    """Return the settings of the pad that the arguments name, as `sensor`; raises ConfigError.
-
-    Says on standard error which file was found if the arguments name none.
-    """
-    found = find_settings(options.config)
-    if options.config is None and (found.file or found.closed):
-        sys.stderr.write(f"{found}\n")
-    return found._replace(settings=only_pad(found.settings, options.pad, getattr(options, "port", None)))

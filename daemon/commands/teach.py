@@ -11,8 +11,9 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
+from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
-from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
+from touchd.daemon.commands.settings import SERVICE_FOLDER
 from touchd.daemon.config import ConfigError, Settings, load, only_pad
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms

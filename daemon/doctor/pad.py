@@ -26,7 +26,6 @@ ADVICE_FOR: dict[str, str] = {
     "dead line": "look at that wire and its plug",
     "stuck taxel": "look at the pad there: a thread that came loose, a short?",
     "saturated": "take the load off the pad; if there is none, look for a short",
-    "drift": "take off what lies on the pad; let it rest some minutes",
 }
 
 

@@ -19,11 +19,13 @@ from touchd.daemon.sinks import RobotSink, Sink
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.monitor import PadMonitor
+from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorError, check_port
+from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.queue import Signal
-from touchd.drivers.robot.link import LinkState, RobotLink
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import Kind, RobotMessage
+from touchd.drivers.robot.worker import LinkState
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 if typing.TYPE_CHECKING:

@@ -26,6 +26,7 @@ from touchd.daemon.events import (
     TouchEnded,
 )
 from touchd.daemon.kept.touches import ReportedTouch
+from touchd.daemon.log import LogGate
 from touchd.daemon.setup.words import Vocabulary, name_of
 from touchd.daemon.terminal.bars import bars
 from touchd.daemon.terminal.big_words import big
@@ -383,3 +384,15 @@ class View:
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)
+
+
+class ViewLog(logging.Handler):
+    """Shows in a view what the gate lets through of the log."""
+
+    def __init__(self, view: View) -> None:
+        super().__init__()
+        self.addFilter(LogGate())
+        self._view = view
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._view.log(record)

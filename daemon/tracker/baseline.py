@@ -56,14 +56,10 @@ class Baseline:
         self._set_noise_floor()
 
     @property
-    def mean_noise_floor(self) -> float:
-        """Mean noise floor from noise alone, without sway."""
-        return float(np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR).mean())
-
-    @property
     def is_disturbed(self) -> bool:
-        """Whether the pad is so noisy that light touches go unnoticed."""
-        return self.mean_noise_floor >= DISTURBED_FLOOR
+        """Whether the pad is so noisy, its sway left aside, that light touches go unnoticed."""
+        noise_floor = np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR)
+        return float(noise_floor.mean()) >= DISTURBED_FLOOR
 
     def track_sway(self, change: Taxels) -> None:
         """Take the (64,) counts by which an untouched pad moved from one half second to the next."""

@@ -214,11 +214,6 @@ class TouchTracker:
         return max(state.first, state.last - SMOOTH_FRAMES // 2)
 
     @property
-    def is_disturbed(self) -> bool:
-        """Whether the untouched pad is so noisy that light touches go unnoticed."""
-        return self.baseline.is_disturbed
-
-    @property
     def loose_lines(self) -> tuple[str, ...]:
         """The rows and columns that jump while nothing touches the pad."""
         return self._loose_wire.lines

@@ -3,7 +3,8 @@
 import numpy as np
 
 from touchd.drivers.frame import MAX_COUNT, Counts
-from touchd.drivers.pad.format import PLAIN_CELLS, U12_BITS, PadFormat, Values, checksum
+from touchd.drivers.pad.binary import PLAIN_CELLS, U12_BITS, checksum
+from touchd.drivers.pad.format import PadFormat, Values
 
 
 def encode_frame(described: PadFormat, counts: Counts, sensor_ms: int | None) -> bytes:

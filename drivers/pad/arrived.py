@@ -1,5 +1,8 @@
 """Describes bytes in which no frame is found: for a pad that is down, for the doctor, for a search."""
 
+from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.protocol import parser_of
+
 # Bytes that are not printable: damage, or another encoding.
 FEW_SHARE = 0.02
 EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
@@ -22,3 +25,13 @@ def looks_like(data: bytes) -> str:
     line = max(lines[1:-1] or lines, key=len, default="")[:EXCERPT_CHARACTERS]
     shown = "".join(each if each.isprintable() else " " for each in line).strip()
     return f"text, such as {shown!r}"
+
+
+def why_no_frame(port: str, described: PadFormat, data: bytes) -> tuple[str, str]:
+    """Return the cause, in a word or two and in a line, why bytes that a port sent hold no frame."""
+    # A telnet server doubles each FF.
+    if port.startswith("tcp://") and parser_of(described).feed(data.replace(b"\xff\xff", b"\xff"), 0.0):
+        return "telnet", (
+            f"frames of {described} come with every byte FF doubled, as telnet does; set its raw mode"
+        )
+    return "no frames", f"no frame of {described} in {looks_like(data)}; touchd doctor says what to set"

@@ -10,14 +10,31 @@ damage cannot be detected: the fabric pad's checksum sums low bytes only, so a f
 value passes.
 """
 
-import numpy as np
+import math
 
-from touchd.drivers.pad.format import PadFormat, Values, checksum, decode_cells
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.drivers.pad.format import PadFormat, Values
 from touchd.drivers.pad.framing import Damage, Reading
 from touchd.drivers.pad.parser import FrameParser
 
 # A header of as many bytes is hardly ever met among cells.
 LONG_HEADER = 3
+# A pad that has not answered by then is polled again.
+REPLY_S = 0.2
+PLAIN_CELLS = {
+    ("u8", "little"): "u1",
+    ("u8", "big"): "u1",
+    ("u16", "little"): "<u2",
+    ("u16", "big"): ">u2",
+    ("i16", "little"): "<i2",
+    ("i16", "big"): ">i2",
+    ("f32", "little"): "<f4",
+    ("f32", "big"): ">f4",
+}
+# The bits of a packed cell in the order in which they come.
+U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
 
 
 class BinaryFrames(FrameParser):
@@ -39,6 +56,21 @@ class BinaryFrames(FrameParser):
         self._in_refused_run = False
         # The window at the position follows a frame directly.
         self._in_step = False
+        self._asked = False
+        self._asked_s = -math.inf
+
+    def ask_in_s(self, now_s: float) -> float:
+        """Return how long to wait before asking for the next frame; infinite while a reply may still come."""
+        if self._asked and now_s - self._asked_s < REPLY_S:
+            return math.inf
+        return max(0.0, self._asked_s + 1 / self.format.rate_hz - now_s)
+
+    def ask(self, now_s: float) -> None:
+        """Note that the pad was polled now; an incomplete reply is given up."""
+        if self._asked and self._buffer:
+            self.counts.refuse("bad_framing", len(self._buffer))
+        self._buffer = b""
+        self._asked, self._asked_s = True, now_s
 
     def _parse(self, data: bytes, host_s: float) -> list[Reading]:
         self._buffer += data
@@ -56,7 +88,7 @@ class BinaryFrames(FrameParser):
     def reset(self) -> None:
         super().reset()
         self._claimed = 0
-        self._in_refused_run = self._in_step = False
+        self._in_refused_run = self._in_step = self._asked = False
 
     def damage_in(self, window: bytes) -> Damage | None:
         """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
@@ -142,6 +174,7 @@ class BinaryFrames(FrameParser):
         self._claimed = 0
         self._in_refused_run = False
         self._in_step = True
+        self._asked = False
         return self._judge(sensor_ms, host_s, values, highest)
 
     def _hides_another(self) -> bool | None:
@@ -208,3 +241,25 @@ class Datagrams(BinaryFrames):
                 self.counts.refuse("bad_framing", len(data))
             return []
         return super()._parse(data, host_s)
+
+
+def checksum(described: PadFormat, body: bytes, total: int) -> int:
+    """Return the checksum of the bytes after the header, whose cells and clock sum up to `total`."""
+    match described.checksum:
+        case "values":
+            return total & 0xFF
+        case "xor8":
+            return int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
+    return sum(body) & 0xFF
+
+
+def decode_cells(described: PadFormat, data: bytes) -> Values:
+    """Return the values (cells,) of a binary frame's cells."""
+    if described.cell != "u12":
+        sent = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
+        return sent if sent.dtype.isnative else sent.astype(sent.dtype.newbyteorder("="))
+    bits = np.unpackbits(np.frombuffer(data, np.uint8), count=12 * described.cells, bitorder=described.order)
+    values: NDArray[np.uint16] = (bits.reshape(-1, 12) << U12_BITS[described.order]).sum(
+        axis=1, dtype=np.uint16
+    )
+    return values

@@ -16,18 +16,6 @@ Few = Annotated[int, msgspec.Meta(ge=0, le=64)]
 CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 # The largest value of a cell; a float has none that matters.
 CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
-PLAIN_CELLS = {
-    ("u8", "little"): "u1",
-    ("u8", "big"): "u1",
-    ("u16", "little"): "<u2",
-    ("u16", "big"): ">u2",
-    ("i16", "little"): "<i2",
-    ("i16", "big"): ">i2",
-    ("f32", "little"): "<f4",
-    ("f32", "big"): ">f4",
-}
-# The bits of a packed cell in the order in which they come.
-U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
 
 Grid = NDArray[np.float32]
 Values = NDArray[np.generic]
@@ -222,25 +210,3 @@ def _resampling(side: int, crop: int, wanted: int) -> Grid:
             below = min(int(at), left - 2)
             shares[line, crop + below : crop + below + 2] = 1 - (at - below), at - below
     return shares.astype(np.float32)
-
-
-def checksum(described: PadFormat, body: bytes, total: int) -> int:
-    """Return the checksum of the bytes after the header, whose cells and clock sum up to `total`."""
-    match described.checksum:
-        case "values":
-            return total & 0xFF
-        case "xor8":
-            return int(np.bitwise_xor.reduce(np.frombuffer(body, np.uint8)))
-    return sum(body) & 0xFF
-
-
-def decode_cells(described: PadFormat, data: bytes) -> Values:
-    """Return the values (cells,) of a binary frame's cells."""
-    if described.cell != "u12":
-        sent = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
-        return sent if sent.dtype.isnative else sent.astype(sent.dtype.newbyteorder("="))
-    bits = np.unpackbits(np.frombuffer(data, np.uint8), count=12 * described.cells, bitorder=described.order)
-    values: NDArray[np.uint16] = (bits.reshape(-1, 12) << U12_BITS[described.order]).sum(
-        axis=1, dtype=np.uint16
-    )
-    return values

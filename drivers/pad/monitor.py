@@ -63,10 +63,6 @@ LIVELY_SHARE = 0.1
 LIVELY_TAXELS = 48
 SATURATED_COUNT = 1000
 SATURATED_TAXELS = 16
-# The level under every touch: no touch lasts a minute without a gap.
-REST_BLOCK_S = 10.0
-REST_BLOCKS = 6
-DRIFT_COUNTS = 10.0
 # Taxels of one broken wire do not fall still in the same frame; report once all have.
 SETTLE_S = 2.0
 
@@ -255,7 +251,7 @@ class _Rest:
 
 
 class TaxelFaults:
-    """Faults that the values show: wires that broke, a short, a rest level that creeps up.
+    """Faults that the values show: wires that broke, a short.
 
     The fabric pad is never still: in all of HAART's recordings, at rest and under hands, each of the 64
     taxels changes at least every 2 s, and none reads above 972. So a taxel that stands still is broken, not
@@ -270,7 +266,6 @@ class TaxelFaults:
         self._is_still = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
         self._has_noise = False
         self._saturation = 0.0
-        self._rest = _RestLevel()
         self.faults: dict[str, str] = {}
         self._changing_since_s: dict[str, float] = {}
 
@@ -294,7 +289,6 @@ class TaxelFaults:
         self._has_noise |= int((self._activity > LIVELY_SHARE).sum()) >= LIVELY_TAXELS
         is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
-        self._rest.update(pressure[1:].min(axis=0), self._clock_s)
 
     def _current(self) -> dict[str, str]:
         """Return what looks faulty now."""
@@ -305,9 +299,6 @@ class TaxelFaults:
             found["frozen"] = "frames arrive but no value changes: the pad is off its board, or it hangs"
         elif self._has_noise and self._is_still.any():
             found |= _still_parts(self._is_still)
-        rise = self._rest.rise_counts
-        if rise > (DRIFT_COUNTS / 2 if "drift" in self.faults else DRIFT_COUNTS):
-            found["drift"] = f"the level at rest rose by {rise:.0f} counts: drift, or something lies there"
         return found
 
     def _follow(self, found: Mapping[str, str]) -> None:
@@ -321,29 +312,6 @@ class TaxelFaults:
                 del self.faults[kind]
             else:
                 self.faults[kind] = found[kind]
-
-
-class _RestLevel:
-    """The lowest value of each taxel in the last minute, and how far it rose above the lowest minute yet."""
-
-    def __init__(self) -> None:
-        self._blocks: deque[Counts] = deque(maxlen=REST_BLOCKS)
-        self._block_until_s = REST_BLOCK_S
-        self._lowest: Counts | None = None
-        self._reference: NDArray[np.float64] | None = None
-        self.rise_counts = 0.0
-
-    def update(self, pressure: Counts, clock_s: float) -> None:
-        self._lowest = pressure if self._lowest is None else np.minimum(self._lowest, pressure)
-        if clock_s < self._block_until_s:
-            return
-        self._block_until_s = clock_s + REST_BLOCK_S
-        self._blocks.append(self._lowest)
-        self._lowest = None
-        if len(self._blocks) == REST_BLOCKS:
-            level = np.min(np.stack(self._blocks), axis=0).astype(np.float64)
-            self._reference = level if self._reference is None else np.minimum(self._reference, level)
-            self.rise_counts = float((level - self._reference).mean())
 
 
 def _passed_s(frames: Sequence[Frame]) -> float:

@@ -1,4 +1,4 @@
-"""What every parser does: counts, clock, layout, and when a pad that only answers is to be asked."""
+"""What every parser does: counts, clock and layout."""
 
 import math
 from abc import ABC, abstractmethod
@@ -10,9 +10,6 @@ from touchd.drivers.pad.clock import FrameClock
 from touchd.drivers.pad.format import PadFormat, Values, layout_of
 from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
-# A pad that has not answered by then is polled again.
-REPLY_S = 0.2
-
 
 class FrameParser(ABC):
     """A parser: drops and counts what is damaged, never raises on it, keeps a bounded number of bytes."""
@@ -23,26 +20,14 @@ class FrameParser(ABC):
         self._layout = layout_of(described)
         self.clock = FrameClock(self.counts, described.rate_hz)
         self._buffer = b""
-        self._asked = False
-        self._asked_s = -math.inf
-
-    @property
-    def poll(self) -> bytes:
-        """What to ask the pad for a frame with; empty for a pad that sends by itself."""
-        return bytes.fromhex(self.format.poll)
 
     def ask_in_s(self, now_s: float) -> float:
-        """Return how long to wait before asking for the next frame; infinite while a reply may still come."""
-        if self._asked and now_s - self._asked_s < REPLY_S:
-            return math.inf
-        return max(0.0, self._asked_s + 1 / self.format.rate_hz - now_s)
+        """Return how long to wait before asking for the next frame; infinite for a pad that sends."""
+        return math.inf
 
     def ask(self, now_s: float) -> None:
-        """Note that the pad was polled now; an incomplete reply is given up."""
-        if self._asked and self._buffer:
-            self.counts.refuse("bad_framing", len(self._buffer))
+        """Note that the pad was polled now: what came before is no part of its reply."""
         self._buffer = b""
-        self._asked, self._asked_s = True, now_s
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
@@ -59,7 +44,6 @@ class FrameParser(ABC):
         """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
         self.counts.bytes_dropped += len(self._buffer)
         self._buffer = b""
-        self._asked = False
         self.clock.reset()
 
     def _judge(self, stamp: float | None, host_s: float, values: Values, highest: float) -> list[Reading]:
@@ -68,7 +52,6 @@ class FrameParser(ABC):
         stamp: its clock as sent, None for a pad without one. values: (cells,) as sent; those out of range are
         cut. highest: of the values.
         """
-        self._asked = False
         if highest > self.format.full_scale:
             self.counts.clipped += 1
             values = np.minimum(values, self.format.full_scale)

@@ -4,23 +4,19 @@ import logging
 import threading
 import time
 
+import serial
+
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame, SensorState
-from touchd.drivers.pad.arrived import looks_like
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import (
     Line,
-    NetworkPort,
     SensorError,
     at_baud,
-    check_port,
     open_port,
     read_waiting,
 )
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.queue import DroppingQueue, Signal
-
-__all__ = ["FrameQueue", "Sensor", "SensorError", "SensorState", "check_port"]
 
 log = logging.getLogger(__name__)
 
@@ -132,7 +128,7 @@ class Sensor:
                 recent = (recent + data)[-RECENT_BYTES:]
                 if self._hand_over(data, now_s):
                     frame_s, recent = now_s, b""
-                    if isinstance(opened, NetworkPort):
+                    if not isinstance(opened, serial.SerialBase):
                         opened.keep_sender()
                 self._rest_from(len(data), now_s)
             if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
@@ -164,20 +160,14 @@ class Sensor:
             if self._port.startswith("udp://"):
                 why = "does the board run, and send to this machine and port?"
             self._report_down("silent", f"{self.where}: no data for {self._silence_s:g} s: {why}")
-        elif self._port.startswith("tcp://") and parser_of(described).feed(_without_telnet(recent), 0.0):
-            why = f"frames of {described} come with every byte FF doubled, as telnet does; set its raw mode"
-            self._report_down("telnet", f"{self.where}: {why}")
         else:
-            why = f"no frame of {described} in {looks_like(recent)}; touchd doctor says what to set"
-            self._report_down("no frames", f"{self.where}: {why}")
+            from touchd.drivers.pad.arrived import why_no_frame
+
+            cause, why = why_no_frame(self._port, described, recent)
+            self._report_down(cause, f"{self.where}: {why}")
 
     def _report_down(self, cause: str, reason: str) -> None:
         """Report that no frames come, unless told to stop: another reader may fill the queue by now."""
         if not self._stop.is_set():
             self._is_up = False
             self._queue.put(SensorState("down", reason, cause))
-
-
-def _without_telnet(data: bytes) -> bytes:
-    """Return bytes as they were before a telnet server doubled each FF."""
-    return data.replace(b"\xff\xff", b"\xff")

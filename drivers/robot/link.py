@@ -8,46 +8,31 @@ import logging
 import re
 import threading
 import time
-from abc import ABC, abstractmethod
+import typing
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing, suppress
-from typing import Generic, Literal, TypeAlias, TypeVar
+from contextlib import suppress
 
-from touchd.drivers.faults import Backoff, FaultLog
+from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.queue import DroppingQueue, Signal
-from touchd.drivers.robot.reactions import (
-    Action,
-    ActionRule,
-    Kind,
-    Reaction,
-    Reactions,
-    RobotMessage,
-    Words,
-    spoken,
-)
+from touchd.drivers.robot.reactions import ActionRule, Kind, RobotMessage, Words
 from touchd.drivers.robot.session import (
     OpenSession,
     QiSession,
     RobotLimits,
-    RobotLost,
     RobotRefused,
     RobotSession,
     RobotSettings,
     load_qi,
     read_login,
 )
+from touchd.drivers.robot.worker import LinkState, Worker
+
+if typing.TYPE_CHECKING:
+    from touchd.drivers.robot.acting import ReactionWorker
 
 log = logging.getLogger(__name__)
 
-Item = TypeVar("Item")
-LinkState: TypeAlias = Literal["up", "down"]
-
-# Poll interval for an idle connection; bounds how long a killed robot goes unnoticed.
-LOOK_S = 0.05
-# Time to drain the queue on shutdown.
-LAST_WORDS_S = 0.5
 # How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
 SHOWN_S = 1.0
 NO_ACTIONS: Mapping[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
@@ -86,12 +71,14 @@ class RobotLink:
         self._state: LinkState | None = None
         self._faults = FaultLog(log)
         self._events = _EventWorker(settings.prefix, actions, self._open, self._limits, self._note_state)
-        self._reactions = {pad: Reactions(own) for pad, own in actions.items()}
-        self._actions: _ReactionWorker | None = None
-        self._workers: list[_EventWorker | _ReactionWorker] = [self._events]
+        self._reactions: ReactionWorker | None = None
+        self._workers: list[_EventWorker | ReactionWorker] = [self._events]
         if any(actions.values()):
-            self._actions = _ReactionWorker(words, on_act or (lambda *_: None), self._open, self._limits)
-            self._workers.append(self._actions)
+            from touchd.drivers.robot import acting
+
+            on_act = on_act or (lambda *_: None)
+            self._reactions = acting.ReactionWorker(actions, words, on_act, self._open, self._limits)
+            self._workers.append(self._reactions)
 
     @property
     def counts(self) -> Counter[str]:
@@ -109,9 +96,8 @@ class RobotLink:
         """Act on an answer, and send it to the robot if `is_told`. Never waits; call it from one thread."""
         if is_told:
             self._events.put(message)
-        reaction = self._reactions[message.pad].choose(message, time.monotonic(), is_told=is_told)
-        if reaction is not None and self._actions is not None:
-            self._actions.put(reaction)
+        if self._reactions is not None:
+            self._reactions.react(message, is_told=is_told)
 
     def set_status(self, status: str, pad: str = DEFAULT_PAD) -> None:
         """Send the robot a pad's state: "up", "degraded" or "down". Never waits."""
@@ -150,138 +136,7 @@ class RobotLink:
             log.exception("the state of the robot could not be reported")
 
 
-class _Worker(ABC, Generic[Item]):
-    """A thread that keeps a session with the robot and sends what a bounded queue holds.
-
-    The thread alone uses the session. `begin`, `handle`, `tend` and `end` may raise RobotLost or
-    RobotRefused.
-    open_session: returns a new, unconnected session, given the event that says to hurry.
-    on_state: called after each attempt to connect and each loss, from the worker's thread.
-    counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
-    + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried
-    out) + those still waiting.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        open_session: Callable[[threading.Event], RobotSession],
-        limits: RobotLimits,
-        on_state: Callable[[LinkState, str], None] = lambda *_: None,
-    ) -> None:
-        self._open_session = open_session
-        self._limits = limits
-        self._on_state = on_state
-        self._faults = FaultLog(log)
-        self._wake = Signal()
-        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
-        self._counts: Counter[str] = Counter()
-        self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    @abstractmethod
-    def handle(self, session: RobotSession, item: Item) -> None:
-        """Do what a queued item asks for."""
-
-    def begin(self, session: RobotSession) -> None:
-        """Make the first calls on a new session, if any."""
-
-    def tend(self, session: RobotSession) -> bool:
-        """Do what is due apart from the queue; returns whether the robot was called."""
-        return False
-
-    def end(self, session: RobotSession) -> None:
-        """Leave the robot tidy before the session is given up."""
-
-    @property
-    def counts(self) -> Counter[str]:
-        return self._counts + Counter(dropped=self._queue.dropped)
-
-    def start(self) -> None:
-        self._thread.start()
-
-    def put(self, item: Item) -> None:
-        """Queue an item and return at once; call it from one thread."""
-        self._counts["queued"] += 1
-        self._queue.put((time.monotonic(), item))
-
-    def ask_to_stop(self) -> None:
-        """Tell the worker to end; returns at once."""
-        self._stopping.set()
-        self._wake.set()
-
-    def join(self, timeout_s: float) -> bool:
-        if self._thread.ident is not None:
-            self._thread.join(timeout_s)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
-        while not self._stopping.is_set():
-            try:
-                with closing(self._open_session(self._stopping)) as session:
-                    session.connect()
-                    self.begin(session)
-                    # The first call also resolves the service, so make it before the hang timeout applies.
-                    self._heartbeat(session)
-                    self._backoff.reset()
-                    self._note("up", "")
-                    self._serve(session)
-                    self.end(session)
-            except (RobotLost, RobotRefused) as error:
-                self._note("down", str(error))
-            except Exception as error:
-                # Retry after any error: a link that ends without a word needs a restart to come back.
-                log.exception("internal error in the link to the robot")
-                self._note("down", f"{type(error).__name__}: {error}")
-            self._stopping.wait(self._backoff.pause_s())
-
-    def _note(self, state: LinkState, reason: str) -> None:
-        if not self._stopping.is_set():
-            self._on_state(state, reason)
-
-    def _serve(self, session: RobotSession) -> None:
-        """Send until asked to stop, then what is left; raises RobotLost when the robot is gone."""
-        answered_s = time.monotonic()
-        while not self._stopping.is_set():
-            if not session.connected():
-                raise RobotLost("the connection was closed by the robot")
-            if self.tend(session) or self._handle_next(session):
-                answered_s = time.monotonic()
-            elif time.monotonic() - answered_s >= self._limits.heartbeat_s:
-                self._heartbeat(session)
-                answered_s = time.monotonic()
-            else:
-                self._wake.wait(LOOK_S)
-        deadline_s = time.monotonic() + LAST_WORDS_S
-        while time.monotonic() < deadline_s and self._handle_next(session):
-            pass
-
-    def _heartbeat(self, session: RobotSession) -> None:
-        # An error is an answer too: only silence means that the robot hangs.
-        with suppress(RobotRefused):
-            session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
-
-    def _handle_next(self, session: RobotSession) -> bool:
-        """Handle the oldest item that is not stale; returns whether the robot was called."""
-        oldest_s = time.monotonic() - self._limits.stale_s
-        while (entry := self._queue.get_nowait()) is not None and entry[0] < oldest_s:
-            self._counts["stale"] += 1
-        if entry is None:
-            return False
-        became = "failed"
-        try:
-            self.handle(session, entry[1])
-            became = "sent"
-            self._faults.end("refused", "the robot does as asked again")
-        except RobotRefused as refused:
-            self._faults.begin("refused", f"the robot refused {refused}")
-        finally:
-            self._counts[became] += 1
-        return True
-
-
-class _EventWorker(_Worker[RobotMessage]):
+class _EventWorker(Worker[RobotMessage]):
     """Raises PREFIX/Detail and PREFIX/Gesture for each answer, and PREFIX/Status when it changes.
 
     A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that is
@@ -353,58 +208,6 @@ class _EventWorker(_Worker[RobotMessage]):
 
     def _raise(self, session: RobotSession, event: str, value: object) -> None:
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)
-
-
-class _ReactionWorker(_Worker[Reaction]):
-    """Carries reactions out, one action after the other, each to its end.
-
-    words: of the gestures, for speech. on_act: called as an action begins, with its words or name.
-    """
-
-    def __init__(
-        self,
-        words: Mapping[str, Words],
-        on_act: Callable[[RobotMessage, Kind, str], None],
-        open_session: Callable[[threading.Event], RobotSession],
-        limits: RobotLimits,
-    ) -> None:
-        # The worker that raises events reports whether the robot is there.
-        super().__init__("touchd-robot-actions", open_session, limits)
-        self._words = words
-        self._on_act = on_act
-
-    def handle(self, session: RobotSession, item: Reaction) -> None:
-        """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""
-        refused: list[RobotRefused] = []
-        for left, action in zip(range(len(item.actions) - 1, -1, -1), item.actions, strict=True):
-            try:
-                self._perform(session, action, item.message)
-            except RobotRefused as error:
-                refused.append(error)
-            except RobotLost as lost:
-                log.warning("an action is given up, with %d after it: %s", left, lost)
-                raise
-        if refused:
-            raise RobotRefused("; ".join(map(str, refused)))
-
-    def _perform(self, session: RobotSession, action: Action, message: RobotMessage) -> None:
-        """Have the robot do one action and wait for its end; raises RobotLost or RobotRefused."""
-
-        def call(kind: Kind, what: str, service: str, method: str, *arguments: object) -> None:
-            self._on_act(message, kind, what)
-            session.call(service, method, *arguments, limit_s=self._limits.action_s)
-
-        if action.say is not None:
-            words = spoken(action.say, message.gesture, message.confidence, self._words)
-            call("say", words, "ALTextToSpeech", "say", words)
-        elif action.animated_say is not None:
-            words = spoken(action.animated_say, message.gesture, message.confidence, self._words)
-            call("animated_say", words, "ALAnimatedSpeech", "say", words)
-        elif action.behavior is not None:
-            call("behavior", action.behavior, "ALBehaviorManager", "runBehavior", action.behavior)
-        elif action.leds is not None:
-            leds = action.leds
-            call("leds", leds.color, "ALLeds", "fadeRGB", leds.group, leds.rgb, leds.fade_s)
 
 
 def _detail(message: RobotMessage) -> list[object]:

@@ -16,11 +16,9 @@ actions:
       - behavior: animations/Stand/Emotions/Positive/Laugh_1
 """
 
-import math
 import re
 import string
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
@@ -47,8 +45,6 @@ COLORS = {
     "cyan": 0x00FFFF,
     "off": 0x000000,
 }
-# Touches that may go on at once, with room to spare.
-MOST_TOUCHES = 64
 PLACEHOLDERS = {"gesture", "name", "phrase", "confidence"}
 
 Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
@@ -155,73 +151,6 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(
                 f"such a rule never acts: {UNCERTAIN} is told at stage {UNCERTAIN}; name it in both"
             )
-
-
-@dataclass
-class _Reported:
-    """The answer that the robot was last sent for a touch, and the rules that this answer has set off."""
-
-    gesture: str | None = None
-    rules: set[int] = field(default_factory=set)
-
-
-@dataclass(frozen=True)
-class Reaction:
-    """Actions to carry out in order, for one answer."""
-
-    message: RobotMessage
-    actions: tuple[Action, ...]
-
-
-class Reactions:
-    """Chooses the rules that an answer sets off; remembers the last answer of each recent touch."""
-
-    def __init__(self, rules: Sequence[ActionRule]) -> None:
-        self._rules = tuple(rules)
-        self._ready_s = [float("-inf")] * len(self._rules)
-        self._reported: OrderedDict[int, _Reported] = OrderedDict()
-
-    def choose(self, message: RobotMessage, now_s: float, *, is_told: bool = True) -> Reaction | None:
-        """Return the actions for an answer, None without any. now_s: any clock that never goes back.
-
-        is_told: whether the robot is sent this answer. One that is not sent counts only where it confirms the
-        answer sent before, at another stage.
-        """
-        last = self._reported.setdefault(message.touch, _Reported())
-        if len(self._reported) > MOST_TOUCHES:
-            self._reported.popitem(last=False)
-        before = last.gesture
-        news = message.gesture != before
-        if news and not is_told:
-            return None
-        if news:
-            last.gesture, last.rules = message.gesture, set()
-        fitting = {index: rule for index, rule in enumerate(self._rules) if _fits(rule, message, news)}
-        is_change = news and before is not None and any(rule.changed for rule in fitting.values())
-        actions: list[Action] = []
-        for index, rule in fitting.items():
-            if rule.changed == is_change and now_s >= self._ready_s[index] and index not in last.rules:
-                self._ready_s[index] = now_s + rule.refractory_s
-                last.rules.add(index)
-                actions += rule.do
-        return Reaction(message, tuple(actions)) if actions else None
-
-
-def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:
-    named = message.gesture in rule.gestures if rule.gestures else message.gesture != UNCERTAIN
-    # A measure that this touch does not have is neither high nor low.
-    felt = {measure: value for measure, value in message.feel.items() if value is not None}
-    is_like = all(felt.get(measure, -math.inf) >= least for measure, least in rule.above.items())
-    is_like &= all(felt.get(measure, math.inf) < most for measure, most in rule.below.items())
-    return named and is_like and (message.stage in rule.stages if rule.stages else news)
-
-
-def spoken(template: str, gesture: str, confidence: float, words: Mapping[str, Words]) -> str:
-    """Fill in the gesture, its words where it has any, and the confidence (0 to 1) in whole percent."""
-    called = words.get(gesture) or Words(name=gesture, phrase=gesture)
-    return template.format(
-        gesture=gesture, name=called.name, phrase=called.phrase, confidence=round(100 * confidence)
-    )
 
 
 def _check_placeholders(template: str) -> None:

@@ -13,8 +13,8 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from touchd.drivers.pad.binary import BinaryFrames
-from touchd.drivers.pad.format import CELL_BITS, CELL_TOP, PLAIN_CELLS, U12_BITS, PadFormat
+from touchd.drivers.pad.binary import PLAIN_CELLS, U12_BITS, BinaryFrames
+from touchd.drivers.pad.format import CELL_BITS, CELL_TOP, PadFormat
 from touchd.drivers.search.coupling import Movement, Numbers, sides
 from touchd.drivers.search.text import LEAST_FRAMES, Guess
 

@@ -46,7 +46,8 @@ from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import PressingHands
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.recording import read_recordings, splice
-from touchd.drivers.robot.reactions import Reactions, RobotMessage, spoken
+from touchd.drivers.robot.acting import Reactions, spoken
+from touchd.drivers.robot.reactions import RobotMessage
 from touchd.drivers.robot.session import RobotSettings
 
 # The page goes grey when frames stop.

@@ -42,9 +42,8 @@ from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.setup.parts import load_model, open_live_page
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.pad.sensor import SensorState
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 

@@ -11,7 +11,8 @@ from touchd.daemon.events import Event, Prediction, TouchEnded
 from touchd.daemon.feel import Feel
 from touchd.daemon.pipeline import Pipeline, PipelineSettings
 from touchd.drivers.frame import Frame
-from touchd.drivers.robot.reactions import Action, ActionRule, Reactions, RobotMessage
+from touchd.drivers.robot.acting import Reactions
+from touchd.drivers.robot.reactions import Action, ActionRule, RobotMessage
 
 RATE_HZ = 54
 

@@ -70,7 +70,7 @@ def test_a_missing_pad_is_retried_at_the_cap_a_lost_one_quickly(tmp_path: Path, 
 
 
 def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
-    pauses = paused("touchd.drivers.robot.link")
+    pauses = paused("touchd.drivers.robot.worker")
     robot = StubRobot()
     with linked(robot, limits=RobotLimits(backoff_first_s=0.02)) as (_, states):
         wait_for(lambda: pauses[-1:] > [0.1])

@@ -19,10 +19,11 @@ from rigs.sockets import free_port
 
 from touchd.drivers.fakes.encode import encode_frame, values_of
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad import port as port_module
+from touchd.drivers.pad import network
+from touchd.drivers.pad.binary import REPLY_S
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
-from touchd.drivers.pad.parser import REPLY_S
-from touchd.drivers.pad.port import GONE_S, SensorError, check_port, open_port, read_waiting
+from touchd.drivers.pad.network import GONE_S
+from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 
 POLLED = [PRESETS["itas"], PRESETS["fsr-array"], msgspec.structs.replace(PRESETS["itas"], clock=True)]
@@ -143,7 +144,7 @@ def test_the_first_of_two_udp_boards_is_read_until_gone(
 ) -> None:
     parser = FabricGrid()
     now_s = [0.0]
-    monkeypatch.setattr(port_module, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    monkeypatch.setattr(network, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
 
         def read() -> list[Frame]:

@@ -14,8 +14,7 @@ from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
 
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.pad.port import open_port
-from touchd.drivers.pad.sensor import SensorError, check_port
+from touchd.drivers.pad.port import SensorError, check_port, open_port
 
 # See ioctl_tty(2); the module termios lacks it.
 TIOCGEXCL = 0x80045440

@@ -9,7 +9,8 @@ from rigs.robots import message
 
 from touchd.daemon.setup.words import Language, vocabulary
 from touchd.drivers.robot import reactions
-from touchd.drivers.robot.reactions import MOST_TOUCHES, Action, ActionRule, Reactions, Words, spoken
+from touchd.drivers.robot.acting import MOST_TOUCHES, Reactions, spoken
+from touchd.drivers.robot.reactions import Action, ActionRule, Words
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]

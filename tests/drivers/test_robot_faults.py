@@ -135,7 +135,7 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
 def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture) -> None:
     with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, actions=(SAY,)) as (link, states):
         states.wait_for("up")
-        actions = link._actions
+        actions = link._reactions
         assert actions is not None
         with speaker(robot) as said:
             link.publish(message("pat", touch=1))

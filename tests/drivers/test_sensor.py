@@ -16,8 +16,9 @@ from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensin
 from rigs.wait import WITHIN_S
 
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.frame import Counts, Frame
-from touchd.drivers.pad.sensor import FrameQueue, Sensor, SensorState, check_port
+from touchd.drivers.frame import Counts, Frame, SensorState
+from touchd.drivers.pad.port import check_port
+from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 
 @pytest.mark.parametrize(

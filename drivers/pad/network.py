@@ -1,0 +1,107 @@
+"""A pad on the network: over TCP touchd connects to it, over UDP it listens for what the pad sends."""
+
+import logging
+import select
+import socket
+import time
+from typing import Any
+
+log = logging.getLogger(__name__)
+
+READ_BYTES = 65536
+CONNECT_S = 3.0
+# Over UDP another board is read once the one that is read has sent no frame for GONE_S; one of which no frame
+# has come yet, for TURN_S.
+GONE_S, TURN_S = 2.0, 0.5
+
+
+class NetworkPort:
+    """tcp://host:port connects to the pad; udp://address:port listens there for what the pad sends."""
+
+    def __init__(self, protocol: str, host: str, number: int, timeout_s: float) -> None:
+        self.port = f"{protocol}://{host}:{number}"
+        self.baudrate = 0
+        where = (host, number)
+        self._is_stream = protocol == "tcp"
+        if self._is_stream:
+            self._socket = socket.create_connection(where, CONNECT_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        else:
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            try:
+                self._socket.bind(where)
+            except OSError:
+                self._socket.close()
+                raise
+        self._sender: Any = None
+        self._until_s = 0.0
+        self._sends_frames = False
+        self._has_warned = False
+        self._socket.settimeout(timeout_s)
+
+    def read(self, *, is_text: bool) -> bytes:
+        """Return what has arrived, waiting for it at most the timeout; over UDP, one datagram.
+
+        is_text: whether the pad sends lines, which end with their datagram.
+        """
+        try:
+            data, sender = self._socket.recvfrom(READ_BYTES)
+        except TimeoutError:
+            return b""
+        if not data and self._is_stream:
+            raise ConnectionResetError("the pad closed the connection")
+        if self._is_stream:
+            return data
+        if not self._follows(sender):
+            return b""
+        return _ended_lines(data) if is_text else data
+
+    def keep_sender(self) -> None:
+        """Note that what was read last completed a frame: its sender is the pad."""
+        self._sends_frames = True
+        self._until_s = time.monotonic() + GONE_S
+
+    def _follows(self, sender: Any) -> bool:
+        """Whether a datagram comes from the board that is read: who sends frames, or else each in turn."""
+        is_other = self._sender is None or sender[0] != self._sender[0]
+        if is_other and time.monotonic() < self._until_s:
+            if self._sends_frames and not self._has_warned:
+                self._has_warned = True
+                log.warning(
+                    "%s: %s sends there too; only %s is read: give each board a port of its own",
+                    self.port,
+                    sender[0],
+                    self._sender[0],
+                )
+            return False
+        if is_other:
+            self._sends_frames = False
+            self._until_s = time.monotonic() + TURN_S
+        self._sender = sender
+        return True
+
+    def write(self, data: bytes) -> None:
+        """Send to the pad; over UDP, to whoever sent last."""
+        if self._is_stream:
+            self._socket.sendall(data)
+        elif self._sender is not None:
+            self._socket.sendto(data, self._sender)
+
+    def reset_input_buffer(self) -> None:
+        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(READ_BYTES):
+            pass
+
+    def __enter__(self) -> "NetworkPort":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+
+def _ended_lines(datagram: bytes) -> bytes:
+    """Return a datagram of text with its last line ended, and with a blank line after several lines."""
+    if not datagram.strip():
+        return b""
+    lines = datagram.rstrip(b"\r\n")
+    return lines + (b"\n\n" if b"\n" in lines or b"\r" in lines else b"\n")

@@ -1,0 +1,155 @@
+"""A worker of the link to the robot: a thread that keeps a session and sends what waits in its queue."""
+
+import logging
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing, suppress
+from typing import Generic, Literal, TypeAlias, TypeVar
+
+from touchd.drivers.faults import Backoff, FaultLog
+from touchd.drivers.queue import DroppingQueue, Signal
+from touchd.drivers.robot.session import RobotLimits, RobotLost, RobotRefused, RobotSession
+
+log = logging.getLogger(__name__)
+
+Item = TypeVar("Item")
+LinkState: TypeAlias = Literal["up", "down"]
+
+# Poll interval for an idle connection; bounds how long a killed robot goes unnoticed.
+LOOK_S = 0.05
+# Time to drain the queue on shutdown.
+LAST_WORDS_S = 0.5
+
+
+class Worker(ABC, Generic[Item]):
+    """A thread that keeps a session with the robot and sends what a bounded queue holds.
+
+    The thread alone uses the session. `begin`, `handle`, `tend` and `end` may raise RobotLost or
+    RobotRefused.
+    open_session: returns a new, unconnected session, given the event that says to hurry.
+    on_state: called after each attempt to connect and each loss, from the worker's thread.
+    counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
+    + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried
+    out) + those still waiting.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        open_session: Callable[[threading.Event], RobotSession],
+        limits: RobotLimits,
+        on_state: Callable[[LinkState, str], None] = lambda *_: None,
+    ) -> None:
+        self._open_session = open_session
+        self._limits = limits
+        self._on_state = on_state
+        self._faults = FaultLog(log)
+        self._wake = Signal()
+        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
+        self._counts: Counter[str] = Counter()
+        self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    @abstractmethod
+    def handle(self, session: RobotSession, item: Item) -> None:
+        """Do what a queued item asks for."""
+
+    def begin(self, session: RobotSession) -> None:
+        """Make the first calls on a new session, if any."""
+
+    def tend(self, session: RobotSession) -> bool:
+        """Do what is due apart from the queue; returns whether the robot was called."""
+        return False
+
+    def end(self, session: RobotSession) -> None:
+        """Leave the robot tidy before the session is given up."""
+
+    @property
+    def counts(self) -> Counter[str]:
+        return self._counts + Counter(dropped=self._queue.dropped)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def put(self, item: Item) -> None:
+        """Queue an item and return at once; call it from one thread."""
+        self._counts["queued"] += 1
+        self._queue.put((time.monotonic(), item))
+
+    def ask_to_stop(self) -> None:
+        """Tell the worker to end; returns at once."""
+        self._stopping.set()
+        self._wake.set()
+
+    def join(self, timeout_s: float) -> bool:
+        if self._thread.ident is not None:
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        while not self._stopping.is_set():
+            try:
+                with closing(self._open_session(self._stopping)) as session:
+                    session.connect()
+                    self.begin(session)
+                    # The first call also resolves the service, so make it before the hang timeout applies.
+                    self._heartbeat(session)
+                    self._backoff.reset()
+                    self._note("up", "")
+                    self._serve(session)
+                    self.end(session)
+            except (RobotLost, RobotRefused) as error:
+                self._note("down", str(error))
+            except Exception as error:
+                # Retry after any error: a link that ends without a word needs a restart to come back.
+                log.exception("internal error in the link to the robot")
+                self._note("down", f"{type(error).__name__}: {error}")
+            self._stopping.wait(self._backoff.pause_s())
+
+    def _note(self, state: LinkState, reason: str) -> None:
+        if not self._stopping.is_set():
+            self._on_state(state, reason)
+
+    def _serve(self, session: RobotSession) -> None:
+        """Send until asked to stop, then what is left; raises RobotLost when the robot is gone."""
+        answered_s = time.monotonic()
+        while not self._stopping.is_set():
+            if not session.connected():
+                raise RobotLost("the connection was closed by the robot")
+            if self.tend(session) or self._handle_next(session):
+                answered_s = time.monotonic()
+            elif time.monotonic() - answered_s >= self._limits.heartbeat_s:
+                self._heartbeat(session)
+                answered_s = time.monotonic()
+            else:
+                self._wake.wait(LOOK_S)
+        deadline_s = time.monotonic() + LAST_WORDS_S
+        while time.monotonic() < deadline_s and self._handle_next(session):
+            pass
+
+    def _heartbeat(self, session: RobotSession) -> None:
+        # An error is an answer too: only silence means that the robot hangs.
+        with suppress(RobotRefused):
+            session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
+
+    def _handle_next(self, session: RobotSession) -> bool:
+        """Handle the oldest item that is not stale; returns whether the robot was called."""
+        oldest_s = time.monotonic() - self._limits.stale_s
+        while (entry := self._queue.get_nowait()) is not None and entry[0] < oldest_s:
+            self._counts["stale"] += 1
+        if entry is None:
+            return False
+        became = "failed"
+        try:
+            self.handle(session, entry[1])
+            became = "sent"
+            self._faults.end("refused", "the robot does as asked again")
+        except RobotRefused as refused:
+            self._faults.begin("refused", f"the robot refused {refused}")
+        finally:
+            self._counts[became] += 1
+        return True
