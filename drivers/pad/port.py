@@ -10,7 +10,7 @@ import stat
 import termios
 import time
 import typing
-from typing import TypeAlias
+from typing import TypeAlias, Union
 
 import serial
 
@@ -41,7 +41,7 @@ class SensorError(TouchdError):
 if typing.TYPE_CHECKING:
     from touchd.drivers.pad.network import NetworkPort
 
-Line: TypeAlias = "serial.Serial | NetworkPort"
+Line: TypeAlias = Union[serial.Serial, "NetworkPort"]
 
 
 def at_baud(port: str, baud: int) -> str:
