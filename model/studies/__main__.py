@@ -24,6 +24,7 @@ STUDIES = {
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
     "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
     "tracker": ("studies.tracker.report", "sessions.md: how well touches are detected"),
+    "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
 }
 

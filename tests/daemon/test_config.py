@@ -173,5 +173,5 @@ def test_another_pads_unsure_final_answer_is_not_told() -> None:
     another = SensorSettings(format=PadFormat(framing="text", rows=6, columns=6))
     asked_for = SceneSettings(final_above=0.0)
     assert Settings().pipeline.decision.final_above is None
-    assert Settings(sensor=another).pipeline.decision.final_above == 0.5
+    assert Settings(sensor=another).pipeline.decision.final_above == 0.6
     assert Settings(sensor=another, scene=asked_for).pipeline.decision.final_above == 0.0

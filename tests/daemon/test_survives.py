@@ -324,10 +324,10 @@ def test_a_pad_played_at_half_speed_is_not_late() -> None:
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        (Line(step_ms=200), "5.0 frames a second come"),
+        (Line(step_ms=250), "4.0 frames a second come"),
         (Line(back_ms=4000), "goes back and forth; do frames overtake one another"),
     ],
-    ids=["5 Hz", "two boards"],
+    ids=["4 Hz", "two boards"],
 )
 def test_a_pad_without_detectable_touches_is_degraded_with_a_reason(line: Line, why: str) -> None:
     line.feel(nothing(6.0))

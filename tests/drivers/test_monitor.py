@@ -26,6 +26,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import AGAIN_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.grid import MAX_GAP_MS
 from touchd.drivers.pad.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
@@ -291,7 +292,7 @@ def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -
     states, last_ms = list[SensorState | None](), -1000
     for ms in times_ms:
         frame = Frame(0, ms % CLOCK_MODULUS, at_s + ms / 1000, np.zeros((8, 8), np.uint16))
-        states.append(monitor.on_frame(frame, restarted=not 0 < ms - last_ms <= 150))
+        states.append(monitor.on_frame(frame, restarted=not 0 < ms - last_ms <= MAX_GAP_MS))
         last_ms = ms
     return [state for state in states if state is not None]
 
@@ -308,8 +309,8 @@ def test_losing_frames_in_runs_degrades_the_pad() -> None:
 
 
 def test_a_pad_that_is_too_slow_is_degraded() -> None:
-    (state,) = states_of(PadMonitor(), range(0, 10_000, 200))
-    assert "5.0 frames a second come, and more than 7 are needed" in state.reason
+    (state,) = states_of(PadMonitor(), range(0, 10_000, 250))
+    assert "4.0 frames a second come, and more than 5 are needed" in state.reason
 
 
 def test_stale_frames_after_a_pause_are_not_judged() -> None:
