@@ -35,8 +35,7 @@ log = logging.getLogger(__name__)
 
 # How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
 SHOWN_S = 1.0
-NO_ACTIONS: Mapping[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
-NO_WORDS: Mapping[str, Words] = {}
+NO_ACTIONS: dict[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
 
 
 class RobotLink:
@@ -59,7 +58,7 @@ class RobotLink:
         on_act: Callable[[RobotMessage, Kind, str], None] | None = None,
         *,
         actions: Mapping[str, Sequence[ActionRule]] = NO_ACTIONS,
-        words: Mapping[str, Words] = NO_WORDS,
+        words: Mapping[str, Words] | None = None,
         limits: RobotLimits | None = None,
     ) -> None:
         self._settings, self._login = settings, read_login(settings)
@@ -77,7 +76,7 @@ class RobotLink:
             from touchd.drivers.robot import acting
 
             on_act = on_act or (lambda *_: None)
-            self._reactions = acting.ReactionWorker(actions, words, on_act, self._open, self._limits)
+            self._reactions = acting.ReactionWorker(actions, words or {}, on_act, self._open, self._limits)
             self._workers.append(self._reactions)
 
     @property
