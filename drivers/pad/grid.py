@@ -24,8 +24,8 @@ PHASE_GAIN = 0.2
 IN_STEP_FRAMES = 27
 # Frames further apart than this have one missing between them, at 50 to 60 Hz.
 LOST_MS = 1.75 * PERIOD_MS
-# The longest gap bridged by interpolation, which marks the touch degraded; a longer one ends it. At 0.15 s, 9 %
-# of the third study's touches are detected as more than one, at 0.2 s 8 %.
+# The longest gap bridged by interpolation, which marks the touch degraded. A longer one ends it. At 0.15 s
+# 9 % of the third study's touches are detected as more than one, at 0.2 s 8 %.
 MAX_GAP_S = 0.2
 MAX_GAP_MS = 1000 * MAX_GAP_S
 # A clock that runs back by less is a frame that comes late; by more, the sensor has restarted.
