@@ -35,6 +35,8 @@ SELDOM_AT_REST = 0.25
 NORMAL_30 = 0.385
 # Below, the movement is the pad's noise.
 PRESSED_NOISES = 8.0
+# Parts of the time, in one of which nothing presses a cell.
+CALM_PARTS = 16
 # A cell is hardly so much noisier than most.
 WILD_NOISES = 20.0
 # The middle is a seam if cells move together across it by less than this share of the usual, and both its
@@ -131,6 +133,7 @@ class Movement:
         self.moved: NDArray[np.float32] = moved.astype(np.float32)
         self.counters = counts
         self.alive = (off != 0).any(axis=0)
+        self.odd = self.wild | (~self.alive & ~counts & _is_no_rest(chosen, self.pressed))
         self._resembles_cells = _resembles(chosen, off, self.pressed) & ~left_out & by_contact
         energy = np.square(moved).sum(axis=1)
         busy = np.flatnonzero(energy > 0.25 * energy.mean())
@@ -166,11 +169,11 @@ class Movement:
         return Fold(start, rows, columns, together / np.maximum(2 * total, 1e-9))
 
     def misfits(self, start: int, cells: int) -> int:
-        """Return how many numbers outside these cells look like cells, and how many jump inside."""
+        """Return how many numbers outside these cells look like cells, and how many inside do not."""
         stop = start + cells
         like_cells = self.pressed | self._resembles_cells
         outside = like_cells.sum() - like_cells[start:stop].sum()
-        return int(outside + self.wild[start:stop].sum())
+        return int(outside + self.odd[start:stop].sum())
 
     def lag(self, distance: int) -> float:
         """Return how much numbers at a distance move together."""
@@ -244,6 +247,18 @@ def _resembles(numbers: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> ND
     is_near = (rest >= rest[pressed].min()) & (rest <= rest[pressed].max())
     alike: NDArray[np.bool_] = is_near & (spread > 0) & (spread <= spread[pressed].max())
     return alike
+
+
+def _is_no_rest(numbers: Numbers, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether each number, if it never changes, differs from a cell that nobody presses: those rest at other
+    values, or do change."""
+    if not pressed.any():
+        return pressed
+    rest = np.median(numbers, axis=0)
+    parts = np.array_split(np.diff(numbers[:, pressed], axis=0) != 0, CALM_PARTS)
+    at_calmest = np.min([part.mean(axis=0) for part in parts], axis=0)
+    differs: NDArray[np.bool_] = (rest < rest[pressed].min()) | (rest > rest[pressed].max())
+    return differs | bool(np.median(at_calmest) > 0)
 
 
 def _beyond_noise(off: Numbers, noise: float) -> Numbers:

@@ -156,17 +156,13 @@ def _misfits(guess: Guess) -> int:
 
 
 def _is_same(best: Guess, other: Guess) -> bool:
-    """Whether two guesses differ in nothing that a hand could move: rows that never change, equal values."""
+    """Whether two guesses read the same cells."""
     one, two = best.values, other.values
     if best.described == other.described:
         return True
     if best.described.columns != other.described.columns and one.shape == two.shape:
         return False
-    if one.shape == two.shape:
-        return bool(np.array_equal(one, two))
-    larger, smaller = (one, two) if one.shape[1] > two.shape[1] else (two, one)
-    still = (larger == larger[0]).all(axis=0)
-    return bool(best.described.columns == other.described.columns and (~still).sum() <= smaller.shape[1])
+    return one.shape == two.shape and bool(np.array_equal(one, two))
 
 
 def _finished(guess: Guess) -> PadFormat:
