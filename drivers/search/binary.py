@@ -34,11 +34,13 @@ MOST_LENGTHS = 64
 STEADY_SHARE = 0.985
 # Bytes that are looked at to find the length.
 LENGTH_BYTES = 400_000
-# A header may be met among the cells in as many frames, but not in every one of them.
-STRAY = 1.5
+# A header may be met among the cells, too, as often as random bytes hold one of a single byte.
+STRAY, STRAY_A_BYTE = 1.5, 0.01
 CHECKSUMS = ("values", "sum8", "xor8")
 ORDERS: tuple[Order, ...] = ("little", "big")
 CLOCK_TOLERANCE = 0.1
+# Floats of a pad are zero or of a size between these.
+TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 # Without this share of a number's own movement shared with the next, nothing is a grid.
 LEAST_LAG = 0.05
 KINDS: tuple[tuple[str, Order], ...] = (
@@ -66,9 +68,11 @@ class Frames:
 
     def tells(self, header: bytes) -> bool:
         """Whether these bytes come once a frame and hardly ever else."""
+        if not header:
+            return False
         if header not in self.counts:
             self.counts[header] = self._bytes.count(header)
-        return self.counts[header] <= STRAY * len(self.data)
+        return self.counts[header] <= _stray(self.length) * len(self.data)
 
     @property
     def length(self) -> int:
@@ -144,8 +148,13 @@ def _marks(data: bytes, usual: Bytes, steady: NDArray[np.bool_], frames: int) ->
             gram = around[at : at + size].tobytes()
             if gram not in counts:
                 counts[gram] = data.count(gram)
-            marks[places] |= counts[gram] <= STRAY * frames
+            marks[places] |= counts[gram] <= _stray(length) * frames
     return marks
+
+
+def _stray(length: int) -> float:
+    """Return how often a header may be met in a frame of this length."""
+    return STRAY + STRAY_A_BYTE * length
 
 
 def _of_length(frames: Frames) -> Iterator[Guess]:
@@ -218,8 +227,10 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
     used = np.ascontiguousarray(table[:, : width * bits // 8])
     sent = used.view(PLAIN_CELLS[kind, order])
     if kind == "f32":
-        plausible = np.isfinite(sent) & (np.abs(sent) < 1e9) & ((sent == 0) | (np.abs(sent) > 1e-9))
-        return np.where(plausible, sent, 0).astype(np.float64) if plausible.mean() > 0.5 else None
+        with np.errstate(invalid="ignore"):
+            size = np.abs(sent)
+        usual = ((size < HUGE_FLOAT) & ((size == 0) | (size > TINY_FLOAT))).mean(axis=0) >= STEADY_SHARE
+        return np.where(usual, sent, 0).astype(np.float64) if usual.mean() > 0.5 else None
     if kind == "i16" and not (sent < 0).any():
         return None
     if bits == 16 and not _lower_is_busier(used.view(PLAIN_CELLS["u16", order])):
@@ -240,18 +251,29 @@ def _described(frames: Frames, start: int, around: int, fields: dict[str, Any]) 
     places = np.arange(stop, stop + around) % length
     steady = frames.steady[places]
     marks = frames.marks[places]
-    first = int(np.argmax(marks))
-    size = int(np.argmin(np.append(steady[first:], False)))
-    header = np.median(frames.data[:, places[first : first + size]], axis=0).astype(np.uint8).tobytes()
-    if first + size < around:
-        # Zeros before bytes that count are the upper bytes of a counter.
-        header = header.rstrip(b"\0") or header[:1]
-    header = header[:LONGEST_HEADER]
-    if not frames.tells(header):
+    usual = np.median(frames.data[:, places], axis=0).astype(np.uint8).tobytes()
+    telling = (each for each in _headers(usual, steady, marks) if frames.tells(each[1]))
+    first, header = next(telling, (0, b""))
+    if not header:
         return None
     skip, tail = around - first - len(header), first
     top = CELL_TOP.get(fields["cell"], 1)
     return PadFormat(header=header.hex(), skip=skip, tail=tail, full_scale=top, **fields)
+
+
+def _headers(
+    usual: bytes, steady: NDArray[np.bool_], marks: NDArray[np.bool_]
+) -> Iterator[tuple[int, bytes]]:
+    """Yield the headers that bytes around cells may hold, and where each begins."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]]).astype(np.int8)))
+    for start, stop in edges.reshape(-1, 2):
+        if marks[start:stop].any():
+            first = int(start + np.argmax(marks[start:stop]))
+            header = usual[first:stop]
+            if stop < len(usual):
+                # Zeros before bytes that count are the upper bytes of a counter.
+                yield first, header.rstrip(b"\0")[:LONGEST_HEADER]
+            yield first, header[:LONGEST_HEADER]
 
 
 def complete(described: PadFormat, data: bytes, times_s: Numbers) -> PadFormat:

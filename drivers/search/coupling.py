@@ -133,7 +133,8 @@ class Movement:
         self.moved: NDArray[np.float32] = moved.astype(np.float32)
         self.counters = counts
         self.alive = (off != 0).any(axis=0)
-        self.odd = self.wild | (~self.alive & ~counts & _is_no_rest(chosen, self.pressed))
+        # Numbers that are hardly cells.
+        self.odd = self.wild | _is_odd(chosen, self.pressed, ~self.alive & ~counts)
         self._resembles_cells = _resembles(chosen, off, self.pressed) & ~left_out & by_contact
         energy = np.square(moved).sum(axis=1)
         busy = np.flatnonzero(energy > 0.25 * energy.mean())
@@ -166,7 +167,8 @@ class Movement:
             pairs = rows * (columns - 1) + columns * (rows - 1)
             together -= pairs * np.array([self._chance[part].sum() for part in self._stretches])
         total = np.array([self._total[part].sum() for part in self._stretches])
-        return Fold(start, rows, columns, together / np.maximum(2 * total, 1e-9))
+        fitting = 1 - self.odd[start:stop].mean()
+        return Fold(start, rows, columns, fitting * together / np.maximum(2 * total, 1e-9))
 
     def misfits(self, start: int, cells: int) -> int:
         """Return how many numbers outside these cells look like cells, and how many inside do not."""
@@ -198,7 +200,8 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
     movement = Movement(numbers, np.zeros(numbers.shape[1], np.bool_), by_contact)
     if not movement.is_pressed:
         return "nothing presses the pad: press it while I listen"
-    if movement.falls and movement.goes_negative:
+    is_below_0 = (numbers[:, movement.pressed].max(axis=0) <= 0).mean() > 0.5
+    if movement.goes_negative and (movement.falls or is_below_0):
         return "a press makes its numbers negative, and those are cut at 0: print what a press adds"
     reached = movement.pressed.reshape(rows, columns)
     if reached.mean() < REACHED or min(reached.any(axis=0).mean(), reached.any(axis=1).mean()) < 0.5:
@@ -249,16 +252,20 @@ def _resembles(numbers: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> ND
     return alike
 
 
-def _is_no_rest(numbers: Numbers, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether each number, if it never changes, differs from a cell that nobody presses: those rest at other
-    values, or do change."""
+def _is_odd(numbers: Numbers, pressed: NDArray[np.bool_], still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether each number is unlike the pressed ones: it never changes, but those do at rest, too, or rest at
+    other values; or it always lies beyond what they reach."""
     if not pressed.any():
         return pressed
-    rest = np.median(numbers, axis=0)
-    parts = np.array_split(np.diff(numbers[:, pressed], axis=0) != 0, CALM_PARTS)
-    at_calmest = np.min([part.mean(axis=0) for part in parts], axis=0)
-    differs: NDArray[np.bool_] = (rest < rest[pressed].min()) | (rest > rest[pressed].max())
-    return differs | bool(np.median(at_calmest) > 0)
+    cells = numbers[:, pressed]
+    rest, rests = np.median(numbers, axis=0), np.median(cells, axis=0)
+    parts = np.array_split(np.diff(cells, axis=0) != 0, CALM_PARTS)
+    at_calmest = np.min([part.mean(axis=0) for part in parts if len(part)], axis=0)
+    is_no_rest = (rest < rests.min()) | (rest > rests.max()) | bool(np.median(at_calmest) > 0)
+    is_above = numbers.min(axis=0) > np.median(cells.max(axis=0))
+    is_below = numbers.max(axis=0) < np.median(cells.min(axis=0))
+    odd: NDArray[np.bool_] = (still & is_no_rest) | is_above | is_below
+    return odd
 
 
 def _beyond_noise(off: Numbers, noise: float) -> Numbers:

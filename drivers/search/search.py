@@ -85,7 +85,7 @@ def search(chunks: Sequence[Chunk]) -> Finding:
     sizes = [len(chunk.data) for chunk in kept]
     times_s = np.repeat([chunk.host_s for chunk in kept], sizes)
     finding = _searched(data, kept, times_s, by_contact=False)
-    if finding.missing in UNSURE and is_text(data):
+    if finding.missing in UNSURE and _is_printed(data):
         by_contact = _searched(data, kept, times_s, by_contact=True)
         return finding if by_contact.proposed is None else by_contact
     return finding
@@ -94,7 +94,7 @@ def search(chunks: Sequence[Chunk]) -> Finding:
 def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: bool) -> Finding:
     """Return what bytes are by one measure of what moves together."""
     seconds = max(kept[-1].host_s - kept[0].host_s, 1e-3)
-    printed = is_text(data)
+    printed = _is_printed(data)
     saw = f"{len(data) / seconds:.0f} bytes/s of {looks_like(data)}"
 
     def nothing(missing: str, likely: Sequence[Guess] = ()) -> Finding:
@@ -120,6 +120,11 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     if missing := _unexplained(described, best, kept):
         return nothing(missing, [best])
     return Finding(_as_preset(described), (described,), "", saw)
+
+
+def _is_printed(data: bytes) -> bool:
+    """Whether these bytes are lines of text; the bytes of cells may all be printable, too."""
+    return is_text(data) and len(data.splitlines()) > text.LEAST_FRAMES
 
 
 def _latest(chunks: Sequence[Chunk]) -> list[Chunk]:

@@ -15,7 +15,7 @@ LEAST_FRAMES = 8
 LEAST_NUMBERS = 16
 Flags = NDArray[np.bool_]
 # Leading and trailing numbers of a line that may not be cells.
-MOST_SKIP, MOST_TAIL = 4, 2
+MOST_SKIP, MOST_TAIL = 8, 4
 MOSTLY = 0.9
 MOST_ENDS = 3
 
