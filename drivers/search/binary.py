@@ -194,12 +194,14 @@ def _of_kind(
                 if kind[0] == "i16" and numbers[:, at : at + cells].min() >= 0:
                     continue
                 fold = movement.fold(at, rows, columns)
-                if fold.score < LEAST_LAG:
+                if fold.score < LEAST_LAG or not movement.is_stride(columns):
                     continue
                 begin = (anchor + start) % length
                 described = _described(frames, begin, around, fields | {"rows": rows, "columns": columns})
                 if described is not None:
-                    yield Guess(described, numbers[:, at : at + cells], fold, movement.misfits(at, cells))
+                    values = numbers[:, at : at + cells]
+                    misfits, is_cut = movement.misfits(at, cells), movement.is_cut(at, cells)
+                    yield Guess(described, values, fold, misfits, is_cut)
 
 
 def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:

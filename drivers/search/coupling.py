@@ -37,6 +37,8 @@ NORMAL_30 = 0.385
 PRESSED_NOISES = 8.0
 # Parts of the time, in one of which nothing presses a cell.
 CALM_PARTS = 16
+# While a hand is on the pad, what it moves moves by so much more.
+FOLLOWS = 2.0
 # A cell is hardly so much noisier than most.
 WILD_NOISES = 20.0
 # The middle is a seam if cells move together across it by less than this share of the usual, and both its
@@ -138,6 +140,7 @@ class Movement:
         self._resembles_cells = _resembles(chosen, off, self.pressed) & ~left_out & by_contact
         energy = np.square(moved).sum(axis=1)
         busy = np.flatnonzero(energy > 0.25 * energy.mean())
+        self.follows = self.pressed & ~_is_switch(chosen) & _follows(moved, energy)
         # Where less moves, every grid scores 0.
         self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
         self._total = np.square(self.moved).sum(axis=1)
@@ -173,9 +176,18 @@ class Movement:
     def misfits(self, start: int, cells: int) -> int:
         """Return how many numbers outside these cells look like cells, and how many inside do not."""
         stop = start + cells
-        like_cells = self.pressed | self._resembles_cells
+        like_cells = self.follows | self._resembles_cells
         outside = like_cells.sum() - like_cells[start:stop].sum()
         return int(outside + self.odd[start:stop].sum())
+
+    def is_cut(self, start: int, cells: int) -> bool:
+        """Whether a hand moves a number beside these cells, too."""
+        beside = (start - 1, start + cells)
+        return any(self.follows[at] for at in beside if 0 <= at < len(self.follows))
+
+    def is_stride(self, columns: int) -> bool:
+        """Whether numbers at this distance move together more than those a little nearer or farther."""
+        return self.lag(columns) >= max(self.lag(columns - 1), self.lag(columns + 1))
 
     def lag(self, distance: int) -> float:
         """Return how much numbers at a distance move together."""
@@ -184,7 +196,7 @@ class Movement:
     def _products(self, distance: int) -> Numbers:
         """Return the product of each number and the one at a distance, (stretches, numbers)."""
         if distance not in self._steps:
-            both = self.moved[:, :-distance] * self.moved[:, distance:]
+            both = self.moved[:, : max(self.moved.shape[1] - distance, 0)] * self.moved[:, distance:]
             found = np.array([both[part].sum(axis=0, dtype=np.float64) for part in self._stretches])
             self._steps[distance] = np.pad(found, ((0, 0), (0, distance)))
         return self._steps[distance]
@@ -266,6 +278,23 @@ def _is_odd(numbers: Numbers, pressed: NDArray[np.bool_], still: NDArray[np.bool
     is_below = numbers.max(axis=0) < np.median(cells.min(axis=0))
     odd: NDArray[np.bool_] = (still & is_no_rest) | is_above | is_below
     return odd
+
+
+def _is_switch(numbers: Numbers) -> NDArray[np.bool_]:
+    """Whether each number has two values at most, as a status has."""
+    at_end = (numbers == numbers.min(axis=0)) | (numbers == numbers.max(axis=0))
+    switch: NDArray[np.bool_] = at_end.all(axis=0)
+    return switch
+
+
+def _follows(moved: Numbers, energy: Numbers) -> NDArray[np.bool_]:
+    """Whether each number moves more while others do, unlike a checksum."""
+    busy = energy > 0.25 * energy.mean()
+    if busy.all() or not busy.any():
+        return np.ones(moved.shape[1], np.bool_)
+    size = np.abs(moved)
+    follows: NDArray[np.bool_] = size[busy].mean(axis=0) > FOLLOWS * size[~busy].mean(axis=0)
+    return follows
 
 
 def _beyond_noise(off: Numbers, noise: float) -> Numbers:

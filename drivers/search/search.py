@@ -42,6 +42,7 @@ NEAR = 0.85
 
 
 TIED = "both explain what came equally well"
+CUT = "a hand moves numbers beside its cells, too"
 # After one of these, contacts may still show what the movement does not.
 UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE)
 
@@ -108,6 +109,7 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     # What a hand moves is a cell, unless a grid without it is surely better.
     best = min((each for each in ranked if not ranked[0].fold.beats(each.fold)), key=_misfits)
     wanting = objection(best.values, best.described.rows, best.described.columns, by_contact)
+    wanting = wanting or (CUT if best.is_cut else "")
     if not printed:
         ranked = _confirmed(ranked, data, times_s)
         best = ranked[0] if best not in ranked else best

@@ -15,7 +15,7 @@ LEAST_FRAMES = 8
 LEAST_NUMBERS = 16
 Flags = NDArray[np.bool_]
 # Leading and trailing numbers of a line that may not be cells.
-MOST_SKIP, MOST_TAIL = 8, 4
+MOST_SKIP, MOST_TAIL = 8, 8
 MOSTLY = 0.9
 MOST_ENDS = 3
 
@@ -33,13 +33,15 @@ class Line:
 class Guess:
     """A description that may be right, what it reads, and how well its neighbours move together.
 
-    misfits: numbers that a hand moves but that are none of its cells, and cells that jump without one.
+    misfits: numbers that a hand moves but that are none of its cells, and cells that are unlike the others.
+    is_cut: such a number stands beside the cells.
     """
 
     described: PadFormat
     values: Numbers
     fold: Fold
     misfits: int
+    is_cut: bool
 
 
 def guesses(data: bytes, by_contact: bool = False) -> Iterator[Guess]:
@@ -73,10 +75,15 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
             if movement.counters[skip : width - tail].any():
                 continue
             for rows, columns in sides(width - skip - tail):
+                if not (by_contact or movement.is_stride(columns)):
+                    continue
                 described = PadFormat(framing="text", rows=rows, columns=columns, skip=skip, tail=tail)
                 values = numbers[:, skip : width - tail]
-                misfits = movement.misfits(skip, rows * columns)
-                yield Guess(described, values, movement.fold(skip, rows, columns), misfits)
+                misfits, is_cut = (
+                    movement.misfits(skip, rows * columns),
+                    movement.is_cut(skip, rows * columns),
+                )
+                yield Guess(described, values, movement.fold(skip, rows, columns), misfits, is_cut)
 
 
 def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> Iterator[Guess]:
@@ -89,7 +96,7 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
     flat = whole.moved.reshape(len(whole.moved), *numbers.shape[1:])
     total = float(np.square(flat).sum())
     still = ~whole.alive.reshape(numbers.shape[1:])
-    pressed = whole.pressed.reshape(numbers.shape[1:])
+    pressed = whole.follows.reshape(numbers.shape[1:])
     counts = whole.counters.reshape(numbers.shape[1:])
     for skip in range(least_skip, MOST_SKIP + 1):
         for tail in range(MOST_TAIL + 1):
@@ -109,7 +116,8 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
                 )
                 fold = movement.fold(0, rows, each)
                 fold = Fold(skip, rows, each, fold.by_stretch * share)
-                yield Guess(described, cells, fold, int(pressed.sum() - pressed[:, skip:stop].sum()))
+                left_out = pressed[:, :skip].sum() + pressed[:, stop:].sum()
+                yield Guess(described, cells, fold, int(left_out), bool(left_out))
 
 
 def _leads(numbers: Numbers, still: Flags, skip: int, stop: int) -> bool:
