@@ -81,9 +81,14 @@ class Frames:
 
 def guesses(data: bytes) -> Iterator[Guess]:
     """Yield the grids that binary frames may form."""
+    tried: list[int] = []
     for length in _lengths(data):
+        # Several frames in a row say no more than one.
+        if any(length % shorter == 0 for shorter in tried):
+            continue
         frames = _frames_of(data, length)
         if frames is not None:
+            tried.append(length)
             found = False
             for guess in _of_length(frames):
                 found = True
@@ -200,7 +205,7 @@ def _of_kind(
                 described = _described(frames, begin, around, fields | {"rows": rows, "columns": columns})
                 if described is not None:
                     values = numbers[:, at : at + cells]
-                    misfits, is_cut = movement.misfits(at, cells), movement.is_cut(at, cells)
+                    misfits, is_cut = movement.misfits(at, rows, columns), movement.is_cut(at, cells)
                     yield Guess(described, values, fold, misfits, is_cut)
 
 

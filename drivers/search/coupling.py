@@ -170,15 +170,23 @@ class Movement:
             pairs = rows * (columns - 1) + columns * (rows - 1)
             together -= pairs * np.array([self._chance[part].sum() for part in self._stretches])
         total = np.array([self._total[part].sum() for part in self._stretches])
-        fitting = 1 - self.odd[start:stop].mean()
+        fitting = 1 - self._odd_in(start, rows, columns) / (rows * columns)
         return Fold(start, rows, columns, fitting * together / np.maximum(2 * total, 1e-9))
 
-    def misfits(self, start: int, cells: int) -> int:
+    def misfits(self, start: int, rows: int, columns: int) -> int:
         """Return how many numbers outside these cells look like cells, and how many inside do not."""
-        stop = start + cells
+        stop = start + rows * columns
         like_cells = self.follows | self._resembles_cells
         outside = like_cells.sum() - like_cells[start:stop].sum()
-        return int(outside + self.odd[start:stop].sum())
+        return int(outside) + self._odd_in(start, rows, columns)
+
+    def _odd_in(self, start: int, rows: int, columns: int) -> int:
+        """Return how many cells of a grid are hardly cells; a border that never changes may be."""
+        stop = start + rows * columns
+        odd = self.odd[start:stop].reshape(rows, columns)
+        inner = self.alive[start:stop].reshape(rows, columns)[1:-1, 1:-1]
+        has_border = self.alive[start:stop].sum() == inner.sum()
+        return int((odd[1:-1, 1:-1] if has_border else odd).sum())
 
     def is_cut(self, start: int, cells: int) -> bool:
         """Whether a hand moves a number beside these cells, too."""
@@ -191,6 +199,8 @@ class Movement:
 
     def lag(self, distance: int) -> float:
         """Return how much numbers at a distance move together."""
+        if not self._stretches:
+            return 0.0
         return float(self._products(distance).sum()) / max(float(self._total.sum()), 1e-9)
 
     def _products(self, distance: int) -> Numbers:

@@ -102,14 +102,14 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
         return Finding(None, tuple(_finished(each) for each in likely), missing, saw)
 
     found = text.guesses(data, by_contact) if printed else binary.guesses(data)
-    plausible = (each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ)
-    ranked = nsmallest(MOST_RANKED, plausible, key=_rank)
+    paced = [each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ]
+    ranked = nsmallest(MOST_RANKED, [each for each in paced if each.is_folded] or paced, key=_rank)
     if not ranked:
         return nothing(NO_FRAMES_IN_TEXT if printed else NO_FRAMES_IN_BYTES)
     # What a hand moves is a cell, unless a grid without it is surely better.
     best = min((each for each in ranked if not ranked[0].fold.beats(each.fold)), key=_misfits)
     wanting = objection(best.values, best.described.rows, best.described.columns, by_contact)
-    wanting = wanting or (CUT if best.is_cut else "")
+    wanting = wanting or (CUT if best.is_cut else "" if best.is_folded else NOT_TOGETHER)
     if not printed:
         ranked = _confirmed(ranked, data, times_s)
         best = ranked[0] if best not in ranked else best

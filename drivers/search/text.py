@@ -14,8 +14,9 @@ from touchd.drivers.search.coupling import Fold, Movement, Numbers, sides
 LEAST_FRAMES = 8
 LEAST_NUMBERS = 16
 Flags = NDArray[np.bool_]
-# Leading and trailing numbers of a line that may not be cells.
+# Leading and trailing numbers of a line that may not be cells; by contact, more cannot be told from cells.
 MOST_SKIP, MOST_TAIL = 8, 8
+CONTACT_SKIP, CONTACT_TAIL = 4, 2
 MOSTLY = 0.9
 MOST_ENDS = 3
 
@@ -34,7 +35,8 @@ class Guess:
     """A description that may be right, what it reads, and how well its neighbours move together.
 
     misfits: numbers that a hand moves but that are none of its cells, and cells that are unlike the others.
-    is_cut: such a number stands beside the cells.
+    is_cut: such a number stands beside the cells. is_folded: its rows have the length at which numbers move
+    together more than a little nearer or farther.
     """
 
     described: PadFormat
@@ -42,6 +44,7 @@ class Guess:
     fold: Fold
     misfits: int
     is_cut: bool
+    is_folded: bool = True
 
 
 def guesses(data: bytes, by_contact: bool = False) -> Iterator[Guess]:
@@ -69,21 +72,22 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
         return
     movement = Movement(numbers, by_contact=by_contact)
     width = numbers.shape[1]
-    last_counter = int(np.flatnonzero(movement.counters[:MOST_SKIP]).max(initial=-1))
-    for skip in range(last_counter + 1, MOST_SKIP + 1):
-        for tail in range(MOST_TAIL + 1):
+    most_skip, most_tail = (CONTACT_SKIP, CONTACT_TAIL) if by_contact else (MOST_SKIP, MOST_TAIL)
+    last_counter = int(np.flatnonzero(movement.counters[:most_skip]).max(initial=-1))
+    for skip in range(last_counter + 1, most_skip + 1):
+        for tail in range(most_tail + 1):
             if movement.counters[skip : width - tail].any():
                 continue
             for rows, columns in sides(width - skip - tail):
-                if not (by_contact or movement.is_stride(columns)):
-                    continue
                 described = PadFormat(framing="text", rows=rows, columns=columns, skip=skip, tail=tail)
                 values = numbers[:, skip : width - tail]
                 misfits, is_cut = (
-                    movement.misfits(skip, rows * columns),
+                    movement.misfits(skip, rows, columns),
                     movement.is_cut(skip, rows * columns),
                 )
-                yield Guess(described, values, movement.fold(skip, rows, columns), misfits, is_cut)
+                is_folded = by_contact or movement.is_stride(columns)
+                fold = movement.fold(skip, rows, columns)
+                yield Guess(described, values, fold, misfits, is_cut, is_folded)
 
 
 def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> Iterator[Guess]:
