@@ -175,8 +175,8 @@ def _poll(port: str, baud: int) -> Found | None:
     try:
         with open_port(port, baud) as opened:
             for described in (preset for preset in PRESETS.values() if preset.poll):
-                heard = listen_to_frames(opened, parser_of(described), ANSWER_S, start_s=ANSWER_S)
-                if len(heard.frames) > 1 and not heard.damaged:
+                sample = listen_to_frames(opened, parser_of(described), ANSWER_S, start_s=ANSWER_S)
+                if len(sample.frames) > 1 and not sample.damaged:
                     return Found(port, baud, described)
     except (SensorError, OSError):
         pass

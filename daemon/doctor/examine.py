@@ -11,7 +11,7 @@ from touchd.daemon.doctor.hand import find_with_a_hand
 from touchd.daemon.doctor.line import check_damage, check_format, check_opening, check_protocol, check_rate
 from touchd.daemon.doctor.listening import listen
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
-from touchd.daemon.doctor.pad import (
+from touchd.daemon.doctor.values import (
     check_noise,
     check_orientation,
     check_quiet,
@@ -52,27 +52,27 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | N
         return
     with opened:
         say(f"Leave the pad alone for {seconds:g} s ...")
-        heard = listen(opened, parser_of(sensor.described), seconds)
+        sample = listen(opened, parser_of(sensor.described), seconds)
         find = (lambda: find_with_a_hand(talk, opened)) if talk else None
-        yield check_protocol(heard, sensor, opened, find)
-        if len(heard.frames) < LEAST_FRAMES:
+        yield check_protocol(sample, sensor, opened, find)
+        if len(sample.frames) < LEAST_FRAMES:
             yield Check("pad", "not checked", "no frames arrive")
             return
-        yield check_damage(heard)
-        yield check_rate(heard)
-        quiet = check_quiet(heard, settings)
+        yield check_damage(sample)
+        yield check_rate(sample)
+        quiet = check_quiet(sample, settings)
         yield quiet
         if quiet.verdict == "ok":
-            yield check_rest(heard, settings)
-            yield check_noise(heard)
+            yield check_rest(sample, settings)
+            yield check_noise(sample)
         else:
             yield Check("rest", "not checked", "measured only while nothing touches the pad")
-        yield from check_taxels(heard)
-        yield from check_format(heard.chunks, sensor)
+        yield from check_taxels(sample)
+        yield from check_format(sample.chunks, sensor)
         if talk is None:
             yield Check("orientation", "not checked", "asked for in a terminal only")
             return
-        rest = np.median(heard.counts(), axis=0)
+        rest = np.median(sample.counts(), axis=0)
         say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
         parser = parser_of(sensor.described)
         yield check_orientation(listen(opened, parser, PRESS_S, enough=lambda f: is_pressed(f, rest)), rest)

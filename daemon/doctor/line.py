@@ -8,7 +8,7 @@ from serial.tools.list_ports import comports
 
 from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.listening import START_S, Heard, listen
+from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.pad.arrived import is_text, looks_like
@@ -62,18 +62,18 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
 
 
 def check_protocol(
-    heard: Heard, sensor: SensorSettings, opened: Line, find: Callable[[], Finding] | None = None
+    sample: Sample, sensor: SensorSettings, opened: Line, find: Callable[[], Finding] | None = None
 ) -> Check:
     """Report whether frames were decoded; if not, try other baud rates, then search for another format.
 
-    find: asks for a hand on the pad; without it, what was heard is searched.
+    find: asks for a hand on the pad; without it, what came before is searched.
     """
     described = sensor.described
-    if heard.frames:
+    if sample.frames:
         return Check("protocol", "ok", f"{described}{at_baud(sensor.port, sensor.baud)}, as configured")
-    if heard.broke_off:
-        return Check("protocol", "to do", heard.broke_off, "try another cable")
-    data = b"".join(chunk.data for chunk in heard.chunks)
+    if sample.broke_off:
+        return Check("protocol", "to do", sample.broke_off, "try another cable")
+    data = b"".join(chunk.data for chunk in sample.chunks)
     if not data:
         return Check(
             "protocol",
@@ -87,7 +87,7 @@ def check_protocol(
         return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
     if not is_text(data) and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{described}, but at {baud} baud", f"set sensor.baud: {baud}")
-    finding = find() if find else search(heard.chunks)
+    finding = find() if find else search(sample.chunks)
     if finding.proposed is not None:
         return Check("protocol", "to do", looks, _advice_to_set(finding.proposed, sensor))
     tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {_listed(USUAL_BAUDS)}"
@@ -137,24 +137,24 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
     return None
 
 
-def check_damage(heard: Heard) -> Check:
+def check_damage(sample: Sample) -> Check:
     """Report how many frames were damaged."""
-    share = heard.damaged / (heard.damaged + len(heard.frames))
-    figures = {"frames": float(len(heard.frames)), "damaged": float(heard.damaged)}
-    found = f"{len(heard.frames)} frames intact, {heard.damaged} damaged"
+    share = sample.damaged / (sample.damaged + len(sample.frames))
+    figures = {"frames": float(len(sample.frames)), "damaged": float(sample.damaged)}
+    found = f"{len(sample.frames)} frames intact, {sample.damaged} damaged"
     if share > MANY_SHARE:
         return Check("line", "to do", found, ADVICE_FOR_BYTES["damage"], figures)
     return Check("line", "ok" if share <= CLEAN_SHARE else "warning", found, "", figures)
 
 
-def check_rate(heard: Heard) -> Check:
+def check_rate(sample: Sample) -> Check:
     """Report frame rate, jitter, and the accuracy of the pad's clock."""
-    if heard.broke_off:
-        return Check("rate", "to do", heard.broke_off, "try another cable")
-    if heard.ended_s - heard.frames[-1].host_s > STOPPED_S:
+    if sample.broke_off:
+        return Check("rate", "to do", sample.broke_off, "try another cable")
+    if sample.ended_s - sample.frames[-1].host_s > STOPPED_S:
         return Check("rate", "to do", "the frames stopped during the check", "try another cable")
-    pace = pace_of(heard.frames)
-    waits_ms = 1000 * np.diff([frame.host_s for frame in heard.frames])
+    pace = pace_of(sample.frames)
+    waits_ms = 1000 * np.diff([frame.host_s for frame in sample.frames])
     figures = {
         "rate_hz": round(pace.rate_hz, 2),
         "jitter_ms": round(pace.jitter_ms, 2),
@@ -166,7 +166,7 @@ def check_rate(heard: Heard) -> Check:
         f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms by the pad's clock, "
         f"{figures['arrival_jitter_ms']:.1f} ms on arrival, longest wait {figures['longest_wait_ms']:.0f} ms"
     )
-    clock = clock_by_ours(heard.frames)
+    clock = clock_by_ours(sample.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
@@ -175,7 +175,7 @@ def check_rate(heard: Heard) -> Check:
         if round(pace.rate_hz) < SLOWEST_HZ:
             return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
         return Check("rate", "warning", f"{found}; {SLOW_HZ:g} or more are better", advice, figures)
-    if pace.lost > CLEAN_SHARE * len(heard.frames):
+    if pace.lost > CLEAN_SHARE * len(sample.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
     if pace.rate_hz > FAST_HZ:
         found += f"; the model uses {FRAME_RATE_HZ:g} of them"

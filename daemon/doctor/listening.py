@@ -19,8 +19,8 @@ LONGEST_STEP_MS = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
-    """Received frames and bytes.
+class Sample:
+    """What a pad sent in a while.
 
     frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
     the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went away,
@@ -44,7 +44,7 @@ def listen(
     seconds: float,
     start_s: float = START_S,
     enough: Callable[[Frame], bool] = lambda frame: False,
-) -> Heard:
+) -> Sample:
     """Listen for `seconds` from the first frame on, by the pad's clock or this machine's, whichever is first.
 
     start_s: how long the first frame may take. enough: stops at the first frame for which it is true.
@@ -79,4 +79,4 @@ def listen(
             frames.append(frame)
             is_enough |= enough(frame)
     damaged = parser.counts.bad - damaged_before if frames else 0
-    return Heard(tuple(frames), damaged, tuple(chunks), now_s, broke_off)
+    return Sample(tuple(frames), damaged, tuple(chunks), now_s, broke_off)

@@ -5,7 +5,7 @@ import termios
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from rigs.doctor_rig import SETTINGS, heard, pad_at_baud, pad_of, pad_read_too_fast, resting
+from rigs.doctor_rig import SETTINGS, pad_at_baud, pad_of, pad_read_too_fast, resting, sample
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.formats import encode_csv_line
 from rigs.line_faults import Faults
@@ -14,7 +14,7 @@ from rigs.sensor_rig import Encode, as_8x8, silence
 from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
-from touchd.daemon.doctor.listening import Heard, listen
+from touchd.daemon.doctor.listening import Sample, listen
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
@@ -72,15 +72,15 @@ def test_a_pad_unplugged_while_listening_is_reported() -> None:
 
 
 def test_a_line_that_damages_frames_is_recognised() -> None:
-    assert check_damage(heard(resting())).verdict == "ok"
-    assert check_damage(heard(resting(), faults=Faults(flip_bit_every=100))).verdict == "warning"
-    damaged = check_damage(heard(resting(), faults=Faults(flip_bit_every=10)))
+    assert check_damage(sample(resting())).verdict == "ok"
+    assert check_damage(sample(resting(), faults=Faults(flip_bit_every=100))).verdict == "warning"
+    damaged = check_damage(sample(resting(), faults=Faults(flip_bit_every=10)))
     assert damaged.verdict == "to do"
     assert "shorter cable" in damaged.advice
 
 
 def test_lost_frames_are_counted() -> None:
-    check = check_rate(heard(resting(), faults=Faults(drop_frame_every=20)))
+    check = check_rate(sample(resting(), faults=Faults(drop_frame_every=20)))
     assert check.figures["lost"] == pytest.approx(21, abs=1)
 
 
@@ -88,7 +88,7 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     def checked(step_ms: float, step_s: float, late_s: float = 0.0) -> Check:
         frames = [Frame(i, round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
         frames[-1] = replace(frames[-1], host_s=frames[-1].host_s + late_s)
-        return check_rate(Heard(tuple(frames), 0, (), frames[-1].host_s, ""))
+        return check_rate(Sample(tuple(frames), 0, (), frames[-1].host_s, ""))
 
     clock = checked(18, 0.009, late_s=0.3)
     assert "its clock runs 2.00 times as fast" in clock.found

@@ -24,7 +24,7 @@ from touchd.daemon import cli, commands
 from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, SensorSettings, Settings, load
 from touchd.daemon.doctor.line import check_rate
-from touchd.daemon.doctor.listening import Heard
+from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.events import Prediction, TouchEnded, encode
 from touchd.daemon.live.address import qr_code, urls_of
 from touchd.daemon.setup.parts import check_pad, load_model, open_journal
@@ -225,7 +225,7 @@ def test_a_clock_that_restarts_does_not_report_a_broken_pad() -> None:
     clock_ms = [*range(5000, 9000, 18), *range(0, 4000, 19)]
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame(n, ms, n / 54, counts) for n, ms in enumerate(clock_ms))
-    checked = check_rate(Heard(frames, 0, b"", len(frames) / 54, ""))
+    checked = check_rate(Sample(frames, 0, b"", len(frames) / 54, ""))
     assert checked.verdict == "ok", checked
 
 

@@ -15,7 +15,7 @@ from rigs.wire import read_too_fast
 
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.listening import Heard, listen
+from touchd.daemon.doctor.listening import Sample, listen
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
@@ -67,9 +67,9 @@ def pad_read_too_fast(counts: Counts, speed: int, described: PadFormat, pace: fl
     return pad_at_baud(counts, speed, encode, lambda *sent: read_too_fast(encode(*sent), 2), pace)
 
 
-def heard(
+def sample(
     counts: Counts, encode: Encode = encode_fabric_grid, rate_hz: float = 54.0, faults: Faults = NO_FAULTS
-) -> Heard:
+) -> Sample:
     """Return what the doctor reads of these counts over a pty, at full speed."""
     clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
     almost_all_s = (len(counts) - 3) / rate_hz

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rigs.doctor_rig import SETTINGS, heard, pad_of, resting
+from rigs.doctor_rig import SETTINGS, pad_of, resting, sample
 
 from touchd.daemon.doctor.listening import listen
-from touchd.daemon.doctor.pad import (
+from touchd.daemon.doctor.values import (
     check_noise,
     check_orientation,
     check_quiet,
@@ -21,7 +21,7 @@ from touchd.drivers.pad.protocol import parser_of
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
-    sound = heard(resting())
+    sound = sample(resting())
     checks = [check_quiet(sound, SETTINGS), check_rest(sound, SETTINGS), check_noise(sound)]
     assert [check.verdict for check in [*checks, *check_taxels(sound)]] == ["ok"] * 4
 
@@ -38,38 +38,38 @@ def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
 def test_broken_taxels_are_named(damaged: tuple[slice | int, ...], stuck_at: int, found: str) -> None:
     counts = resting()
     counts[damaged] = stuck_at
-    troubles = check_taxels(heard(counts))
+    troubles = check_taxels(sample(counts))
     assert any(found in trouble.found and trouble.advice for trouble in troubles)
     assert {trouble.verdict for trouble in troubles} == {"to do"}
 
 
 def test_taxels_are_not_checked_on_too_little_data() -> None:
-    assert check_taxels(heard(resting(3.0)))[0].verdict == "not checked"
-    assert check_taxels(heard(np.zeros_like(resting())))[0].verdict == "warning"
+    assert check_taxels(sample(resting(3.0)))[0].verdict == "not checked"
+    assert check_taxels(sample(np.zeros_like(resting())))[0].verdict == "warning"
 
 
 def test_a_noisy_taxel_is_distinguished_from_a_noisy_pad() -> None:
     rng = np.random.default_rng(1)
     counts = resting()
     counts[:, 6, 1] += rng.integers(0, 40, len(counts)).astype(np.uint16)
-    one = check_noise(heard(counts))
+    one = check_noise(sample(counts))
     assert "row 7 column 2 is noisy" in one.found
-    everywhere = check_noise(heard(counts + rng.integers(0, 40, counts.shape).astype(np.uint16)))
+    everywhere = check_noise(sample(counts + rng.integers(0, 40, counts.shape).astype(np.uint16)))
     assert "the whole pad is noisy" in everywhere.found
 
 
 def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
-    upside_down = check_rest(heard(np.uint16(1023) - resting()), SETTINGS)
+    upside_down = check_rest(sample(np.uint16(1023) - resting()), SETTINGS)
     assert upside_down.advice == "set sensor.invert: false"
     counts = resting()
     counts[:, 1, 2] += 200
-    assert "something lies on row 2 column 3" in check_rest(heard(counts), SETTINGS).found
+    assert "something lies on row 2 column 3" in check_rest(sample(counts), SETTINGS).found
 
 
 def test_a_touch_during_the_rest_check_is_reported() -> None:
     script = (("notouch", 3.0), ("rub", 2.0), ("notouch", 2.0))
     counts = np.concatenate([recording.counts for recording in simulate(script, seed=3)])
-    check = check_quiet(heard(counts), SETTINGS)
+    check = check_quiet(sample(counts), SETTINGS)
     assert check.found == "a touch was detected while listening"
     assert "loose wire" in check.advice
 
@@ -82,7 +82,7 @@ def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdic
     counts = resting(1.0)
     rest = np.median(counts, axis=0)
     counts[-10:, row, column] += 300
-    pressed = heard(counts)
+    pressed = sample(counts)
     assert is_pressed(pressed.frames[-1], rest)
     check = check_orientation(pressed, rest)
     assert check.verdict == verdict
@@ -97,7 +97,7 @@ def test_not_pressing_the_corner_is_no_fault() -> None:
         rest = np.median(counts[:100], axis=0)
         found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
     assert check_orientation(found, rest).verdict == "ok"
-    untouched = heard(resting(1.0))
+    untouched = sample(resting(1.0))
     rest = np.median(untouched.counts(), axis=0)
     assert check_orientation(untouched, rest).verdict == "not checked"
     assert check_orientation(replace(untouched, broke_off="unplugged"), rest).found == "unplugged"

@@ -1,11 +1,11 @@
-"""Checks of the pad: rest, noise, taxels, orientation."""
+"""Checks of what a pad's values show: rest, noise, taxels, orientation."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.listening import Heard
+from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
@@ -29,9 +29,9 @@ ADVICE_FOR: dict[str, str] = {
 }
 
 
-def check_rest(heard: Heard, settings: Settings) -> Check:
+def check_rest(sample: Sample, settings: Settings) -> Check:
     """Report the pad's counts at rest, and whether `invert` is right."""
-    level = np.median(heard.counts(), axis=0)
+    level = np.median(sample.counts(), axis=0)
     figures = {"rest_counts": round(float(level.mean()), 1), "highest_rest_counts": float(level.max())}
     found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
     if level.mean() > WRONG_WAY_COUNTS:
@@ -44,10 +44,10 @@ def check_rest(heard: Heard, settings: Settings) -> Check:
     return Check("rest", "ok", found, "", figures)
 
 
-def check_quiet(heard: Heard, settings: Settings) -> Check:
+def check_quiet(sample: Sample, settings: Settings) -> Check:
     """Report whether the daemon would have detected a touch."""
     ring, tracker = Ring(1), TouchTracker(settings.touch)
-    laid = (laid for frame in heard.frames for laid in ring.push(frame))
+    laid = (laid for frame in sample.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}
     if touches == 0:
@@ -60,9 +60,9 @@ def check_quiet(heard: Heard, settings: Settings) -> Check:
     return Check("quiet", "to do", f"{times} detected while listening", advice, figures)
 
 
-def check_noise(heard: Heard) -> Check:
+def check_noise(sample: Sample) -> Check:
     """Report the noise between frames; a touch during the check raises it."""
-    steps = np.diff(heard.counts().astype(np.float64), axis=0)
+    steps = np.diff(sample.counts().astype(np.float64), axis=0)
     noise = steps.std(axis=0) / np.sqrt(2.0)
     usual, highest = float(np.median(noise)), float(noise.max())
     figures = {"noise_counts": round(usual, 2), "highest_noise_counts": round(highest, 2)}
@@ -77,9 +77,9 @@ def check_noise(heard: Heard) -> Check:
     return Check("noise", "ok", found, "", figures)
 
 
-def check_taxels(heard: Heard) -> list[Check]:
+def check_taxels(sample: Sample) -> list[Check]:
     """Report dead and stuck taxels, one check for each kind of fault."""
-    listened_s = float(steps_ms(heard.frames).sum()) / 1000
+    listened_s = float(steps_ms(sample.frames).sum()) / 1000
     if listened_s < HEALTH_S:
         return [
             Check(
@@ -88,12 +88,12 @@ def check_taxels(heard: Heard) -> list[Check]:
                 f"needs frames for {HEALTH_S:g} s; they arrived for {listened_s:.1f} s",
             )
         ]
-    if not heard.counts().std(axis=0).any():
+    if not sample.counts().std(axis=0).any():
         advice = "press all over the pad in touchd run --view: where nothing lights up, it is broken"
         found = "no value changed: the pad is silent at rest, or it hangs"
         return [Check("taxels", "warning", found, advice)]
     taxels = TaxelFaults()
-    for frame in heard.frames:
+    for frame in sample.frames:
         taxels.update(frame)
     if not taxels.faults:
         return [Check("taxels", "ok", f"all {ROWS * COLUMNS} are alive")]
@@ -105,13 +105,13 @@ def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
     return bool((frame.pressure - rest).max() >= PRESSED_COUNTS)
 
 
-def check_orientation(heard: Heard, rest: NDArray[np.float64]) -> Check:
+def check_orientation(sample: Sample, rest: NDArray[np.float64]) -> Check:
     """Report where the press on the top left corner arrived, in frames up to `is_pressed`."""
-    if heard.broke_off:
-        return Check("orientation", "to do", heard.broke_off, "try another cable")
-    if not heard.frames or not is_pressed(heard.frames[-1], rest):
+    if sample.broke_off:
+        return Check("orientation", "to do", sample.broke_off, "try another cable")
+    if not sample.frames or not is_pressed(sample.frames[-1], rest):
         return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor again")
-    pressure = heard.frames[-1].pressure - rest
+    pressure = sample.frames[-1].pressure - rest
     row, column = np.unravel_index(int(pressure.argmax()), pressure.shape)
     found = f"the top left corner is at row {row + 1} column {column + 1}"
     if row < ROWS // 2 and column < COLUMNS // 2:
