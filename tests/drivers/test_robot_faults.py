@@ -11,6 +11,7 @@ from typing import IO
 
 import pytest
 from by_hand.robot_figures import STATES, in_state, publishes
+from rigs import attackers
 from rigs.call_log import CallLog
 from rigs.programs import Program
 from rigs.robots import (
@@ -26,12 +27,13 @@ from rigs.robots import (
     login_in,
     message,
 )
+from rigs.sockets import free_port
 from rigs.wait import AT_ONCE_S, wait_for
 
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import Action, ActionRule
-from touchd.drivers.robot.session import Login, RobotLimits, RobotLost, RobotSession, RobotSettings
+from touchd.drivers.robot.session import Login, QiSession, RobotLimits, RobotLost, RobotSession, RobotSettings
 
 
 def test_a_kill_during_a_call_is_survived() -> None:
@@ -73,6 +75,32 @@ def test_a_robot_that_refuses_is_retried_slowly() -> None:
     link.stop()
     # Pauses of 0.1, 0.2 and 0.4 s, each shortened by at most half.
     assert tried[3] - tried[0] >= 0.35
+
+
+def test_nothing_is_asked_of_a_robot_before_its_login() -> None:
+    asked: list[str] = []
+
+    class Asked(QiSession):
+        def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+            asked.append(method)
+            return super().call(service, method, *arguments, limit_s=limit_s)
+
+    port, states = free_port(), States()
+    with attackers.server(port, attackers.never_answers) as connections:
+        link = RobotLink(
+            RobotSettings(url=f"tcp://127.0.0.1:{port}"),
+            states,
+            Asked,
+            limits=replace(IMPATIENT, connect_s=0.3),
+        )
+        link.start()
+        for touch in range(500):
+            link.publish(message(touch=touch))
+        wait_for(lambda: connections[0] >= 3)
+        link.stop()
+    assert "connecting: no answer within" in states.wait_for("down")
+    assert asked == []
+    assert link.counts["dropped"] == 500 - IMPATIENT.capacity
 
 
 def test_a_robot_that_returns_gets_the_status() -> None:

@@ -197,6 +197,14 @@ def zeros(client: socket.socket, goes_on: Callable[[], bool]) -> None:
 # Robot
 
 
+def never_answers(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    """Take what is sent, and answer nothing, not even the login."""
+    while goes_on():
+        with suppress(TimeoutError):
+            if not client.recv(CHUNK):
+                return
+
+
 def claims_gigabytes(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     """Send the header of a message of 4 GB, as libqi frames it, and what follows."""
     header = struct.pack("<IIIHBBIII", 0x42ADDE42, 1, 0xFFFFFF00, 0, 2, 0, 0, 0, 8)
