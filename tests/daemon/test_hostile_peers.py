@@ -1,11 +1,13 @@
 """Peers that send without end or refuse what they get: memory stays, and the log says why, briefly."""
 
+import importlib.util
+import itertools
 import json
 import resource
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -22,7 +24,7 @@ from rigs.wait import AT_ONCE_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
-from touchd.daemon.config import LiveSettings, SensorSettings
+from touchd.daemon.config import LiveSettings, PadSettings, SensorSettings
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.log import MOST_LINES
 from touchd.daemon.playback.rig import encoder_for
@@ -64,7 +66,7 @@ def live(port: int) -> dict[str, Any]:
 
 
 def pad_at(scheme: str) -> Configure:
-    return lambda port: {"sensor": SensorSettings(port=f"{scheme}://127.0.0.1:{port}")}
+    return lambda port: {"sensors": {scheme: PadSettings(port=f"{scheme}://127.0.0.1:{port}")}}
 
 
 SERVERS: dict[str, tuple[str, Configure, attackers.Attack]] = {
@@ -100,10 +102,12 @@ def resident_mb(pid: int) -> float:
     return 0.0
 
 
-def endured(
-    folder: Path, attack: Callable[[int], AbstractContextManager[Any]], seconds: float, **settings: Any
-) -> None:
-    """Attack a running daemon, and check its memory, its log and how it ends. attack: is given its pid."""
+Attack = Callable[[int], AbstractContextManager[Any]]
+"""Attacks the daemon with this process id for as long as the context lasts."""
+
+
+def endured(folder: Path, attacks: Sequence[Attack], seconds: float, **settings: Any) -> None:
+    """Attack a running daemon from all sides at once; check its memory, its log and how it ends."""
     encode = encoder_for(SensorSettings())
     with (
         FakePort(stream_of(DEMO), encode, speed=4.0, loop=True) as pad,
@@ -115,7 +119,9 @@ def endured(
         time.sleep(SETTLING_S)
         first_mb = most_mb = resident_mb(daemon.process.pid)
         until_s = time.monotonic() + seconds
-        with attack(daemon.process.pid):
+        with ExitStack() as attacked:
+            for attack in attacks:
+                attacked.enter_context(attack(daemon.process.pid))
             while time.monotonic() < until_s:
                 time.sleep(0.05)
                 most_mb = max(most_mb, resident_mb(daemon.process.pid))
@@ -143,6 +149,19 @@ STRANGERS: dict[str, tuple[str, Configure, str, Stranger]] = {
 }
 
 
+ATTACKS = (*SERVERS, *STRANGERS)
+
+
+def together() -> list[tuple[str, ...]]:
+    """Sort all attacks into groups that one daemon can meet at once: one by each peer, or all on its pad."""
+    of_peers = [
+        [name for name in SERVERS if name.startswith(peer)] for peer in ("mqtt", "rosbridge", "robot")
+    ]
+    on_ports = [name for name in STRANGERS if not name.startswith("pad")]
+    groups = [tuple(filter(None, group)) for group in itertools.zip_longest(*of_peers, on_ports)]
+    return [*groups, tuple(name for name in ATTACKS if name.startswith("pad"))]
+
+
 @contextmanager
 def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
     """Attack, in a thread, the ports at which a daemon and what it started listen."""
@@ -165,21 +184,43 @@ def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
         thread.join()
 
 
-@pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", SERVERS)
-def test_no_server_can_make_touchd_use_memory(tmp_path: Path, name: str, seconds: float) -> None:
-    library, configure, attack = SERVERS[name]
-    pytest.importorskip(library)
-    port = free_port()
-    endured(tmp_path, lambda _: attackers.server(port, attack), seconds, **configure(port))
+def prepared(names: Sequence[str]) -> tuple[list[Attack], dict[str, Any]]:
+    """Return these attacks and the settings that let them in; without those whose library is missing."""
+    attacks: list[Attack] = []
+    settings: dict[str, Any] = {}
+    for name in names:
+        library, configure, *how = SERVERS.get(name) or STRANGERS[name]
+        if importlib.util.find_spec(library.partition(".")[0]) is None:
+            continue
+        port = free_port()
+        new = configure(port)
+        # A pad that attacks takes the place of the one that is played.
+        new |= (
+            {"sensor": SensorSettings(), "sensors": settings.get("sensors", {}) | new["sensors"]}
+            if "sensors" in new
+            else {}
+        )
+        settings |= new
+        if name in SERVERS:
+            attacks.append(lambda _, port=port, how=how: attackers.server(port, *how))  # type: ignore[misc]
+        else:
+            attacks.append(lambda pid, how=how: stranger(pid, *how))  # type: ignore[misc]
+    if not attacks:
+        pytest.skip("no library that these attack is installed")
+    return attacks, settings
 
 
-@pytest.mark.parametrize("seconds", [4.0, pytest.param(60.0, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", STRANGERS)
-def test_no_stranger_can_make_touchd_use_memory(tmp_path: Path, name: str, seconds: float) -> None:
-    library, configure, protocol, attack = STRANGERS[name]
-    pytest.importorskip(library)
-    endured(tmp_path, lambda pid: stranger(pid, protocol, attack), seconds, **configure(free_port()))
+@pytest.mark.parametrize("names", together(), ids=", and ".join)
+def test_peers_and_strangers_cannot_make_touchd_use_memory(tmp_path: Path, names: tuple[str, ...]) -> None:
+    attacks, settings = prepared(names)
+    endured(tmp_path, attacks, 4.0, **settings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ATTACKS)
+def test_a_minutes_attack_by_one_makes_touchd_use_no_memory(tmp_path: Path, name: str) -> None:
+    attacks, settings = prepared([name])
+    endured(tmp_path, attacks, 60.0, **settings)
 
 
 def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: Path, port: int) -> None:
