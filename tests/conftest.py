@@ -24,24 +24,33 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
+    "test_search.py",
+    "test_hostile_peers.py",
+    "test_init.py",
     "test_adapt.py",
     "test_fake_pad.py",
     "test_end_to_end.py",
-    "test_robot_faults.py",
-    "test_cli.py",
-    "test_live_page.py",
-    "test_stability.py",
-    "test_pads.py",
-    "test_challenge.py",
-    "test_tgc.py",
     "test_scores.py",
-    "test_sensor_faults.py",
+    "test_paper.py",
+    "test_live_page.py",
+    "test_doctor_line.py",
+    "test_tgc.py",
     "test_first_day.py",
-    "test_pages.py",
+    "test_cli.py",
+    "test_sessions.py",
+    "test_stability.py",
+    "test_sensor_faults.py",
+    "test_live_touch.py",
+    "test_challenge.py",
+    "test_bridges.py",
+    "test_robot_faults.py",
+    "test_monitor.py",
+    "test_other_lines.py",
+    "test_pointers.py",
+    "test_pads.py",
     "test_live.py",
-    "test_speed.py",
-    "test_touch_haart.py",
-    "test_soak.py",
+    "test_service.py",
+    "test_install.py",
 )
 
 
@@ -67,7 +76,7 @@ def classifier() -> Classifier:
 
 
 @pytest.fixture(scope="session")
-def chrome() -> Iterator["Chrome"]:
+def own_chrome() -> Iterator["Chrome"]:
     """A browser for all tests of a worker."""
     from rigs.browser import CHROMIUM, DRIVER, browser
 
@@ -75,6 +84,13 @@ def chrome() -> Iterator["Chrome"]:
         pytest.skip("chromium and chromium-driver are not installed")
     with browser() as chrome:
         yield chrome
+
+
+@pytest.fixture(scope="module")
+def chrome(own_chrome: "Chrome") -> Iterator["Chrome"]:
+    """The worker's browser, left on an empty page: another would go on drawing and reconnecting."""
+    yield own_chrome
+    own_chrome.get("about:blank")
 
 
 @pytest.fixture

@@ -93,7 +93,10 @@ def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
     assert (found.rows, found.columns, found.skip, found.invert) == (6, 6, 1, False)
 
 
-def test_a_pad_that_nobody_presses_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pad_that_nobody_presses_is_refused_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(init, "LISTEN_S", 3.0)
     rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
     printed = PadFormat(framing="text", rows=8, columns=8)
     still = Stream(rest, ideal_clock_ms(len(rest)), ())
@@ -149,21 +152,8 @@ def test_the_file_is_written_even_without_a_pad() -> None:
     assert load(FILE).sensor.described == SensorSettings().described
 
 
-def with_a_hand(terminal: Terminal) -> None:
-    """Answer what init asks of the hand, which the recording moves."""
-    terminal.until("Leave the pad alone")
-    terminal.until("Press firmly in the middle")
-    terminal.until("Touch the corner that should be top left")
-    terminal.until("Does the picture follow it? [Y/n]")
-    terminal.answer("y")
-
-
 def test_the_end_of_input_means_no_robot() -> None:
-    with (
-        FakePort(STREAM, ENCODE, loop=True) as port,
-        Terminal("init", "--port", port.path, "--baud", "115200") as terminal,
-    ):
-        with_a_hand(terminal)
+    with Terminal("init", "--port", "none") as terminal:
         terminal.until("(Enter: no robot): ")
         terminal.answer("\x04", " doctor -c")
     assert load(FILE).robot is None
@@ -209,7 +199,12 @@ def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
-            with_a_hand(terminal)
+            # What init asks of the hand; the recording presses.
+            terminal.until("Leave the pad alone")
+            terminal.until("Press firmly in the middle")
+            terminal.until("Touch the corner that should be top left")
+            terminal.until("Does the picture follow it? [Y/n]")
+            terminal.answer("y")
             terminal.until("The robot's name or address")
             terminal.answer("nao local", "is not a robot's name or address, such as nao.local")
             terminal.until("The robot's name or address")
