@@ -159,7 +159,7 @@ deb:
 	@$(MAKE) --no-print-directory install DESTDIR=$(PACKAGE) BINDIR=/usr/bin SYSTEM=/usr/lib PYTHON=/usr/bin/python3 >/dev/null
 	@cp -r systemd/debian $(PACKAGE)/DEBIAN
 	@install -d $(PACKAGE)/usr/share/man/man1
-	@sh systemd/man.sh $(PACKAGE)$(PROGRAM)/bin/python | gzip -9n > $(PACKAGE)/usr/share/man/man1/touchd.1.gz
+	@$(PACKAGE)$(PROGRAM)/bin/python systemd/man.py | gzip -9n > $(PACKAGE)/usr/share/man/man1/touchd.1.gz
 	@chmod 755 $(PACKAGE)/DEBIAN $(PACKAGE)/DEBIAN/p*
 	@version=$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml); arch=$$(dpkg --print-architecture); \
 	minor=$$(/usr/bin/python3 -c 'import sys; print(sys.version_info.minor)'); \

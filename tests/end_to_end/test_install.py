@@ -147,7 +147,7 @@ def test_an_extra_that_is_none_is_refused(tmp_path: Path) -> None:
 @pytest.mark.skipif(shutil.which("man") is None, reason="man is not installed")
 def test_the_manual_page_has_every_command(tmp_path: Path) -> None:
     page = tmp_path / "touchd.1"
-    page.write_text(ran(["sh", ROOT / "systemd/man.sh", sys.executable], check=True, cwd="/").stdout)
+    page.write_text(ran([sys.executable, ROOT / "systemd/man.py"], check=True, cwd="/").stdout)
     shown = ran(["man", "--warnings", "-l", page], check=True)
     assert shown.stderr == ""
     for command in COMMANDS:
