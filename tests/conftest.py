@@ -2,11 +2,15 @@
 
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# Without bytecode each worker and each program that a test starts would compile everything, half a second of work.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Commands would find the configuration of whoever runs the tests.
 os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
 

@@ -89,6 +89,22 @@ FOLLOW_ROUTE = """
   }, 5);
 """
 
+# Counts the browser's pictures, and those of the pad, for five seconds.
+COUNT_PICTURES = """
+  window.pictures = { browser: 0, pad: 0, begun: performance.now() };
+  const put = CanvasRenderingContext2D.prototype.putImageData;
+  CanvasRenderingContext2D.prototype.putImageData = function (...all) {
+    pictures.pad++;
+    put.apply(this, all);
+  };
+  const count = () => {
+    pictures.browser++;
+    if (!pictures.seconds) requestAnimationFrame(count);
+  };
+  requestAnimationFrame(count);
+  setTimeout(() => { pictures.seconds = (performance.now() - pictures.begun) / 1000; }, 5000);
+"""
+
 # A place on the pad, across and down from 0 to 1, at a time in seconds; None while the pointer is up.
 Route: TypeAlias = Callable[[float], tuple[float, float] | None]
 
@@ -274,6 +290,17 @@ def test_gestures_of_a_mouse_are_recognised(
         )
         named[page.find_element(By.CSS_SELECTOR, "#touches b").text] += 1
     assert named[gesture] >= TRIES - 1, named
+
+
+# As above: other programs take pictures away.
+@pytest.mark.slow
+def test_sixty_pictures_a_second_are_drawn_of_a_touch(page: Chrome) -> None:
+    page.execute_script(COUNT_PICTURES)
+    perform(page, quick_rub(random.Random(3)), 5.5)
+    browser, pad, seconds = page.execute_script("return [pictures.browser, pictures.pad, pictures.seconds]")
+    assert browser / seconds > 57
+    # The pad sends 54 frames a second.
+    assert pad / seconds > 50
 
 
 def refusal(url: str, messages: Sequence[str]) -> str:
