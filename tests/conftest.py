@@ -8,9 +8,6 @@ from typing import TYPE_CHECKING
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# Without bytecode each worker and each program that a test starts would compile everything, half a second of work.
-sys.dont_write_bytecode = False
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Commands would find the configuration of whoever runs the tests.
 os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
 
@@ -22,6 +19,9 @@ if TYPE_CHECKING:
     from rigs.live_rig import Served
     from selenium.webdriver import Chrome
 
+# Without bytecode each worker and each program that a test starts would compile every file.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Programs that tests start inherit ignored signals: Ctrl-C from a shell's background, SIGHUP from nohup.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
