@@ -39,7 +39,8 @@ def typed(command: str, pad: str = "") -> Terminal:
 
 def init(pad: str) -> None:
     with typed("init", pad) as terminal:
-        terminal.until("Touch the corner that should be top left")
+        # A busy machine needs longer to prove the grid.
+        terminal.until_one("Touch the corner that should be top left", within_s=WITHIN_S)
         # The simulated hand does not always press a corner firmly.
         follows = "Does the picture follow it? [Y/n]"
         if terminal.until_one(follows, "no corner was touched") == follows:
