@@ -22,7 +22,8 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-LOADS_WITHIN_S = 20
+# No specification: the time that a very busy machine may need.
+LOADS_WITHIN_S = 60
 
 
 @contextmanager
