@@ -24,6 +24,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Stream
 
@@ -32,6 +33,10 @@ POLL_S = 0.002
 SETTLE_S = 0.5
 # The kernel flushes asynchronously; check again after this long.
 EMPTY_FOR_S = 0.1
+
+
+class FakePortError(TouchdError):
+    """The system has no pseudo-terminal left, or none at all."""
 
 
 T = TypeVar("T", bound="_Line")
@@ -43,7 +48,12 @@ class _Line(ABC):
     def __init__(self) -> None:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
-        self._master, slave = pty.openpty()
+        try:
+            self._master, slave = pty.openpty()
+        except OSError as error:
+            raise FakePortError(
+                f"no pseudo-terminal for the simulated pad ({error}); is /dev/pts mounted?"
+            ) from error
         tty.setraw(slave)
         # Linux reuses the numbers of ptys: a reader that looks for its lost pad by number would open, and
         # disturb, another program's terminal.

@@ -1,5 +1,6 @@
 """The fake port behaves on its pty as a pad on its cable: pace, bytes, disconnection."""
 
+import pty
 import threading
 import time
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from rigs.sensor_rig import BAUD, stream_of
 from rigs.wait import AT_ONCE_S, wait_for
 from rigs.wire import SIZE
 
-from touchd.drivers.fakes.fake_port import FakePort
+from touchd.drivers.fakes.fake_port import FakePort, FakePortError, LivePort
 from touchd.drivers.recording import Stream
 
 
@@ -150,3 +151,12 @@ def test_a_clock_that_restarts_does_not_change_the_pace() -> None:
     assert data == encoded(twice)
     # Forty frames take 361 ms at twice the pace; the second twenty in a burst would end 170 ms early.
     assert port.sent_s[-1] - port.sent_s[0] >= 0.355
+
+
+def test_a_system_without_pseudo_terminals_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> tuple[int, int]:
+        raise OSError("out of pty devices")
+
+    monkeypatch.setattr(pty, "openpty", refuse)
+    with pytest.raises(FakePortError, match=r"no pseudo-terminal .*out of pty devices.*/dev/pts"):
+        LivePort(lambda _: np.zeros((8, 8), np.uint16), encode_fabric_grid)
