@@ -182,7 +182,7 @@ def _of_kind(
     """Yield the grids of one kind of cell. place: where the table and its numbers begin in a frame."""
     anchor, run, offset = place
     movement = Movement(numbers)
-    if not movement.is_pressed or movement.lag(1) < LEAST_LAG:
+    if not movement.is_pressed or movement.lags[1] < LEAST_LAG:
         return
     bits, length = CELL_BITS[kind[0]], frames.length
     fields: dict[str, Any] = {"cell": kind[0], "order": kind[1] if bits > 8 else "little"}

@@ -5,6 +5,7 @@ neighbours move together most, and it is a pad only if they do so far more than 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,8 @@ PRESSED_NOISES = 8.0
 CALM_PARTS = 16
 # While a hand is on the pad, what it moves moves by so much more.
 FOLLOWS = 2.0
+# A number that moves farther than the cells by this factor is a total of them.
+MOST_OVER = 2.0
 # A cell is hardly so much noisier than most.
 WILD_NOISES = 20.0
 # The middle is a seam if cells move together across it by less than this share of the usual, and both its
@@ -121,7 +124,8 @@ class Movement:
         if self.goes_negative and _skew(off) < 0:
             # Signed counts do not fall under a hand, so it pressed for most of the time.
             off = np.where(left_out, 0.0, chosen - np.quantile(chosen, SELDOM_AT_REST, axis=0))
-        self.largest = float(np.abs(off).max(initial=0.0))
+        self.farthest = np.abs(off).max(axis=0, initial=0.0)
+        self.largest = float(self.farthest.max(initial=0.0))
         # A pad whose largest value means no pressure moves down.
         self.falls = bool(_skew(off) < 0)
         moved = _beyond_noise(off, self.noise)
@@ -189,19 +193,29 @@ class Movement:
         return int((odd[1:-1, 1:-1] if has_border else odd).sum())
 
     def is_cut(self, start: int, cells: int) -> bool:
-        """Whether a hand moves a number beside these cells, too."""
-        beside = (start - 1, start + cells)
-        return any(self.follows[at] for at in beside if 0 <= at < len(self.follows))
+        """Whether a hand moves a number beside these cells, too, other than their total."""
+        beside = (at for at in (start - 1, start + cells) if 0 <= at < len(self.follows))
+        most = MOST_OVER * self.farthest[start : start + cells].max()
+        return any(self.follows[at] and self.farthest[at] <= most for at in beside)
 
     def is_stride(self, columns: int) -> bool:
-        """Whether numbers at this distance move together more than those a little nearer or farther."""
-        return self.lag(columns) >= max(self.lag(columns - 1), self.lag(columns + 1))
+        """Whether numbers at this distance move together more than a little nearer or farther, and more than
+        at any nearer distance of which that is true."""
+        if columns + 1 >= len(self.lags):
+            return False
+        nearer, here, farther = self.lags[1:columns], self.lags[2 : columns + 1], self.lags[3 : columns + 2]
+        is_peak = (here >= nearer) & (here >= farther)
+        return bool(is_peak[-1] and here[-1] >= here[is_peak].max())
 
-    def lag(self, distance: int) -> float:
-        """Return how much numbers at a distance move together."""
-        if not self._stretches:
-            return 0.0
-        return float(self._products(distance).sum()) / max(float(self._total.sum()), 1e-9)
+    @cached_property
+    def lags(self) -> Numbers:
+        """How much numbers at each distance move together, of 1 at most."""
+        width = self.moved.shape[1]
+        shared = np.zeros(width)
+        for part in self._stretches:
+            power = np.square(np.abs(np.fft.rfft(self.moved[part], 2 * width))).sum(axis=0)
+            shared += np.fft.irfft(power)[:width]
+        return shared / max(float(self._total.sum()), 1e-9)
 
     def _products(self, distance: int) -> Numbers:
         """Return the product of each number and the one at a distance, (stretches, numbers)."""
@@ -227,6 +241,10 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
         return "a press makes its numbers negative, and those are cut at 0: print what a press adds"
     reached = movement.pressed.reshape(rows, columns)
     if reached.mean() < REACHED or min(reached.any(axis=0).mean(), reached.any(axis=1).mean()) < 0.5:
+        return TOO_LITTLE
+    alive = movement.alive.reshape(rows, columns)
+    edges = [alive[0].any(), alive[-1].any(), alive[:, 0].any(), alive[:, -1].any()]
+    if any(edges) and not all(edges):
         return TOO_LITTLE
     moved = movement.moved
     cells = np.arange(rows * columns).reshape(rows, columns)
