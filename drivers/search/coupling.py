@@ -40,6 +40,8 @@ PRESSED_NOISES = 8.0
 CALM_PARTS = 16
 # While a hand is on the pad, what it moves moves by so much more.
 FOLLOWS = 2.0
+# From one frame to the next, it keeps this share of its movement.
+LASTS = 0.5
 # A number that moves farther than the cells by this factor is a total of them.
 MOST_OVER = 2.0
 # A cell is hardly so much noisier than most.
@@ -144,7 +146,7 @@ class Movement:
         self._resembles_cells = _resembles(chosen, off, self.pressed) & ~left_out & by_contact
         energy = np.square(moved).sum(axis=1)
         busy = np.flatnonzero(energy > 0.25 * energy.mean())
-        self.follows = self.pressed & ~_is_switch(chosen) & _follows(moved, energy)
+        self.follows = self.pressed & ~_is_switch(chosen) & _follows(off, moved, energy)
         # Where less moves, every grid scores 0.
         self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
         self._total = np.square(self.moved).sum(axis=1)
@@ -315,13 +317,14 @@ def _is_switch(numbers: Numbers) -> NDArray[np.bool_]:
     return switch
 
 
-def _follows(moved: Numbers, energy: Numbers) -> NDArray[np.bool_]:
-    """Whether each number moves more while others do, unlike a checksum."""
-    busy = energy > 0.25 * energy.mean()
-    if busy.all() or not busy.any():
-        return np.ones(moved.shape[1], np.bool_)
+def _follows(off: Numbers, moved: Numbers, energy: Numbers) -> NDArray[np.bool_]:
+    """Whether each number moves more while others do, unlike a status, and smoothly, unlike a checksum."""
+    busy = energy >= 0.25 * energy.mean()
+    about = off[busy] - off[busy].mean(axis=0)
+    lasts = (about[1:] * about[:-1]).sum(axis=0) > LASTS * np.square(about).sum(axis=0)
     size = np.abs(moved)
-    follows: NDArray[np.bool_] = size[busy].mean(axis=0) > FOLLOWS * size[~busy].mean(axis=0)
+    idle = size[~busy].mean(axis=0) if (~busy).any() else 0.0
+    follows: NDArray[np.bool_] = lasts & (size.mean(axis=0) > FOLLOWS * idle)
     return follows
 
 
