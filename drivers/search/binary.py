@@ -199,14 +199,14 @@ def _of_kind(
                 if kind[0] == "i16" and numbers[:, at : at + cells].min() >= 0:
                     continue
                 fold = movement.fold(at, rows, columns)
-                if fold.score < LEAST_LAG or not movement.is_stride(columns):
+                if fold.score < LEAST_LAG:
                     continue
                 begin = (anchor + start) % length
                 described = _described(frames, begin, around, fields | {"rows": rows, "columns": columns})
                 if described is not None:
                     values = numbers[:, at : at + cells]
                     misfits, is_cut = movement.misfits(at, rows, columns), movement.is_cut(at, cells)
-                    yield Guess(described, values, fold, misfits, is_cut)
+                    yield Guess(described, values, fold, misfits, is_cut, movement.is_stride(columns))
 
 
 def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -229,8 +229,11 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
         used = table[:, : -(-width * 12 // 8)]
         loose = np.unpackbits(used, axis=1, bitorder=order)[:, : width * 12]
         placed = loose.reshape(len(table), width, 12).astype(np.uint16) << U12_BITS[order]
-        packed: Numbers = placed.sum(axis=2, dtype=np.uint16).astype(np.float64)
-        return packed
+        packed = placed.sum(axis=2, dtype=np.uint16)
+        # Wider cells read as packed ones are alike at every fourth.
+        return (
+            packed.astype(np.float64) if all(_lower_is_busier(packed[:, at::4]) for at in range(4)) else None
+        )
     used = np.ascontiguousarray(table[:, : width * bits // 8])
     sent = used.view(PLAIN_CELLS[kind, order])
     if kind == "f32":
@@ -246,7 +249,7 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
 
 
 def _lower_is_busier(sent: NDArray[Any]) -> bool:
-    """Whether the lower byte changes more often than the upper one; in the other order it is the reverse."""
+    """Whether the lower byte changes more often than the rest; in the other order it is the reverse."""
     changed = sent[1:] ^ sent[:-1]
     return bool(np.count_nonzero(changed & 0xFF) >= np.count_nonzero(changed >> 8))
 

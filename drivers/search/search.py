@@ -114,6 +114,9 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
         ranked = _confirmed(ranked, data, times_s)
         best = ranked[0] if best not in ranked else best
     ties = [each for each in ranked if not (_is_same(best, each) or _outdoes(best, each))]
+    # Cells of another kind may hide the distance at which numbers agree.
+    others = [each for each in paced if not each.is_folded and each.described.cell != best.described.cell]
+    ties += [each for each in nsmallest(MOST_RANKED, others, key=_rank) if not _outdoes(best, each)]
     if wanting:
         return nothing(wanting, [best, *ties[:1]])
     if ties:

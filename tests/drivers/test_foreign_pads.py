@@ -1,0 +1,134 @@
+"""What public sketches and boards print: a pad's grid is found or refused, and nothing else is one."""
+
+import json
+import math
+import struct
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from rigs.pressing import pressed
+
+from touchd.drivers.search.search import Chunk, Finding, search
+
+RATE_HZ = 50
+Grid = NDArray[np.int_]
+
+
+def found_in(printed: Callable[[int], str | bytes], frames: int = 8 * RATE_HZ) -> Finding:
+    """Return what a search finds in frames that are printed at a steady rate."""
+    sent = (printed(number) for number in range(frames))
+    data = [each.encode() if isinstance(each, str) else each for each in sent]
+    return search([Chunk(each, number / RATE_HZ) for number, each in enumerate(data)])
+
+
+def a_hand_on(rows: int, columns: int, top: int = 1023) -> Grid:
+    return pressed(rows, columns, top, np.random.default_rng(2)).astype(np.int_)
+
+
+def line(values: Grid, between: str = ",") -> str:
+    return between.join(map(str, values.ravel().tolist()))
+
+
+def table(values: Grid, between: str = ",") -> str:
+    return "".join(f"{line(row, between)}\r\n" for row in values)
+
+
+TEXTS: dict[str, Callable[[Grid, int], str]] = {
+    "plotter": lambda v, n: "\t".join(f"s{i}:{x}" for i, x in enumerate(v.ravel())) + "\r\n",
+    "JSON keys": lambda v, n: json.dumps({f"f{i}": int(x) for i, x in enumerate(v.ravel())}) + "\n",
+    "date and time": lambda v, n: f"2026-11-25T10:00:{n / 50:06.3f}Z,{line(v)}\n",
+    "six leading numbers": lambda v, n: f"1,2,3,4,5,{n},{line(v)}\n",
+    "pressure map": lambda v, n: f"Frame,{n}\r\nTime,{n / 50:.2f}\r\nRaw Sum,{v.sum()}\r\n{table(v)}@@\r\n",
+    "ROS": lambda v, n: f"header:\n  seq: {n}\n  secs: {n // 50}\ndata: {v.ravel().tolist()}\n---\n",
+    "0x": lambda v, n: ", ".join(f"0x{x:03X}" for x in v.ravel()) + "\r\n",
+    "signs": lambda v, n: " ".join(f"{x - 4:+d}" for x in v.ravel()) + "\r\n",
+    "percent": lambda v, n: " ".join(f"{x / 10.23:.1f}%" for x in v.ravel()) + "\r\n",
+    "exponents": lambda v, n: " ".join(f"{x * 1e-3:.4e}" for x in v.ravel()) + "\n",
+    "total": lambda v, n: f"{line(v)},{v.sum()}\n",
+    "ruled table": lambda v, n: "".join(f"R{i} | {line(r, ' ')} |\r\n" for i, r in enumerate(v)) + "----\r\n",
+}
+
+
+@pytest.mark.parametrize("printed", TEXTS.values(), ids=TEXTS)
+def test_text_that_anybody_can_read_is_read(printed: Callable[[Grid, int], str]) -> None:
+    values = a_hand_on(8, 10)
+    proposed = found_in(lambda number: printed(values[number], number)).proposed
+    assert proposed is not None
+    assert (proposed.rows, proposed.columns, proposed.invert) == (8, 10, False)
+
+
+CONSTANTS = [bytes(10), bytes([3, 4] * 5), bytes([0, 255, 255] * 3), bytes(range(50, 60)), b"\2"]
+
+
+@pytest.mark.parametrize("before", CONSTANTS, ids=bytes.hex)
+@pytest.mark.parametrize("after", CONSTANTS, ids=bytes.hex)
+def test_constant_bytes_beside_the_cells_are_no_cells(before: bytes, after: bytes) -> None:
+    for cell, (rows, columns) in (("u1", (8, 5)), ("<u2", (5, 4)), (">i2", (6, 4))):
+        values = a_hand_on(rows, columns, 120 if cell == "u1" else 1023).astype(cell)
+        proposed = found_in(lambda number: b"\xaa" + before + values[number].tobytes() + after).proposed  # noqa: B023 - called in this turn
+        assert proposed is None or (proposed.rows, proposed.columns) == (rows, columns)
+        if len(before) == len(after) == 1:
+            assert proposed is not None
+
+
+def test_row_numbers_in_one_line_are_no_column() -> None:
+    values = a_hand_on(8, 8)
+    rows = [[{"row": row, "values": each.tolist()} for row, each in enumerate(frame)] for frame in values]
+    assert found_in(lambda number: json.dumps(rows[number]) + "\n").proposed is None
+
+
+def test_a_row_of_the_pad_that_nobody_reached_is_asked_for() -> None:
+    values = a_hand_on(8, 5)
+    values[values < 20] = 3
+    values[:, 6:] = 3
+    finding = found_in(lambda number: f"{line(values[number])}\n")
+    assert finding.proposed is None
+    assert "press" in finding.missing or "equally" in finding.missing
+
+
+RNG = np.random.default_rng(3)
+
+
+def waves(number: int, channels: int, speed: float) -> NDArray[np.float64]:
+    at_s = number / RATE_HZ
+    return np.array([math.sin(speed * at_s * (1 + 0.07 * each) + each) for each in range(channels)])
+
+
+def bump(number: int, width: int, size: float) -> Grid:
+    """Return a bump that wanders along a line of detectors."""
+    place = width / 2 + 0.4 * width * math.sin(number / 25)
+    near = 1000 * np.exp(-(((np.arange(width) - place) / size) ** 2))
+    return (near + RNG.integers(0, 5, width)).astype(np.int_)
+
+
+NO_PADS: dict[str, Callable[[int], str | bytes]] = {
+    "IMU": lambda n: f"{20 * n},{','.join(f'{x:.3f}' for x in 9.8 * waves(n, 18, 5))}\r\n",
+    "IMU in floats": lambda n: b"\xa5\x5a" + (9.8 * waves(n, 16, 4)).astype("<f4").tobytes(),
+    "16 channels": lambda n: (
+        line((512 + 200 * waves(n, 16, 3) + RNG.normal(0, 2, 16)).astype(np.int_)) + "\n"
+    ),
+    "GPS": lambda n: f"$GPGSV,3,1,{','.join(map(str, RNG.integers(0, 90, 16)))}*74\r\n",
+    "LIDAR": lambda n: line(2000 - bump(n, 64, 5)) + "\r\n",
+    "spectrum": lambda n: line(bump(n, 256, 12)) + "\r\n",
+    "touch strip": lambda n: "DIFF: " + line(bump(n, 24, 1.2), " ") + "\r\n",
+    "line camera": lambda n: b"\xff\0" + bump(n, 128, 8).astype("<u2").tobytes(),
+    "sound levels": lambda n: " ".join(f"{-60 + 50 * abs(x):.1f}" for x in waves(n, 32, 2.3)) + "\n",
+    "servos": lambda n: (
+        ",".join(f"{2048 + 600 * x:.0f},{RNG.integers(-50, 50)},40" for x in waves(n, 18, 1)) + "\n"
+    ),
+    "coloured lights": lambda n: (
+        b"\x7e\6\1\2\0"
+        + bytes(int(255 * max(0, math.sin(i // 3 / 5 - 0.08 * n + i % 3))) for i in range(510))
+        + b"\xe7"
+    ),
+    "joints": lambda n: struct.pack("<BI", 170, n) + (2000 * waves(n, 24, 2)).astype("<i2").tobytes(),
+}
+
+
+@pytest.mark.parametrize("printed", NO_PADS.values(), ids=NO_PADS)
+def test_other_sensors_are_no_pads(printed: Callable[[int], str | bytes]) -> None:
+    finding = found_in(printed)
+    assert finding.proposed is None
+    assert finding.missing
