@@ -39,6 +39,8 @@ STRAY, STRAY_A_BYTE = 1.5, 0.01
 CHECKSUMS = ("values", "sum8", "xor8")
 ORDERS: tuple[Order, ...] = ("little", "big")
 CLOCK_TOLERANCE = 0.1
+# The upper part of a cell changes at most by this share of how often its lower byte does.
+BUSIER = 0.9
 # Floats of a pad are zero or of a size between these.
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 # Without this share of a number's own movement shared with the next, nothing is a grid.
@@ -249,9 +251,10 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
 
 
 def _lower_is_busier(sent: NDArray[Any]) -> bool:
-    """Whether the lower byte changes more often than the rest; in the other order it is the reverse."""
+    """Whether the lower byte changes more often than the rest; it does not in the other order, or in two cells
+    read as one."""
     changed = sent[1:] ^ sent[:-1]
-    return bool(np.count_nonzero(changed & 0xFF) >= np.count_nonzero(changed >> 8))
+    return bool(BUSIER * np.count_nonzero(changed & 0xFF) >= np.count_nonzero(changed >> 8))
 
 
 def _described(frames: Frames, start: int, around: int, fields: dict[str, Any]) -> PadFormat | None:
