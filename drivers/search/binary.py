@@ -251,8 +251,7 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
 
 
 def _lower_is_busier(sent: NDArray[Any]) -> bool:
-    """Whether the lower byte changes more often than the rest; it does not in the other order, or in two cells
-    read as one."""
+    """Whether the lower byte changes more often than the rest, as in a cell read in its own order."""
     changed = sent[1:] ^ sent[:-1]
     return bool(BUSIER * np.count_nonzero(changed & 0xFF) >= np.count_nonzero(changed >> 8))
 
