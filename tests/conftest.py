@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 # Without bytecode each worker and each program that a test starts would compile every file.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# Triton, which comes with torch for GPUs, would report what it leaks after pytest's last line.
+sys.modules["triton"] = None  # type: ignore[assignment]
 # Programs that tests start inherit ignored signals: Ctrl-C from a shell's background, SIGHUP from nohup.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)

@@ -41,6 +41,8 @@ MISFIT_GAIN = 1.15
 NEAR = 0.85
 
 
+# In another byte order than its own a cell's values change at least by this factor more.
+ROUGHER = 1.1
 TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
 # After one of these, contacts may still show what the movement does not.
@@ -117,6 +119,7 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     # Cells of another kind may hide the distance at which numbers agree.
     others = [each for each in paced if not each.is_folded and each.described.cell != best.described.cell]
     ties += [each for each in nsmallest(MOST_RANKED, others, key=_rank) if not _outdoes(best, each)]
+    ties += [each for each in paced if _rivals(best, each)]
     if wanting:
         return nothing(wanting, [best, *ties[:1]])
     if ties:
@@ -152,6 +155,24 @@ def _outdoes(best: Guess, other: Guess) -> bool:
     if other.misfits < best.misfits:
         return best.fold.score > MISFIT_GAIN * other.fold.score
     return best.fold.beats(other.fold) or other.misfits > best.misfits
+
+
+def _rivals(best: Guess, other: Guess) -> bool:
+    """Whether the same cells in the other byte order, a byte earlier or later, are as good by one measure.
+
+    The upper bytes of small values are 0, so that both orders read the same but for what is beside the cells.
+    """
+    one, two = best.described, other.described
+    same = one.cell == two.cell == "u16" and (one.rows, one.columns) == (two.rows, two.columns)
+    if not same or one.order == two.order:
+        return False
+    is_as_good = other.misfits <= best.misfits or other.fold.score >= best.fold.score
+    return is_as_good and _variation(other) <= ROUGHER * _variation(best)
+
+
+def _variation(guess: Guess) -> float:
+    """Return how much the values change from frame to frame, in the mean over all cells."""
+    return float(np.abs(np.diff(guess.values, axis=0)).mean())
 
 
 def _confirmed(ranked: Sequence[Guess], data: bytes, times_s: Numbers) -> list[Guess]:
