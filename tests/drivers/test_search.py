@@ -58,7 +58,7 @@ any_format = st.one_of(binary_formats(), text_formats)
 
 
 @given(described=any_format, seed=st.integers(0, 10**6))
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=8)
 def test_a_pad_that_is_pressed_is_found_or_called_ambiguous(described: PadFormat, seed: int) -> None:
     check_found_or_refused(described, seed)
 
@@ -92,7 +92,7 @@ def check_found_or_refused(described: PadFormat, seed: int) -> None:
 EVERY = [
     *(pad for pad in PRESETS.values() if not pad.poll),
     PadFormat(framing="text", rows=15, columns=14),
-    PadFormat(framing="text", rows=40, columns=30, end="--"),
+    PadFormat(framing="text", rows=20, columns=30, end="--"),
     PadFormat(framing="text", rows=11, columns=4, skip=2, end="END"),
     PadFormat(header="ff", cell="u8", rows=8, columns=8, full_scale=250),
     PadFormat(header="55aa", skip=8, rows=8, columns=8),

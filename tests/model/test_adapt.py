@@ -162,7 +162,7 @@ assert sorted(path.name for path in output.parent.iterdir()) == ["lab.onnx"]
 """
 
 
-@pytest.mark.parametrize("disk", ["links", "no links"])
+@pytest.mark.parametrize("disk", ["links", pytest.param("no links", marks=pytest.mark.slow)])
 def test_a_kill_while_writing_leaves_a_whole_model_or_none(tmp_path: Path, disk: str) -> None:
     done = ran([sys.executable, "-c", KILL_WHILE_WRITING, str(tmp_path), disk], cwd=TESTS)
     assert done.returncode == 0, done.stderr

@@ -261,7 +261,11 @@ def test_settings_are_chosen_without_the_test_file(system: System) -> None:
     assert 0.0 <= chosen["left_out_accuracy"] <= 1.0
 
 
-@pytest.mark.parametrize("system", TRAINED, ids=lambda system: system.key)
+@pytest.mark.parametrize(
+    "system",
+    [pytest.param(each, marks=[pytest.mark.slow] * (each.key == "hughes-cnn")) for each in TRAINED],
+    ids=lambda system: system.key,
+)
 def test_a_system_learns_reproducibly(system: System) -> None:
     data = MadeUp()
     settings: dict[str, Any] = {"features": [0, 1, 6, 7]}

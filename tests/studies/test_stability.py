@@ -25,6 +25,7 @@ def checks() -> list[CaseResult]:
     return stability.run(SHIPPED_MODEL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("measure", TOLERANCES)
 def test_the_shipped_model_holds_in_every_case(checks: list[CaseResult], measure: str) -> None:
     measured = [check for check in checks if check.measure == measure]
