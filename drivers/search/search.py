@@ -41,8 +41,6 @@ MISFIT_GAIN = 1.15
 NEAR = 0.85
 
 
-# In another byte order than its own a cell's values change at least by this factor more.
-ROUGHER = 1.1
 TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
 # After one of these, contacts may still show what the movement does not.
@@ -158,7 +156,7 @@ def _outdoes(best: Guess, other: Guess) -> bool:
 
 
 def _rivals(best: Guess, other: Guess) -> bool:
-    """Whether the same cells in the other byte order, a byte earlier or later, are as good by one measure.
+    """Whether the same cells in the other byte order, a byte earlier or later, are as good and change less.
 
     The upper bytes of small values are 0, so that both orders read the same but for what is beside the cells.
     """
@@ -167,7 +165,7 @@ def _rivals(best: Guess, other: Guess) -> bool:
     if not same or one.order == two.order:
         return False
     is_as_good = other.misfits <= best.misfits or other.fold.score >= best.fold.score
-    return is_as_good and _variation(other) <= ROUGHER * _variation(best)
+    return is_as_good and _variation(other) < _variation(best)
 
 
 def _variation(guess: Guess) -> float:
