@@ -6,9 +6,10 @@ import socket
 import time
 from typing import Any
 
+from touchd.drivers.pad.port import READ_BYTES
+
 log = logging.getLogger(__name__)
 
-READ_BYTES = 65536
 CONNECT_S = 3.0
 # Over UDP another board is read once the one that is read has sent no frame for GONE_S; one of which no frame
 # has come yet, for TURN_S.
@@ -18,8 +19,8 @@ GONE_S, TURN_S = 2.0, 0.5
 class NetworkPort:
     """tcp://host:port connects to the pad; udp://address:port listens there for what the pad sends."""
 
-    def __init__(self, protocol: str, host: str, number: int, timeout_s: float) -> None:
-        self.port = f"{protocol}://{host}:{number}"
+    def __init__(self, port: str, protocol: str, host: str, number: int, timeout_s: float) -> None:
+        self.port = port
         self.baudrate = 0
         where = (host, number)
         self._is_stream = protocol == "tcp"
@@ -63,7 +64,7 @@ class NetworkPort:
         self._until_s = time.monotonic() + GONE_S
 
     def _follows(self, sender: Any) -> bool:
-        """Whether a datagram comes from the board that is read: who sends frames, or else each in turn."""
+        """Whether to read a datagram: from the board that sends frames, or from each board in turn."""
         is_other = self._sender is None or sender[0] != self._sender[0]
         if is_other and time.monotonic() < self._until_s:
             if self._sends_frames and not self._has_warned:

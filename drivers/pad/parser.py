@@ -26,7 +26,7 @@ class FrameParser(ABC):
         return math.inf
 
     def ask(self, now_s: float) -> None:
-        """Note that the pad was polled now: what came before is no part of its reply."""
+        """Note that the pad was polled now, and drop what arrived before: it cannot belong to the reply."""
         self._buffer = b""
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:

@@ -76,7 +76,7 @@ def open_port(port: str, baud: int) -> Line:
         if address := _network_address(port):
             from touchd.drivers.pad.network import NetworkPort
 
-            return NetworkPort(*address, READ_TIMEOUT_S)
+            return NetworkPort(port, *address, READ_TIMEOUT_S)
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise _explained(port, error) from error

@@ -1,4 +1,4 @@
-"""The robot's reactions: the configured rules, and which of them an answer triggers.
+"""The rules for the robot's reactions, as configured; `acting.py` chooses among them and carries them out.
 
 Nothing here needs a robot. The rules in the configuration:
 

@@ -232,7 +232,7 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
         loose = np.unpackbits(used, axis=1, bitorder=order)[:, : width * 12]
         placed = loose.reshape(len(table), width, 12).astype(np.uint16) << U12_BITS[order]
         packed = placed.sum(axis=2, dtype=np.uint16)
-        # Wider cells read as packed ones are alike at every fourth.
+        # Check each position of four by itself: where 16-bit cells are read as packed ones, these differ.
         return (
             packed.astype(np.float64) if all(_lower_is_busier(packed[:, at::4]) for at in range(4)) else None
         )

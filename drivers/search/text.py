@@ -81,10 +81,8 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
             for rows, columns in sides(width - skip - tail):
                 described = PadFormat(framing="text", rows=rows, columns=columns, skip=skip, tail=tail)
                 values = numbers[:, skip : width - tail]
-                misfits, is_cut = (
-                    movement.misfits(skip, rows, columns),
-                    movement.is_cut(skip, rows * columns),
-                )
+                misfits = movement.misfits(skip, rows, columns)
+                is_cut = movement.is_cut(skip, rows * columns)
                 is_folded = by_contact or movement.is_stride(columns)
                 fold = movement.fold(skip, rows, columns)
                 yield Guess(described, values, fold, misfits, is_cut, is_folded)
