@@ -326,3 +326,11 @@ def test_a_pad_on_tcp_is_polled_too() -> None:
                 connection.shutdown(socket.SHUT_RDWR)
                 pad.join()
     assert [frame.pressure.tobytes() for frame in frames] == [answered(described, n) for n in range(10)]
+
+
+def test_a_network_port_is_named_as_it_was_typed() -> None:
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as free:
+        free.bind(("::1", 0))
+        address = f"udp://[::1]:{free.getsockname()[1]}"
+    with open_port(address, 9600) as opened:
+        assert opened.port == address
