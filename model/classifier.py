@@ -34,7 +34,7 @@ class ModelError(TouchdError):
 
 
 class ModelInputError(ValueError):
-    """The counts given are no window of the pad: wrong shape, not finite, or outside 0 to 1023."""
+    """The counts are not a window of the pad: wrong shape, not finite, or outside 0 to 1023."""
 
 
 class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
@@ -160,7 +160,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
         if path.is_fifo() or path.is_char_device():
             raise ModelError(f"{path}: is not a file; {advice}")
         if path.stat().st_size > MAX_FILE_BYTES:
-            raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no touchd model")
+            raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; not a touchd model")
         content = path.read_bytes()
         _check_digest(path, content)
     try:
@@ -233,4 +233,4 @@ def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.Inference
         found = answer.shape[1] if is_row else f"answers of shape {answer.shape}, not"
         raise ModelError(f"{path}: {found} outputs for {len(metadata.labels)} labels; export it again")
     if not (answer.min() >= -1e-6 and abs(float(answer.sum()) - 1.0) <= 1e-3):
-        raise ModelError(f"{path}: its answers are no probabilities; export it again")
+        raise ModelError(f"{path}: its answers are not probabilities; export it again")

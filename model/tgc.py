@@ -238,8 +238,8 @@ def _at(frames: Tensor, T: int, taps: Tensor) -> Tensor:
 def _planes(smooth_frames: int) -> Tensor:
     """Return (planes, frames): what the first convolution sees of a taxel's last levels, the newest last.
 
-    They are its level and the change since the frame before; with smooth_frames, also the mean over so many
-    frames and its change since as many before.
+    They are its level and the change since the frame before; with smooth_frames, also the mean over
+    that many frames and its change since the mean before.
     """
     spans = (1, smooth_frames) if smooth_frames else (1,)
     weights = []

@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
         type=gestures_in,
         default=gestures_in(DEFAULT_GESTURES),
         metavar="pat,stroke",
-        help=f"what a simulated hand does, in turn; {DEFAULT_GESTURES} without it",
+        help=f"what a simulated hand does, one after another; {DEFAULT_GESTURES} without it",
     )
     every = within(float, LEAST_S, MOST_S)
     parser.add_argument("--every", type=every, default=6.0, metavar="SECONDS", help="from touch to touch")

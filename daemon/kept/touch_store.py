@@ -159,10 +159,10 @@ class KeptFrames:
 
 
 class TouchStore:
-    """Writes touches to a folder, and keeps the last so many; a full disk costs touches, never the daemon.
+    """Writes touches to a folder and keeps the latest; a full disk costs touches, never stops the daemon.
 
-    sensor: which pad it is and how it is read, for the files. Raises RecordingError when the folder cannot be
-    used.
+    most: touches to keep. sensor: which pad it is and how it is read, for the files. Raises RecordingError
+    when the folder cannot be used.
     """
 
     def __init__(self, folder: Path, most: int, sensor: str) -> None:

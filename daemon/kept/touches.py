@@ -46,10 +46,10 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
 
 
 def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event], list[EventError]]:
-    """Return what a journal says, and why its other lines are no events, without a last line cut short.
+    """Parse a journal into events and errors; a last line without its end is left for later.
 
-    last_bytes: read only so much, from the first whole line on. Raises JournalError; FileNotFoundError is its
-    cause when there is no file.
+    last_bytes: read only this much of the end, from its first whole line on. Raises JournalError;
+    FileNotFoundError is its cause when there is no file.
     """
     events: list[Event] = []
     wrong: list[EventError] = []
@@ -82,8 +82,8 @@ def read_journal(path: Path) -> list[ReportedTouch]:
 def read_since(path: Path, time: str) -> list[ReportedTouch]:
     """Return the touches of a journal that began at a time (as in events) or later, oldest first.
 
-    Looks through older files (path.1 and so on) too, as far back as needed; passes over half lines and what
-    is no event. Raises JournalError when a file is there and cannot be read.
+    Also reads older files (path.1 and so on), as far back as needed; skips half lines and lines without an
+    event. Raises JournalError when a file is there and cannot be read.
     """
     since: list[Event] = []
     # Older files are kept where a link leads.

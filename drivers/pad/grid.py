@@ -79,7 +79,7 @@ class Ring:
             late, self._late = self._late, frame
             if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_MODULUS <= MAX_GAP_MS:
                 return []
-            # Two that follow each other are no late frames: the clock itself ran back.
+            # Two in a row are not late frames: the clock itself ran back.
             self._sensor_ms = None
             return [*self.push(late), *self.push(frame)]
         self._late = None

@@ -59,7 +59,7 @@ BLOCK_FRAMES = 27
 STILL_SHARE = 0.01
 UNKNOWN_SHARE = 0.05
 LIVELY_SHARE = 0.1
-# A pad of which so many taxels change at once has noise, and stillness on it means something.
+# On a pad where this many taxels change at once there is noise, so a taxel that stands still is broken.
 LIVELY_TAXELS = 48
 SATURATED_COUNT = 1000
 SATURATED_TAXELS = 16

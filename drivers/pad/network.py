@@ -64,7 +64,7 @@ class NetworkPort:
         self._until_s = time.monotonic() + GONE_S
 
     def _follows(self, sender: Any) -> bool:
-        """Whether to read a datagram: from the board that sends frames, or from each board in turn."""
+        """Whether to read a datagram: from the board that sends frames; until one does, from each in turn."""
         is_other = self._sender is None or sender[0] != self._sender[0]
         if is_other and time.monotonic() < self._until_s:
             if self._sends_frames and not self._has_warned:

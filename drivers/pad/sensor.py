@@ -23,7 +23,7 @@ log = logging.getLogger(__name__)
 FIRST_RETRY_S = 0.1
 # After bytes without a frame for this long, set the line again: another program may have changed it.
 FRAMELESS_S = 30.0
-# A loop that took longer was stopped by the system, so that what it did not read is no evidence.
+# A loop that took longer was suspended, so missing bytes prove nothing about the pad.
 PAUSED_S = 1.0
 # The reader of a pad that sends far too much rests this many times as long as parsing a read took.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25

@@ -234,7 +234,7 @@ class Movement:
 
 
 def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = False) -> str:
-    """Say why (frames, cells) are no pad of this grid that somebody presses; "" if they are proven to be."""
+    """Say why (frames, cells) are not a pressed pad of this grid; "" if they are proven to be one."""
     movement = Movement(numbers, np.zeros(numbers.shape[1], np.bool_), by_contact)
     if not movement.is_pressed:
         return "nothing presses the pad: press it while I listen"

@@ -93,7 +93,7 @@ def has_single_bits(data: bytes) -> bool:
 
 
 def _sample(opened: Line, first_byte_s: float) -> bytes:
-    """Return a moment's bytes, at least enough to judge if the pad sends so many."""
+    """Return a moment's bytes, enough to judge them if the pad sends that many."""
     chunks = listen(opened, first_byte_s, lambda chunks: bool(chunks))
     begun_s = time.monotonic()
 

@@ -93,7 +93,7 @@ def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
     for gesture in sorted({*gestures, *known}):
         other = written.setdefault(re.sub(r"[-_]", "", gesture).lower(), gesture)
         if other != gesture:
-            return f"{other} and {gesture} differ in writing only; name them alike"
+            return f"{other} and {gesture} differ only in spelling; use one name for both"
     return ""
 
 

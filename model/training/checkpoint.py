@@ -62,7 +62,7 @@ def load(path: Path) -> Checkpoint:
             unpacked = sum(entry.file_size for entry in archive.infolist())
         if max(unpacked, path.stat().st_size) > MAX_FILE_BYTES:
             raise CheckpointError(
-                f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; that is no checkpoint of touchd"
+                f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; not a checkpoint of touchd"
             )
         stored = torch.load(path, map_location="cpu", weights_only=True)
         settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])

@@ -87,7 +87,7 @@ def stability(arguments: Sequence[str]) -> int:
     parser = study_parser("stability", "Checks a model file's arithmetic.")
     parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file; ours without it")
     parser.add_argument("--json", action="store_true", help="one JSON array instead of a table")
-    parser.add_argument("--hours", type=float, default=0.0, help="also check a stream of so many hours")
+    parser.add_argument("--hours", type=float, default=0.0, help="also check a stream this long")
     options = parser.parse_args(arguments)
     checks = run(options.model, options.hours)
     if options.json:

@@ -3,8 +3,8 @@
     PYTHONPATH=.:tests python tests/by_hand/robot_figures.py [--rounds 10] [--publishes 0] [--busy]
 
 --rounds: how long a kill and a hang of the robot go unnoticed, and how soon events flow again.
---publishes: how long so many calls of publish() take in each state of the robot. The kernel's counts for the
-thread tell why a call was slow: it "waited" when the thread gave up the processor, for a lock of ours or
+--publishes: how long this many calls of publish() take in each state of the robot. The kernel's counts for
+the thread tell why a call was slow: it "waited" when the thread gave up the processor, for a lock of ours or
 Python's own; it was "put aside" when the kernel preempted it, which no program can prevent.
 """
 

@@ -217,7 +217,7 @@ def main() -> int:
     """Soak, and write the figures; returns 1 when anything grew or was lost."""
     parser = argparse.ArgumentParser(description="A day of sensor time, flat out: nothing grows or is lost.")
     parser.add_argument("--hours", type=float, default=24.0, help="of sensor time (default 24)")
-    parser.add_argument("--minutes", type=float, default=1e6, help="end after so many minutes of real time")
+    parser.add_argument("--minutes", type=float, default=1e6, help="end after this many minutes of real time")
     parser.add_argument("--out", type=Path, help="write the figures there too, as JSON")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="touchd-soak-") as folder, pad() as line:

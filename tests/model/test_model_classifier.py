@@ -140,7 +140,7 @@ def test_a_huge_file_is_refused_unread(tmp_path: Path) -> None:
     path = tmp_path / "model.onnx"
     with path.open("wb") as file:
         file.truncate(MAX_FILE_BYTES + 1)
-    assert refusal(path) == "larger than 32 MiB; that is no touchd model"
+    assert refusal(path) == "larger than 32 MiB; not a touchd model"
 
 
 class TestOtherModels:
@@ -184,8 +184,8 @@ class TestOtherModels:
     @pytest.mark.parametrize(
         ("values", "shape", "message"),
         [
-            ([float("nan")] * 7, [1, 7], "no probabilities"),
-            ([1.0] * 7, [1, 7], "no probabilities"),
+            ([float("nan")] * 7, [1, 7], "not probabilities"),
+            ([1.0] * 7, [1, 7], "not probabilities"),
             ([1.0], [], "shape ()"),
             ([1 / 7] * 7, [7], "shape (7,)"),
         ],
