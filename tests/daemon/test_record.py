@@ -37,7 +37,7 @@ def session(folder: Path, **changes: object) -> Session:
 @pytest.mark.parametrize(
     ("gestures", "why"),
     [
-        ("Pat,notouch", "Pat and pat differ in writing only"),
+        ("Pat,notouch", "Pat and pat differ only in spelling"),
         ("a-gesture-with-a-long-name", "24 at most"),
         ("uncertain,pat", "'uncertain' cannot name a gesture"),
     ],
