@@ -1,5 +1,7 @@
 """Describes bytes in which no frame is found: for a pad that is down, for the doctor, for a search."""
 
+from collections import Counter
+
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.protocol import parser_of
 
@@ -10,9 +12,13 @@ EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 
 def is_text(data: bytes) -> bool:
     """Whether these bytes are printable text; text is never parsed as binary."""
-    characters = data.decode("utf-8", "replace")
-    wrong = sum(not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd" for each in characters)
-    return bool(data) and wrong <= FEW_SHARE * len(characters)
+    counts = Counter(data.decode("utf-8", "replace"))
+    wrong = sum(
+        times
+        for each, times in counts.items()
+        if not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd"
+    )
+    return bool(data) and wrong <= FEW_SHARE * counts.total()
 
 
 def looks_like(data: bytes) -> str:

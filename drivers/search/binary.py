@@ -63,6 +63,7 @@ class Frames:
     steady: NDArray[np.bool_]
     marks: NDArray[np.bool_]
     counts: dict[bytes, int] = field(default_factory=dict)
+    headers: dict[tuple[int, int], tuple[int, bytes]] = field(default_factory=dict)
 
     @cached_property
     def _bytes(self) -> bytes:
@@ -75,6 +76,15 @@ class Frames:
         if header not in self.counts:
             self.counts[header] = self._bytes.count(header)
         return self.counts[header] <= _stray(self.length) * len(self.data)
+
+    def header_in(self, start: int, around: int) -> tuple[int, bytes]:
+        """Return where the header of `around` bytes from `start` on begins, and the header; b"" if none."""
+        if (start, around) not in self.headers:
+            places = np.arange(start, start + around) % self.length
+            usual = np.median(self.data[:, places], axis=0).astype(np.uint8).tobytes()
+            headers = _headers(usual, self.steady[places], self.marks[places])
+            self.headers[start, around] = next((each for each in headers if self.tells(each[1])), (0, b""))
+        return self.headers[start, around]
 
     @property
     def length(self) -> int:
@@ -145,17 +155,17 @@ def _frames_of(data: bytes, length: int) -> Frames | None:
 def _marks(data: bytes, usual: Bytes, steady: NDArray[np.bool_], frames: int) -> NDArray[np.bool_]:
     """Return which steady bytes, alone or with their neighbours, come once a frame and hardly ever else."""
     marks = np.zeros(len(usual), np.bool_)
-    around, length = np.append(usual, usual), len(usual)
+    around, length = np.append(usual, usual).tobytes(), len(usual)
     counts: dict[bytes, int] = {}
     for size in GRAMS:
-        for at in np.flatnonzero(steady):
-            places = np.arange(at, at + size) % length
-            if not steady[places].all() or marks[places].all():
-                continue
-            gram = around[at : at + size].tobytes()
+        windows = [(np.roll(steady, -at), np.roll(marks, -at)) for at in range(size)]
+        all_steady, all_marked = np.logical_and.reduce(windows)
+        for at in np.flatnonzero(all_steady & ~all_marked).tolist():
+            gram = around[at : at + size]
             if gram not in counts:
                 counts[gram] = data.count(gram)
-            marks[places] |= counts[gram] <= _stray(length) * frames
+            if counts[gram] <= _stray(length) * frames:
+                marks[np.arange(at, at + size) % length] = True
     return marks
 
 
@@ -258,14 +268,7 @@ def _lower_is_busier(sent: NDArray[Any]) -> bool:
 
 def _described(frames: Frames, start: int, around: int, fields: dict[str, Any]) -> PadFormat | None:
     """Return the description of cells that begin at a byte of the table, with what surrounds them."""
-    length = frames.length
-    stop = start + length - around
-    places = np.arange(stop, stop + around) % length
-    steady = frames.steady[places]
-    marks = frames.marks[places]
-    usual = np.median(frames.data[:, places], axis=0).astype(np.uint8).tobytes()
-    telling = (each for each in _headers(usual, steady, marks) if frames.tells(each[1]))
-    first, header = next(telling, (0, b""))
+    first, header = frames.header_in((start - around) % frames.length, around)
     if not header:
         return None
     skip, tail = around - first - len(header), first

@@ -116,7 +116,8 @@ class Movement:
     ) -> None:
         counts = is_counter(numbers) if counters is None else counters
         chosen = numbers[:: -(-len(numbers) // MOST_FRAMES)]
-        off = chosen - np.median(chosen, axis=0)
+        rest = np.median(chosen, axis=0)
+        off = chosen - rest
         off[:, counts] = 0.0
         self.wild = _is_wild(off)
         off[:, self.wild] = 0.0
@@ -142,17 +143,24 @@ class Movement:
         self.counters = counts
         self.alive = (off != 0).any(axis=0)
         # Numbers that are hardly cells.
-        self.odd = self.wild | _is_odd(chosen, self.pressed, ~self.alive & ~counts)
-        self._resembles_cells = _resembles(chosen, off, self.pressed) & ~left_out & by_contact
+        self.odd = self.wild | _is_odd(chosen, rest, self.pressed, ~self.alive & ~counts)
+        resembling = _resembles(rest, off, self.pressed) & ~left_out if by_contact else np.False_
         energy = np.square(moved).sum(axis=1)
         busy = np.flatnonzero(energy > 0.25 * energy.mean())
         self.follows = self.pressed & ~_is_switch(chosen) & _follows(off, moved, energy)
+        self._like_cells = self.follows | resembling
+        self._all_like_cells = int(self._like_cells.sum())
         # Where less moves, every grid scores 0.
         self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
-        self._total = np.square(self.moved).sum(axis=1)
+        total = np.square(self.moved).sum(axis=1)
+        self._total = np.array([total[part].sum() for part in self._stretches])
+        self._whole_total = max(float(total.sum()), 1e-9)
         # What two numbers share by chance: without their mean, nothing.
-        others = max(np.count_nonzero(~counts), 2) * max(np.count_nonzero(~counts) - 1, 1)
-        self._chance = (np.square(self.moved.sum(axis=1)) - self._total) / others if by_contact else None
+        self._chance = np.zeros(len(self._stretches))
+        if by_contact:
+            others = max(np.count_nonzero(~counts), 2) * max(np.count_nonzero(~counts) - 1, 1)
+            chance = (np.square(self.moved.sum(axis=1)) - total) / others
+            self._chance = np.array([chance[part].sum() for part in self._stretches])
         self._sums: dict[int, Numbers] = {}
         self._steps: dict[int, Numbers] = {}
 
@@ -171,20 +179,16 @@ class Movement:
         along = along - wraps[:, start + columns - 1 : stop - 1 : columns].sum(axis=1)
         below = self._between(columns)
         across = below[:, stop - columns] - below[:, start]
-        together = along + across
-        if self._chance is not None:
-            pairs = rows * (columns - 1) + columns * (rows - 1)
-            together -= pairs * np.array([self._chance[part].sum() for part in self._stretches])
-        total = np.array([self._total[part].sum() for part in self._stretches])
+        pairs = rows * (columns - 1) + columns * (rows - 1)
+        together = along + across - pairs * self._chance
         fitting = 1 - self._odd_in(start, rows, columns) / (rows * columns)
-        return Fold(start, rows, columns, fitting * together / np.maximum(2 * total, 1e-9))
+        return Fold(start, rows, columns, fitting * together / np.maximum(2 * self._total, 1e-9))
 
     def misfits(self, start: int, rows: int, columns: int) -> int:
         """Return how many numbers outside these cells look like cells, and how many inside do not."""
         stop = start + rows * columns
-        like_cells = self.follows | self._resembles_cells
-        outside = like_cells.sum() - like_cells[start:stop].sum()
-        return int(outside) + self._odd_in(start, rows, columns)
+        outside = self._all_like_cells - int(self._like_cells[start:stop].sum())
+        return outside + self._odd_in(start, rows, columns)
 
     def _odd_in(self, start: int, rows: int, columns: int) -> int:
         """Return how many cells of a grid are hardly cells; a border that never changes may be."""
@@ -217,7 +221,7 @@ class Movement:
         for part in self._stretches:
             power = np.square(np.abs(np.fft.rfft(self.moved[part], 2 * width))).sum(axis=0)
             shared += np.fft.irfft(power)[:width]
-        return shared / max(float(self._total.sum()), 1e-9)
+        return shared / self._whole_total
 
     def _products(self, distance: int) -> Numbers:
         """Return the product of each number and the one at a distance, (stretches, numbers)."""
@@ -284,23 +288,24 @@ def _is_wild(off: Numbers) -> NDArray[np.bool_]:
     return wild
 
 
-def _resembles(numbers: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _resembles(rest: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Whether each number changes, with a rest and a spread that pressed ones have, as a cell at an edge."""
     if not pressed.any():
         return pressed
-    rest, spread = np.median(numbers, axis=0), off.std(axis=0)
+    spread = off.std(axis=0)
     is_near = (rest >= rest[pressed].min()) & (rest <= rest[pressed].max())
     alike: NDArray[np.bool_] = is_near & (spread > 0) & (spread <= spread[pressed].max())
     return alike
 
 
-def _is_odd(numbers: Numbers, pressed: NDArray[np.bool_], still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _is_odd(
+    numbers: Numbers, rest: Numbers, pressed: NDArray[np.bool_], still: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
     """Whether each number is unlike the pressed ones: it never changes, but those do at rest, too, or rest at
     other values; or it always lies beyond what they reach."""
     if not pressed.any():
         return pressed
-    cells = numbers[:, pressed]
-    rest, rests = np.median(numbers, axis=0), np.median(cells, axis=0)
+    cells, rests = numbers[:, pressed], rest[pressed]
     parts = np.array_split(np.diff(cells, axis=0) != 0, CALM_PARTS)
     at_calmest = np.min([part.mean(axis=0) for part in parts if len(part)], axis=0)
     is_no_rest = (rest < rests.min()) | (rest > rests.max()) | bool(np.median(at_calmest) > 0)
@@ -356,7 +361,7 @@ def _noise_of(off: Numbers) -> float:
 
 def _skew(off: Numbers) -> float:
     scaled = off / max(float(np.abs(off).max(initial=0.0)), 1e-9)
-    return float(np.power(scaled, 3).sum())
+    return float((scaled * scaled * scaled).sum())
 
 
 def _runs_to_and_fro(together: NDArray[np.float32], rows: int, columns: int) -> bool:

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from operator import lt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ MOST_SKIP, MOST_TAIL = 8, 8
 CONTACT_SKIP, CONTACT_TAIL = 4, 2
 MOSTLY = 0.9
 MOST_ENDS = 3
+NO_DIGITS = bytes(set(range(256)) - set(b"0123456789"))
 
 
 @dataclass(frozen=True)
@@ -157,7 +159,7 @@ def _frames_of(lines: Sequence[Line], width: int) -> tuple[list[list[Sequence[fl
 def _runs(lines: Sequence[Line], width: int, skip: int, end: bytes) -> Iterator[list[Sequence[float]]]:
     """Yield the lines between two separators, as the parser of such a format takes them."""
     run: list[Sequence[float]] = []
-    leads: list[float] = []
+    leads: Sequence[float] = ()
     for line in lines:
         fits = len(line.numbers) == width
         if end:
@@ -166,8 +168,8 @@ def _runs(lines: Sequence[Line], width: int, skip: int, end: bytes) -> Iterator[
                 yield run
                 run = []
             continue
-        now = [*([] if line.label is None else [line.label]), *line.numbers[:skip]]
-        if run and (not fits or any(one < before for one, before in zip(now, leads, strict=False))):
+        now = line.numbers[:skip] if line.label is None else [line.label, *line.numbers[:skip]]
+        if run and (not fits or any(map(lt, now, leads))):
             yield run
             run = []
         if fits:
@@ -179,6 +181,4 @@ def _runs(lines: Sequence[Line], width: int, skip: int, end: bytes) -> Iterator[
 
 def _after_numbers(text: bytes) -> bytes:
     """Return what follows a line's last number."""
-    stripped = text.rstrip()
-    at = max((place for place, byte in enumerate(stripped) if 48 <= byte <= 57), default=-1) + 1
-    return stripped[at:].strip()
+    return text[len(text.rstrip(NO_DIGITS)) :].strip()
