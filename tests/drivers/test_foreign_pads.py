@@ -4,6 +4,7 @@ import json
 import math
 import struct
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
@@ -60,17 +61,32 @@ def test_text_that_anybody_can_read_is_read(printed: Callable[[Grid, int], str])
 
 
 CONSTANTS = [bytes(10), bytes([3, 4] * 5), bytes([0, 255, 255] * 3), bytes(range(50, 60)), b"\2"]
+CELLS = {"u1": (8, 5), "<u2": (5, 4), ">i2": (6, 4)}
+PLACED = list(product(CELLS, CONSTANTS, CONSTANTS))
 
 
-@pytest.mark.parametrize("before", CONSTANTS, ids=bytes.hex)
-@pytest.mark.parametrize("after", CONSTANTS, ids=bytes.hex)
-def test_constant_bytes_beside_the_cells_are_no_cells(before: bytes, after: bytes) -> None:
-    for cell, (rows, columns) in (("u1", (8, 5)), ("<u2", (5, 4)), (">i2", (6, 4))):
-        values = a_hand_on(rows, columns, 120 if cell == "u1" else 1023).astype(cell)
-        proposed = found_in(lambda number: b"\xaa" + before + values[number].tobytes() + after).proposed  # noqa: B023 - called in this turn
-        assert proposed is None or (proposed.rows, proposed.columns) == (rows, columns)
-        if len(before) == len(after) == 1:
-            assert proposed is not None
+def check_constants(cell: str, before: bytes, after: bytes) -> None:
+    rows, columns = CELLS[cell]
+    values = a_hand_on(rows, columns, 120 if cell == "u1" else 1023).astype(cell)
+    proposed = found_in(lambda number: b"\xaa" + before + values[number].tobytes() + after).proposed
+    assert proposed is None or (proposed.rows, proposed.columns) == (rows, columns)
+    if len(before) == len(after) == 1:
+        assert proposed is not None
+
+
+# Every third one has each constant before and after each kind of cell.
+SOME = [*PLACED[::3], ("<u2", b"\2", b"\2"), (">i2", b"\2", b"\2")]
+
+
+@pytest.mark.parametrize(("cell", "before", "after"), SOME)
+def test_constant_bytes_beside_the_cells_are_no_cells(cell: str, before: bytes, after: bytes) -> None:
+    check_constants(cell, before, after)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("cell", "before", "after"), PLACED)
+def test_no_constant_bytes_beside_any_cells_are_cells(cell: str, before: bytes, after: bytes) -> None:
+    check_constants(cell, before, after)
 
 
 def test_row_numbers_in_one_line_are_no_column() -> None:
