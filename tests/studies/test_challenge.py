@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from rigs.haart_folder import HAART, needs_haart
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytest.importorskip("sklearn", reason="needs the extra `studies`")
+if find_spec("sklearn") is None:
+    pytest.skip("needs the extra `studies`", allow_module_level=True)
 
 import torch
 

@@ -13,7 +13,6 @@ import pytest
 from rigs.stored_report import DOCS
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.classifier import SHIPPED_MODEL

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.compose import make_column_transformer
-from sklearn.pipeline import make_pipeline
 
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.model.studies.challenge import features as shared
@@ -122,6 +120,9 @@ def autoregressive(series: Floats, order: int = ORDER) -> Floats:
 
 def forest(settings: dict[str, Any], seed: int) -> Any:
     """Return an untrained forest on the columns `settings["features"]`, with the other settings."""
+    from sklearn.compose import make_column_transformer
+    from sklearn.pipeline import make_pipeline
+
     others = {name: value for name, value in settings.items() if name != "features"}
     chosen = make_column_transformer(("passthrough", settings["features"]))
     return make_pipeline(chosen, shared.forest(others, seed))

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import RandomForestClassifier
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.model.training.metrics import Floats
@@ -106,6 +105,9 @@ def autocorrelations(series: Floats, lag_frames: int) -> Floats:
     return np.stack([np.where(moves, each / np.maximum(power, TINY), 0.0) for each in products], axis=1)
 
 
-def forest(settings: dict[str, Any], seed: int) -> RandomForestClassifier:
+def forest(settings: dict[str, Any], seed: int) -> Any:
     """Return an untrained random forest."""
+    # Importing scikit-learn takes longer than reading stored figures, which is all that most commands do.
+    from sklearn.ensemble import RandomForestClassifier
+
     return RandomForestClassifier(TREES, **settings, random_state=seed)

@@ -17,8 +17,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.ensemble import AdaBoostClassifier
-from sklearn.tree import DecisionTreeClassifier
 
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.model.studies.challenge import features as shared
@@ -115,7 +113,10 @@ def uniform_bins() -> NDArray[np.int64]:
     return np.where(uniform, uniform.cumsum() - 1, 58)
 
 
-def boosting(settings: dict[str, Any], seed: int) -> AdaBoostClassifier:
+def boosting(settings: dict[str, Any], seed: int) -> Any:
     """Return untrained boosted trees; each split considers a random tenth of the features, to save time."""
+    from sklearn.ensemble import AdaBoostClassifier
+    from sklearn.tree import DecisionTreeClassifier
+
     weak = DecisionTreeClassifier(max_depth=settings["depth"], max_features=0.1)
     return AdaBoostClassifier(weak, n_estimators=settings["rounds"], random_state=seed)

@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
-from sklearn.svm import SVC
 
 from touchd.drivers.frame import MAX_COUNT
 from touchd.model.studies.challenge import features as shared
@@ -92,4 +89,8 @@ def sequence_features(counts: NDArray[np.uint16]) -> Floats:
 
 def machine(settings: dict[str, Any], seed: int) -> Any:
     """Return an untrained support vector machine on standardised features; `seed` has no effect."""
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+    from sklearn.svm import SVC
+
     return make_pipeline(StandardScaler(), SVC(**settings))

@@ -17,8 +17,6 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from sklearn.ensemble import RandomForestClassifier
-from sklearn.model_selection import GroupKFold, LeaveOneGroupOut, cross_val_score
 
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.threads import one_torch_thread
@@ -142,6 +140,8 @@ class Searched(HandMade):
         """Return the features that the sequential forward floating search selects."""
         # In the extra `studies` only; all else needs `train`.
         from mlxtend.feature_selection import SequentialFeatureSelector
+        from sklearn.ensemble import RandomForestClassifier
+        from sklearn.model_selection import GroupKFold
 
         search = SequentialFeatureSelector(
             RandomForestClassifier(SEARCH_TREES, random_state=0),
@@ -197,6 +197,8 @@ class Shipped(System):
 
 def held_out_accuracy(estimator: Any, features: Floats, windows: Windows) -> float:
     """Return the mean accuracy on each participant held out in turn."""
+    from sklearn.model_selection import LeaveOneGroupOut, cross_val_score
+
     people, one_out = windows.participants, LeaveOneGroupOut()
     return float(cross_val_score(estimator, features, windows.labels, groups=people, cv=one_out).mean())
 
