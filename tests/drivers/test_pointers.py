@@ -15,7 +15,7 @@ from rigs.haart_folder import needs_haart
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import Pointer, PressingHands
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
-from touchd.drivers.recording import Selection, read_recordings
+from touchd.drivers.recording import Recording, Selection, read_recordings
 
 REST = round(FRAME_RATE_HZ)
 NOISE_COUNTS = 3.0
@@ -68,11 +68,15 @@ def measures(counts: Counts, rest: NDArray[np.float64]) -> tuple[float, float, f
     )
 
 
+@pytest.fixture(scope="module")
+def haart() -> list[Recording]:
+    return read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", Selection(covers=("none",)))
+
+
 @needs_haart
 @pytest.mark.parametrize("route", [stroke, rub, pat, constant])
-def test_a_pointers_hand_presses_as_peoples_do(route: Route) -> None:
+def test_a_pointers_hand_presses_as_peoples_do(haart: list[Recording], route: Route) -> None:
     gesture = route.__name__
-    haart = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", Selection(covers=("none",)))
     at_rest = {(r.participant, r.substrate): r.counts.mean(axis=0) for r in haart if r.gesture == "notouch"}
     real = [
         measures(r.counts, at_rest[r.participant, r.substrate])
