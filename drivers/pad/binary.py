@@ -102,8 +102,8 @@ class BinaryFrames(FrameParser):
     def _sound(self, window: bytes) -> Values | Damage:
         """Return the values (cells,) of a well-formed window, or what is wrong with it."""
         described = self.format
-        # Quick in a long run of header bytes.
-        if self._header and window.startswith(self._header, self._cells_at):
+        # Quick in a long run of header bytes; cells may begin with the bytes of a short header.
+        if len(self._header) >= LONG_HEADER and window.startswith(self._header, self._cells_at):
             return "bad_framing"
         values = self.values_in(window)
         if described.cell == "f32" and not np.isfinite(values).all():

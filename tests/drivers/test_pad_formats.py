@@ -213,6 +213,18 @@ def test_no_frame_mixes_two() -> None:
     assert parser.counts.bad == 1
 
 
+@pytest.mark.parametrize("cell", ["u8", "u12", "u16"])
+@pytest.mark.parametrize("kind", ["xor8", "none"])
+def test_cells_that_begin_with_a_short_header_lose_no_frame(cell: str, kind: str) -> None:
+    described = PadFormat(header="9a", cell=cell, rows=8, columns=8, full_scale=255, checksum=kind)
+    pressed = np.full((8, 8), 7, np.uint16)
+    pressed[0, 0] = 0x9A
+    frames = [encode_values(described, cells, None) for cells in (pressed - 7, pressed, pressed - 7) * 4]
+    parser = parser_of(described)
+    assert len(feed(parser, b"".join(frames) + bytes.fromhex(described.header))) == len(frames)
+    assert parser.counts.bad == 0
+
+
 def test_a_polled_pads_damaged_reply_is_refused_and_counted() -> None:
     described = msgspec.structs.replace(PRESETS["itas"], checksum="sum8")
     parser = parser_of(described)
