@@ -5,12 +5,14 @@ import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_in
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
@@ -97,6 +99,11 @@ def material(pretrained: Pretrained) -> Features:
     return prepare(pretrained, simulated(("Ann", "Bo"), 2), SETTINGS)
 
 
+@pytest.fixture(scope="module")
+def adapted(pretrained: Pretrained, material: Features) -> Adapted:
+    return adapt(pretrained, material, SETTINGS)
+
+
 # --- the whole command ---
 
 
@@ -108,6 +115,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     with pytest.MonkeyPatch.context() as patch:
         printed: list[str] = []
         patch.setattr("sys.stdout.write", printed.append)
+        patch.setattr("touchd.model.adapt.head.AdaptSettings", lambda seed: replace_in(SETTINGS, seed=seed))
         assert cli.main(["train", "--extra", str(lab), "--output", str(output)]) == 0
     return output, "".join(printed)
 
@@ -234,25 +242,22 @@ def test_an_existing_file_is_not_overwritten(adapted_file: Path, capsys: pytest.
 # --- training ---
 
 
-def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained, material: Features) -> None:
-    again = prepare(pretrained, material.recordings, SETTINGS)
-    one, other = (adapt(pretrained, each, SETTINGS) for each in (material, again))
-    assert torch.equal(weights(one.head), weights(other.head))
-    assert one.temperatures == other.temperatures
-    assert one.comparison == other.comparison
+def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained, adapted: Adapted) -> None:
+    again = adapted_to(pretrained, adapted.recordings)
+    assert torch.equal(weights(again.head), weights(adapted.head))
+    assert again.temperatures == adapted.temperatures
+    assert again.comparison == adapted.comparison
 
 
 @torch.no_grad()
 def test_the_file_answers_as_the_adapted_network_in_pytorch(
-    pretrained: Pretrained, material: Features, tmp_path: Path
+    pretrained: Pretrained, adapted: Adapted, tmp_path: Path
 ) -> None:
-    with torch.enable_grad():
-        adapted = adapt(pretrained, material, SETTINGS)
     write(pretrained, adapted, tmp_path / "lab.onnx", SETTINGS)
     classifier = Classifier.load(tmp_path / "lab.onnx")
     network = TGC(pretrained.backbone.settings, len(adapted.labels))
     network.load_state_dict(pretrained.backbone.state_dict(), strict=False)
-    network.dense = adapted.head
+    network.dense = deepcopy(adapted.head)
     exact = Reference(CalibratedTGC(network, adapted.temperatures).double().eval())
     for frames in (9, 54, 70, 200):
         expected = exact.probabilities(hand(frames))
@@ -302,7 +307,7 @@ def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Featur
 
 def test_rehearsal_keeps_others_from_being_forgotten(pretrained: Pretrained, material: Features) -> None:
     def right(rehearsed: float) -> float:
-        settings = msgspec.structs.replace(SETTINGS, rehearsed=rehearsed)
+        settings = replace_in(SETTINGS, rehearsed=rehearsed)
         head = adapt(pretrained, material, settings, keep_all=True).head
         labels = sorted({"hug", *pretrained.labels})
         others = pretrained.remembered.samples(pretrained.labels, seed=1)

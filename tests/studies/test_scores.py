@@ -1,5 +1,6 @@
 """The scores beside the shipped model belong to that file, are of the right windows, and hold again."""
 
+import gzip
 import hashlib
 import subprocess
 import sys
@@ -111,7 +112,7 @@ def recordings_in(file: Path, person: str | None) -> list[Recording]:
 @on("T9")
 def test_the_test_participants_score_as_published(scores: Scores, person: str | None) -> None:
     recordings = haart.realigned(recordings_in(find(Path(str(HAART)), haart.TEST_FILE), person))
-    for frames in (54, 144):
+    for frames in (54,) if person else (54, 144):
         again = evaluate.score([(Classifier.load(), recordings)], frames)
         published = stored(scores.test.realigned, frames)
         assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))
@@ -150,10 +151,16 @@ def test_the_second_study_scores_as_published(scores: Scores, person: str | None
 @needs_third_study
 @pytest.mark.timeout(300)
 @on("S10")
-def test_the_third_study_scores_as_published(scores: Scores, person: str | None) -> None:
-    recordings = third_study.read(Path(str(THIRD_STUDY)))
+def test_the_third_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
+    folder = Path(str(THIRD_STUDY))
     if person:
-        recordings = haart.only(recordings, [person])
+        # Laying all others' recordings on the grid would take longer than the scoring.
+        with gzip.open(find(folder, third_study.FILE), "rt") as file:
+            own = [line for number, line in enumerate(file) if not number or f",{person}," in line]
+        (tmp_path / third_study.FILE).write_text("".join(own))
+        folder = tmp_path
+    recordings = third_study.read(folder)
+    assert {each.participant for each in recordings} == ({person} if person else set(THIRD_STUDY_PEOPLE))
     splits = (
         (left_out_split(SHIPPED_MODEL.parent, recordings), scores.third_study),
         ([(Classifier.load(FABRIC_MODEL), recordings)], scores.new_pad),

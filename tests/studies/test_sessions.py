@@ -89,16 +89,24 @@ def test_touches_of_the_second_study_stay_apart() -> None:
 
 
 @needs_second_study
-def test_a_breathing_robots_answers_are_as_measured() -> None:
-    people = ("R02", "R04", "R06")
+@pytest.mark.parametrize(
+    ("people", "touches", "split", "final"),
+    [
+        (("R06",), 12, 8.3, 83.3),
+        pytest.param(("R02", "R04", "R06"), 36, 2.8, 80.6, marks=pytest.mark.slow),
+    ],
+)
+def test_a_breathing_robots_answers_are_as_measured(
+    people: tuple[str, ...], touches: int, split: float, final: float
+) -> None:
     path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
     recordings = read_recordings(path, Selection(participants=people, substrates=("dynamic",)))
     never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R03-R04-R06-L1-S01-S06-S11-S15.onnx"
     result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
-    assert result.n == 36
-    assert (result.missed, result.merged, result.split, result.open, result.false) == (0, 0, 2.8, 0, 0)
+    assert result.n == touches
+    assert (result.missed, result.merged, result.split, result.open, result.false) == (0, 0, split, 0, 0)
     # Another processor's rounding may turn a single answer.
-    assert result.final == pytest.approx(80.6, abs=2.8)
+    assert result.final == pytest.approx(final, abs=100 / touches + 0.1)
 
 
 def test_quiet_alone_has_no_false_touch() -> None:
