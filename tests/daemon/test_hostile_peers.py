@@ -213,7 +213,7 @@ def prepared(names: Sequence[str]) -> tuple[list[Attack], dict[str, Any]]:
 @pytest.mark.parametrize("names", together(), ids=", and ".join)
 def test_peers_and_strangers_cannot_make_touchd_use_memory(tmp_path: Path, names: tuple[str, ...]) -> None:
     attacks, settings = prepared(names)
-    endured(tmp_path, attacks, 2.5, **settings)
+    endured(tmp_path, attacks, 1.5, **settings)
 
 
 @pytest.mark.slow

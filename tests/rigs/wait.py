@@ -9,12 +9,16 @@ T = TypeVar("T")
 WITHIN_S = 100.0
 # The same for stopping, after which systemd would kill the daemon.
 AT_ONCE_S = 5.0
+LONGEST_PAUSE_S = 0.05
 
 
 def wait_for(what: Callable[[], T], within_s: float = WITHIN_S) -> T:
     """Wait until `what` returns something true; return that."""
     until_s = time.monotonic() + within_s
+    pause_s = 0.005
     while not (found := what()):
         assert time.monotonic() < until_s, "it did not come"
-        time.sleep(0.01)
+        time.sleep(pause_s)
+        # Many conditions read a file or ask a browser, which needs the processor that they wait for.
+        pause_s = min(1.2 * pause_s, LONGEST_PAUSE_S)
     return found
