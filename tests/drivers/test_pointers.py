@@ -12,10 +12,13 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 from rigs.haart_folder import needs_haart
 
+from touchd.daemon.events import TouchEnded
 from touchd.drivers.fakes.fabric import Fabric
-from touchd.drivers.fakes.pointers import Pointer, PressingHands
+from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Recording, Selection, read_recordings
+from touchd.model.classifier import Classifier
+from touchd.model.studies.play import frames_of, play
 
 REST = round(FRAME_RATE_HZ)
 NOISE_COUNTS = 3.0
@@ -44,14 +47,27 @@ def constant(time_s: float) -> tuple[float, float]:
     return 0.5, 0.5
 
 
-def frames_of(route: Route, seed: int) -> Counts:
-    """Return a second of rest, and four seconds under a pointer."""
+def one_pass(seconds: float, heading: float) -> Route:
+    """A single pass over most of the pad, which begins and ends slowly."""
+
+    def place(time_s: float) -> tuple[float, float] | None:
+        part = time_s / seconds
+        if part > 1.0:
+            return None
+        along = 0.7 * (0.5 * part + 0.25 * (1.0 - math.cos(math.pi * part)) - 0.5)
+        return 0.5 + along * math.cos(heading), 0.5 + along * math.sin(heading)
+
+    return place
+
+
+def counts_under(route: Route, seed: int, size: Size = "hand", rest: int = REST) -> Counts:
+    """Return frames of rest, a second unless told otherwise, and four seconds under a pointer."""
     rng = RandomState(seed)
     fabric, hands = Fabric(rng), PressingHands(rng)
-    pressed = [hands.frame({}) for _ in range(REST)]
+    pressed = [hands.frame({}) for _ in range(rest)]
     for frame in range(round(4 * FRAME_RATE_HZ)):
         place = route(frame / FRAME_RATE_HZ)
-        pointers = {} if place is None else {1: Pointer(8 * place[1] - 0.5, 8 * place[0] - 0.5, "hand")}
+        pointers = {} if place is None else {1: Pointer(8 * place[1] - 0.5, 8 * place[0] - 0.5, size)}
         pressed.append(hands.frame(pointers))
     return fabric.read(np.array(pressed))
 
@@ -85,12 +101,32 @@ def test_a_pointers_hand_presses_as_peoples_do(haart: list[Recording], route: Ro
     ]
     made = [
         measures(counts[REST:], counts[:REST].mean(axis=0))
-        for counts in (frames_of(route, seed) for seed in range(SEEDS))
+        for counts in (counts_under(route, seed) for seed in range(SEEDS))
     ]
     low, high = np.quantile(real, (0.1, 0.9), axis=0)
     median = np.median(made, axis=0)
     assert (low <= median).all(), (low, median)
     assert (median <= high).all(), (median, high)
+
+
+def named(model: Classifier, counts: Counts) -> str:
+    """Return what the daemon calls a touch in the end."""
+    ended = [event for event in play(frames_of(counts), model, flush=True) if isinstance(event, TouchEnded)]
+    return " ".join(event.gesture for event in ended)
+
+
+@pytest.mark.parametrize("size", ["hand", "finger"])
+def test_a_single_slow_pass_is_named_stroke(classifier: Classifier, size: Size) -> None:
+    routes = [one_pass(seconds, 0.4 * math.pi * turn) for seconds in (1.0, 2.0, 3.0) for turn in range(5)]
+    answers = [
+        named(classifier, counts_under(route, seed, size, rest=3 * REST)) for seed, route in enumerate(routes)
+    ]
+    assert answers.count("stroke") >= 0.8 * len(answers), answers
+
+
+def test_a_hand_that_comes_back_does_not_stroke(classifier: Classifier) -> None:
+    answers = [named(classifier, counts_under(rub, seed, rest=3 * REST)) for seed in range(SEEDS)]
+    assert answers.count("rub") >= SEEDS - 1, answers
 
 
 def pressed_by(pointer: Pointer, frames: int) -> float:
