@@ -13,12 +13,8 @@ EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 def is_text(data: bytes) -> bool:
     """Whether these bytes are printable text; text is never parsed as binary."""
     counts = Counter(data.decode("utf-8", "replace"))
-    wrong = sum(
-        times
-        for each, times in counts.items()
-        if not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd"
-    )
-    return bool(data) and wrong <= FEW_SHARE * counts.total()
+    odd = [each for each in counts if not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd"]
+    return bool(data) and sum(counts[each] for each in odd) <= FEW_SHARE * counts.total()
 
 
 def looks_like(data: bytes) -> str:

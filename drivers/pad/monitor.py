@@ -36,35 +36,29 @@ NOTE_S = 1.0
 DEGRADING = ("gaps", "frozen", "noise")
 
 # Recognising a touch takes half a second of frames without a gap; a fault if there was none for DEAF_S.
-WITHOUT_GAP_FRAMES = 27
-DEAF_S = 3.0
+WITHOUT_GAP_FRAMES, DEAF_S = 27, 3.0
 # After a pause as long as this in their arrival, frames say nothing: the daemon may have been stopped.
 PAUSE_S = 2.0
 
 # The parser's counts are compared so often. One lost frame in fifty is a fault that will grow.
-LOOK_S = 10.0
-MANY_SHARE = 0.02
+LOOK_S, MANY_SHARE = 10.0, 0.02
 
 # Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
 # three seconds; a pad is noisy if it is for five.
 REST_FRAMES = 6
 NOISY_LOOKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
 
-
 # The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
 # From there it takes a taxel about 8 s to count as still, and half a second to count as lively again.
 AVERAGE_S = 2.0
 # Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
 BLOCK_FRAMES = 27
-STILL_SHARE = 0.01
-UNKNOWN_SHARE = 0.05
-LIVELY_SHARE = 0.1
-# On a pad where this many taxels change at once there is noise, so a taxel that stands still is broken.
-LIVELY_TAXELS = 48
-SATURATED_COUNT = 1000
-SATURATED_TAXELS = 16
-# Taxels of one broken wire do not fall still in the same frame; report once all have.
-SETTLE_S = 2.0
+STILL_SHARE, UNKNOWN_SHARE, LIVELY_SHARE = 0.01, 0.05, 0.1
+# On a pad with noise, a taxel that stands still is broken. It has noise if this many taxels change in this
+# share of the first three seconds' frames; later a hand may move them. HAART's and the robot's pads have.
+FIRST_BLOCKS, LIVELY_TAXELS, NOISY_SHARE = 6, 48, 0.3
+SATURATED_COUNT, SATURATED_TAXELS = 1000, 16
+SETTLE_S = 2.0  # Taxels of one broken wire do not fall still in the same frame; report once all have.
 
 
 class PadMonitor:
@@ -254,8 +248,8 @@ class TaxelFaults:
     """Faults that the values show: wires that broke, a short.
 
     The fabric pad is never still: in all of HAART's recordings, at rest and under hands, each of the 64
-    taxels changes at least every 2 s, and none reads above 972. So a taxel that stands still is broken, not
-    just untouched. Other pads are silent at rest; there stillness means nothing and is not reported.
+    taxels changes at least every 2 s, and none reads above 972. So a taxel that stands still is broken. Other
+    pads are silent at rest; there stillness means nothing and is not reported.
     faults: those that last, in words.
     """
 
@@ -265,6 +259,8 @@ class TaxelFaults:
         self._activity = np.full((ROWS, COLUMNS), UNKNOWN_SHARE)
         self._is_still = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
         self._has_noise = False
+        self._first_blocks = 0
+        self._first_changed = np.zeros((ROWS, COLUMNS))
         self._saturation = 0.0
         self.faults: dict[str, str] = {}
         self._changing_since_s: dict[str, float] = {}
@@ -286,7 +282,10 @@ class TaxelFaults:
         self._activity += weight * (changed - self._activity)
         is_still = self._activity < STILL_SHARE
         self._is_still = is_still | (self._is_still & (self._activity < LIVELY_SHARE))
-        self._has_noise |= int((self._activity > LIVELY_SHARE).sum()) >= LIVELY_TAXELS
+        if self._first_blocks < FIRST_BLOCKS:
+            self._first_blocks += 1
+            self._first_changed += changed / FIRST_BLOCKS
+            self._has_noise = int((self._first_changed > NOISY_SHARE).sum()) >= LIVELY_TAXELS
         is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
 
@@ -328,10 +327,10 @@ def _still_parts(is_still: NDArray[np.bool_]) -> dict[str, str]:
     lines = [f"row {row + 1}" for row in np.flatnonzero(rows)]
     lines += [f"column {column + 1}" for column in np.flatnonzero(columns)]
     if lines:
-        parts["dead line"] = f"{', '.join(lines)} of the pad stands still: a broken wire?"
+        parts["dead line"] = f"{', '.join(lines)} of the 8x8 grid stands still: a broken wire?"
     singles = np.argwhere(is_still & ~rows[:, None] & ~columns[None, :])
     if len(singles):
         places = ", ".join(f"row {row + 1} column {column + 1}" for row, column in singles[:4])
         more = f" and {len(singles) - 4} more" if len(singles) > 4 else ""
-        parts["stuck taxel"] = f"the taxel at {places}{more} stands still"
+        parts["stuck taxel"] = f"the taxel at {places}{more} of the 8x8 grid stands still"
     return parts

@@ -170,7 +170,7 @@ def captured(touched_share: float, clock_ms: Iterable[int] = range(0, 1900, 19))
 def test_a_recording_that_does_not_show_its_gesture_is_reported(
     capture: Capture, gesture: str, found: list[str]
 ) -> None:
-    broken = "row 4 of the pad stands still: a broken wire?"
+    broken = "row 4 of the 8x8 grid stands still: a broken wire?"
     for health in ([], [broken]):
         told = complaints(capture, gesture, health)
         assert [text in line for text, line in zip([*health, *found], told, strict=True)] == [True] * len(
