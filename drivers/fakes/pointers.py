@@ -3,10 +3,10 @@
 The hand has the simulated hand's palm and fingers. Its forces are set to match load, peak and area of HAART's
 still hands, pats, repeated strokes and rubs on the bare pad.
 
-In the recordings of both studies on fabric, slower passes are firmer, and the load swells along the way: a hand
-drawn one way sinks in as it goes. Its peak and second half match slow recorded passes. Its contact is smaller
-than theirs and swells later: this was chosen with the shipped network, which is unsure of most recorded passes
-cut out one at a time.
+In the recordings of both studies on fabric, slower passes are firmer, and the load swells along the way:
+a hand drawn one way sinks in as it goes. Its peak and second half match slow recorded passes. Its
+contact is smaller than theirs and swells later: this was chosen with the shipped network, which is
+unsure of most recorded passes cut out one at a time.
 """
 
 from collections.abc import Hashable, Mapping
