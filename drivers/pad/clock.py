@@ -132,8 +132,7 @@ class FrameClock:
         if abs(1000 / step / self._rate_hz - 1) <= CLOSE:
             return UNITS_MS[0], ""
         if abs(step - 1) <= CLOSE:
-            # It numbers the frames.
-            return None, ""
+            return None, ""  # It numbers the frames.
         what = "neither milliseconds, microseconds nor seconds"
         return None, f"the pad's clock counts {rate:.0f} in a second, {what}{NOT_USED}"
 
