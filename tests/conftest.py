@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 # Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -12,6 +12,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
 
 import pytest
+from xdist.scheduler import LoadFileScheduling
 
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -28,26 +29,34 @@ sys.modules["triton"] = None  # type: ignore[assignment]
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
+# Training or exporting a network imports torch's compiler, which takes as long as torch itself: one worker
+# does all of it.
+TRAINING = (
+    "test_adapt.py",
+    "test_tgc.py",
+    "test_paper.py",
+    "test_challenge.py",
+    "test_speed.py",
+    "test_train.py",
+)
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
+    *TRAINING,
     "test_fake_pad.py",
-    "test_search.py",
-    "test_hostile_peers.py",
     "test_init.py",
-    "test_adapt.py",
+    "test_hostile_peers.py",
+    "test_live_page.py",
+    "test_search.py",
     "test_end_to_end.py",
     "test_scores.py",
-    "test_paper.py",
-    "test_live_page.py",
-    "test_doctor_line.py",
-    "test_tgc.py",
     "test_first_day.py",
+    "test_pipeline.py",
+    "test_doctor_line.py",
     "test_cli.py",
     "test_sessions.py",
     "test_stability.py",
     "test_sensor_faults.py",
     "test_live_touch.py",
-    "test_challenge.py",
     "test_bridges.py",
     "test_robot_faults.py",
     "test_monitor.py",
@@ -63,6 +72,19 @@ LONGEST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Run the slowest files first."""
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
+
+
+class ByFile(LoadFileScheduling):
+    """Gives each file to one worker, and all that train to the same."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = super()._split_scope(nodeid)
+        return "training" if file.rpartition("/")[2] in TRAINING else file
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> ByFile:
+    return ByFile(config, log)
 
 
 @pytest.fixture(autouse=True)
