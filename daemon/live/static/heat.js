@@ -11,7 +11,7 @@ const FIRM_COUNTS = 250;
 // Who wants little motion sees the last third of a second.
 const CALM_SHARE = 1 / 18;
 
-/** The share of each of 8 taxels in each of 128 pixels, by Catmull and Rom's cubic. */
+/** The four taxels that each of 128 pixels shows, and the share of each, by Catmull and Rom's cubic. */
 const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
   const at = ((pixel + 0.5) * SIDE) / PIXELS - 0.5;
   const first = Math.floor(at) - 1;
@@ -22,12 +22,12 @@ const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
     ((4 - 3 * t) * t + 1) * t,
     (t - 1) * t * t,
   ];
-  const shares = new Float32Array(SIDE);
-  cubic.forEach((weight, i) => {
-    shares[Math.min(Math.max(first + i, 0), SIDE - 1)] += weight / 2;
-  });
-  return shares;
+  return cubic.map((weight, i) => [Math.min(Math.max(first + i, 0), SIDE - 1), weight / 2]);
 });
+// In typed arrays, which are quicker to read than nested ones.
+const TAPS = 4;
+const TAXELS = Uint8Array.from(WEIGHTS.flat(), ([taxel]) => taxel);
+const SHARES = Float32Array.from(WEIGHTS.flat(), ([, share]) => share);
 
 /** Return the theme's colours of pressure, one packed pixel a shade. */
 export function shades(style = getComputedStyle(document.documentElement)) {
@@ -63,13 +63,52 @@ export function showMarks(list) {
   );
 }
 
+/** A canvas with a pixel for each of the screen's. Its size is watched: to ask for it lays out the page. */
+export class SharpCanvas {
+  #canvas;
+  #isEmpty = true;
+  /** In CSS pixels. */
+  width;
+  #height;
+
+  /** onResize: called when it has another size, to draw it again. */
+  constructor(canvas, onResize) {
+    this.#canvas = canvas;
+    [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
+    new ResizeObserver(() => {
+      [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
+      onResize();
+    }).observe(canvas);
+  }
+
+  /** Return its cleared context. */
+  clear() {
+    const ratio = devicePixelRatio || 1;
+    const [width, height] = [this.width, this.#height].map((length) => Math.round(length * ratio));
+    const context = this.#canvas.getContext("2d");
+    // To set the size takes new memory, even if it is the same.
+    if (this.#canvas.width !== width || this.#canvas.height !== height) {
+      [this.#canvas.width, this.#canvas.height] = [width, height];
+    } else if (!this.#isEmpty) {
+      context.clearRect(0, 0, width, height);
+    }
+    this.#isEmpty = true;
+    return context;
+  }
+
+  /** Note that something was drawn. */
+  use() {
+    this.#isEmpty = false;
+  }
+}
+
 /** Draws where the hand was in the last second, fading with time. */
 export class Trail {
   #canvas;
   #color = "";
 
-  constructor(canvas) {
-    this.#canvas = canvas;
+  constructor(canvas, onResize) {
+    this.#canvas = new SharpCanvas(canvas, onResize);
     this.useTheme();
   }
 
@@ -78,9 +117,8 @@ export class Trail {
   }
 
   draw(trail) {
-    const side = Math.round(this.#canvas.clientWidth * (devicePixelRatio || 1));
-    this.#canvas.width = this.#canvas.height = side;
-    const context = this.#canvas.getContext("2d");
+    const context = this.#canvas.clear();
+    const side = context.canvas.width;
     const at = (taxels) => ((taxels + 0.5) / SIDE) * side;
     context.strokeStyle = this.#color;
     context.lineCap = "round";
@@ -88,6 +126,7 @@ export class Trail {
     for (let i = 1; i < trail.length; i++) {
       const [[, row, column], [, nextRow, nextColumn]] = [trail[i - 1], trail[i]];
       if (row === null || nextRow === null) continue;
+      this.#canvas.use();
       context.globalAlpha = (i / trail.length) ** 2;
       context.beginPath();
       context.moveTo(at(column), at(row));
@@ -139,20 +178,26 @@ export class HeatMap {
     for (let row = 0; row < SIDE; row++) {
       for (let x = 0; x < PIXELS; x++) {
         let level = 0;
-        for (let i = 0; i < SIDE; i++) level += WEIGHTS[x][i] * this.#levels[row * SIDE + i];
+        for (let i = TAPS * x; i < TAPS * (x + 1); i++) level += SHARES[i] * this.#levels[row * SIDE + TAXELS[i]];
         this.#rows[row * PIXELS + x] = level;
       }
     }
   }
 
   #stretchColumns() {
+    const [rows, pixels, shades] = [this.#rows, this.#pixels, this.#shades];
     for (let y = 0; y < PIXELS; y++) {
+      const [first, second, third, fourth] = SHARES.subarray(TAPS * y, TAPS * (y + 1));
+      const [a, b, c, d] = TAXELS.subarray(TAPS * y, TAPS * (y + 1));
       for (let x = 0; x < PIXELS; x++) {
-        let level = 0;
-        for (let i = 0; i < SIDE; i++) level += WEIGHTS[y][i] * this.#rows[i * PIXELS + x];
+        const level =
+          first * rows[a * PIXELS + x] +
+          second * rows[b * PIXELS + x] +
+          third * rows[c * PIXELS + x] +
+          fourth * rows[d * PIXELS + x];
         // The cubic overshoots a little beside a steep edge.
-        const shade = Math.min(Math.max(level, 0), 1) * (SHADES - 1);
-        this.#pixels[y * PIXELS + x] = this.#shades[Math.round(shade)];
+        const shade = level < 0 ? 0 : level > 1 ? 1 : level;
+        pixels[y * PIXELS + x] = shades[(shade * (SHADES - 1) + 0.5) | 0];
       }
     }
   }

@@ -1,5 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
 
+import { SharpCanvas } from "./heat.js";
 import { nameOf, percent, seconds } from "./words.js";
 
 const SHORTEST_S = 4;
@@ -10,16 +11,14 @@ const ROWS = 4;
 
 export class TimeLine {
   #canvas;
-  #context;
   #marks;
   #flags;
   #drawnMarks = "";
   #drawnFlags = "";
   #color = "";
 
-  constructor(canvas, marks, flags) {
-    this.#canvas = canvas;
-    this.#context = canvas.getContext("2d");
+  constructor(canvas, marks, flags, onResize) {
+    this.#canvas = new SharpCanvas(canvas, onResize);
     this.#marks = marks;
     this.#flags = flags;
     this.useTheme();
@@ -31,17 +30,13 @@ export class TimeLine {
 
   /** Draw the touch's pressure so far. */
   draw(store) {
-    const ratio = devicePixelRatio || 1;
-    const width = Math.round(this.#canvas.clientWidth * ratio);
-    const height = Math.round(this.#canvas.clientHeight * ratio);
-    // Setting the size clears the canvas, even to what it was.
-    this.#canvas.width = width;
-    this.#canvas.height = height;
+    const context = this.#canvas.clear();
+    const { width, height } = context.canvas;
     const end = endOf(store.scene);
     const points = store.trace.filter(([at]) => at >= 0 && at <= end);
     if (points.length === 0) return;
     const peak = points.reduce((most, [, load]) => Math.max(most, load), LIGHT_LOAD);
-    const context = this.#context;
+    this.#canvas.use();
     const x = (at) => (at / end) * width;
     context.beginPath();
     context.moveTo(x(points[0][0]), height);
@@ -58,7 +53,7 @@ export class TimeLine {
     this.#showMarks(store);
     const said = onLine(store);
     const { touch, pad, time } = store.touch?.began ?? {};
-    const width = this.#flags.parentElement.clientWidth;
+    const { width } = this.#canvas;
     const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), width].join();
     if (key === this.#drawnFlags) return;
     this.#drawnFlags = key;

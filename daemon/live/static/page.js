@@ -26,8 +26,8 @@ const pads = new PadSwitch($("pads"), (name) => {
   drawSoon();
 });
 const heat = new HeatMap($("heat"), $("scale"));
-const trail = new Trail($("trail"));
-const line = new TimeLine($("trace"), $("marks"), $("flags"));
+const trail = new Trail($("trail"), drawSoon);
+const line = new TimeLine($("trace"), $("marks"), $("flags"), drawSoon);
 const announcer = new Announcer($("announcement"));
 
 let link = "";
