@@ -1,9 +1,6 @@
 """Reads YAML text strictly into a struct; a mistake is reported in one line that says where it is."""
 
-import difflib
-import re
-import typing
-from collections.abc import Hashable, Iterator
+from collections.abc import Hashable
 from typing import Any, TypeVar
 
 import msgspec
@@ -12,7 +9,6 @@ import yaml
 T = TypeVar("T", bound=msgspec.Struct)
 
 MERGE_TAG = "tag:yaml.org,2002:merge"
-UNKNOWN_FIELD = "Object contains unknown field `"
 
 
 class StrictYamlError(Exception):
@@ -57,7 +53,8 @@ def convert(text: bytes | str, struct: type[T]) -> T:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise StrictYamlError(f"{where}{error.problem}") from error
+        problem = "indent with spaces, not with tabs" if "'\\t'" in str(error.problem) else error.problem
+        raise StrictYamlError(f"{where}{problem}") from error
     except yaml.reader.ReaderError as error:
         line = len(text[: error.position + 1].splitlines())
         raise StrictYamlError(f"line {line}: {error.reason}; save the file as UTF-8 text") from error
@@ -66,35 +63,6 @@ def convert(text: bytes | str, struct: type[T]) -> T:
     try:
         return msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
-        problem, _, where = str(error).rpartition(" - at `")
-        if not problem:
-            problem, where = where, ""
-        raise StrictYamlError(_with_place(problem, where.removesuffix("`"), struct)) from error
+        from touchd.daemon.setup.mistakes import explain
 
-
-def _with_place(problem: str, where: str, struct: type[msgspec.Struct]) -> str:
-    """Return msgspec's message after the setting's path; for an unknown setting, with a similar one."""
-    path = where.removeprefix("key` in `").removeprefix("$").removeprefix(".")
-    if not problem.startswith(UNKNOWN_FIELD):
-        return f"{path}: {problem}" if path else problem
-    wrong = problem.removeprefix(UNKNOWN_FIELD).removesuffix("`")
-    if wrong == "token":
-        # A token must not get into this file by way of a similar setting.
-        return f"{path}.token: unknown setting; write the token into a file and set robot.token_file"
-    known = list(_names(struct))
-    # Elements of lists and of mappings have the same settings.
-    name = ".".join(filter(None, [re.sub(r"\[[^]]*\]", "", path), wrong]))
-    elsewhere = sorted((at for at in known if at.rpartition(".")[2] == wrong), key=len)
-    near = elsewhere or difflib.get_close_matches(name, known, n=1, cutoff=0.75)
-    advice = f"; did you mean {near[0]}?" if near else ""
-    return f"{'.'.join(filter(None, [path, wrong]))}: unknown setting{advice}"
-
-
-def _names(kind: Any, path: tuple[str, ...] = ()) -> Iterator[str]:
-    """Yield the dotted names of all settings in a type."""
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        for name, inner in typing.get_type_hints(kind).items():
-            yield ".".join((*path, name))
-            yield from _names(inner, (*path, name))
-    for inner in typing.get_args(kind):
-        yield from _names(inner, path)
+        raise StrictYamlError(explain(str(error), struct)) from error

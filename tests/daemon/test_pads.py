@@ -183,7 +183,7 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
         ("sensors: {head: {prt: x}}", "sensors[...].prt: unknown setting; did you mean sensors.port?"),
         (
             "sensors: {head: {scene: {speak_above: 2}}}",
-            "sensors[...].scene.speak_above: Expected `float`",
+            "sensors[...].scene.speak_above: must be",
         ),
         (
             "sensors: {head: {port: 'udp://0.0.0.0:4000', format: itas}}",

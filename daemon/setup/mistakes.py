@@ -1,0 +1,85 @@
+"""Says what is wrong with a setting, where, and what it may be instead; loaded only for a mistake."""
+
+import difflib
+import re
+import typing
+from collections.abc import Iterator
+from typing import Any, Literal
+
+import msgspec
+
+UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
+MISSING = re.compile(r"Object missing required field `(.*)`")
+WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
+OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?.*)")
+WRONG_CHOICE = re.compile(r"Invalid enum value (.*)")
+# msgspec's names of kinds, in words.
+KINDS = {
+    "object": "settings (name: value)",
+    "array": "a list (- item)",
+    "str": "text (in quotes)",
+    "int": "a whole number",
+    "float": "a number",
+    "bool": "true or false",
+}
+
+
+def explain(error: str, struct: type[msgspec.Struct]) -> str:
+    """Turn the text of a msgspec.ValidationError about a struct into one line for the user."""
+    problem, _, where = error.rpartition(" - at `")
+    if not problem:
+        problem, where = where, ""
+    path = where.removesuffix("`").removeprefix("key` in `").removeprefix("$").removeprefix(".")
+    if match := UNKNOWN.fullmatch(problem):
+        return _unknown(match[1], path, struct)
+    if match := MISSING.fullmatch(problem):
+        problem = f"{match[1]} is missing"
+    elif match := WRONG_KIND.fullmatch(problem):
+        expected, got = (
+            " or ".join(KINDS.get(kind, kind) for kind in each.split(" | ")) for each in match.groups()
+        )
+        problem = f"{expected} expected, not {got.partition(' (')[0]}"
+    elif match := OUT_OF_RANGE.fullmatch(problem):
+        problem = f"must be {match[1]}"
+    elif match := WRONG_CHOICE.fullmatch(problem):
+        choices = (kind for name, kind in _settings(struct) if name == _without_items(path))
+        listed = ", ".join(str(choice) for kind in choices for choice in _choices(kind))
+        problem = f"{match[1]} is not one of {listed}"
+    return f"{path}: {problem}" if path else problem
+
+
+def _unknown(wrong: str, path: str, struct: type[msgspec.Struct]) -> str:
+    """Report an unknown setting, with a similar one."""
+    if wrong == "token":
+        # A token must not get into this file by way of a similar setting.
+        return f"{path}.token: unknown setting; write the token into a file and set robot.token_file"
+    known = [name for name, _ in _settings(struct)]
+    name = ".".join(filter(None, [_without_items(path), wrong]))
+    elsewhere = sorted((at for at in known if at.rpartition(".")[2] == wrong), key=len)
+    near = elsewhere or difflib.get_close_matches(name, known, n=1, cutoff=0.75)
+    advice = f"; did you mean {near[0]}?" if near else ""
+    return f"{'.'.join(filter(None, [path, wrong]))}: unknown setting{advice}"
+
+
+def _without_items(path: str) -> str:
+    """Return the path without indices and keys: elements of lists and mappings have the same settings."""
+    return re.sub(r"\[[^]]*\]", "", path)
+
+
+def _settings(kind: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+    """Yield the dotted names of all settings in a type, and their types."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        for name, inner in typing.get_type_hints(kind).items():
+            yield ".".join((*path, name)), inner
+            yield from _settings(inner, (*path, name))
+    for inner in typing.get_args(kind):
+        yield from _settings(inner, path)
+
+
+def _choices(kind: Any) -> Iterator[object]:
+    """Yield the values that a type lists."""
+    if typing.get_origin(kind) is Literal:
+        yield from typing.get_args(kind)
+    else:
+        for inner in typing.get_args(kind):
+            yield from _choices(inner)
