@@ -64,6 +64,7 @@ def test_a_pad_that_is_pressed_is_found_or_called_ambiguous(described: PadFormat
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @given(described=any_format, seed=st.integers(0, 10**6))
 @settings(deadline=None, max_examples=400)
 def test_any_pad_that_is_pressed_is_found_or_called_ambiguous(described: PadFormat, seed: int) -> None:
