@@ -109,7 +109,7 @@ GESTURES = ("pat", "notouch", "rub")
 def pat_until_it_is_felt(terminal: Terminal, hand: Hand) -> None:
     """Repeat the take until the touch is detected; on a busy machine the hand may come too late."""
     question = ""
-    while "keep it" not in question:
+    while not question.startswith("keep it"):
         terminal.answer("", "Enter to begin")
         terminal.answer("")
         shown = terminal.until("pat now")
