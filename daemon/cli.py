@@ -1,6 +1,5 @@
 """The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
 
-import difflib
 import errno
 import importlib
 import io
@@ -9,7 +8,6 @@ import re
 import signal
 import sys
 from collections.abc import Sequence
-from importlib import metadata
 from typing import NamedTuple
 
 from touchd.drivers.errors import TouchdError, one_line
@@ -94,10 +92,15 @@ def _run(words: Sequence[str]) -> int:
         return 0 if words else USERS_MISTAKE
     name, *rest = words
     if name in ("--version", "version"):
+        # Imported here and below, since it would delay the daemon's start.
+        from importlib import metadata
+
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
         return 0
     commands = {command.name: command for command in COMMANDS}
     if name not in commands:
+        import difflib
+
         near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)
         advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
         raise UsageError(f"{name} is not a command; {advice}")
