@@ -88,7 +88,7 @@ def main(arguments: Sequence[str]) -> int:
     ):
         new.write_text(text, encoding="utf-8")
     settings = load(options.file)
-    later = f"none found, so {file} describes touchd's own; for another, plug it in, delete {file} and repeat"
+    later = f"none found, so {file} describes a fabric pad; for another, plug it in, delete {file} and repeat"
     console.print(f"pad: {described}, at {port}" if described else f"pad: {later}")
     is_well = described is not None
     if robot:

@@ -2,8 +2,8 @@
 
 A clock is believed in milliseconds until three windows of half a second show what it counts. If that is
 milliseconds, microseconds or seconds of arrival, it is believed in that unit; if it shows the pad's stated
-rate, in milliseconds, for a recording may be played faster. Any other number is skipped: a frame's, an index,
-a temperature. A unit is changed only after ten seconds of evidence.
+rate, in milliseconds, for a recording may be played faster. Any other number is skipped: a frame number,
+an index, a temperature. A unit is changed only after ten seconds of evidence.
 
 A frame is on time when its clock is 1 to 250 ms after that of the last one taken (modulo 2^32, so the wrap
 after 49.7 days is nothing special). One that repeats the last clock is a duplicate. Any other is held: it may
@@ -39,7 +39,8 @@ ALIKE = 1.3
 NOT_USED = "; it is not used, and frames are dated by their arrival"
 
 # Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
-MAX_STEP_MS, MAX_HELD = 250, 8
+MAX_STEP_MS = 250
+MAX_HELD = 8
 
 
 class FrameClock:
@@ -132,14 +133,18 @@ class FrameClock:
         if abs(1000 / step / self._rate_hz - 1) <= CLOSE:
             return UNITS_MS[0], ""
         if abs(step - 1) <= CLOSE:
-            return None, ""  # It numbers the frames.
+            # It numbers the frames.
+            return None, ""
         what = "neither milliseconds, microseconds nor seconds"
         return None, f"the pad's clock counts {rate:.0f} in a second, {what}{NOT_USED}"
 
 
 @dataclass
 class _Window:
-    """Clock and arrival at the first and last frame; counts of those after the first."""
+    """Clock and arrival at its first and last frame, and counts of the frames after the first.
+
+    standing: frames whose clock did not rise. delivered: frames that were passed on.
+    """
 
     first: float
     first_s: float
@@ -219,7 +224,8 @@ def _steps_on(earlier_ms: int, later_ms: int) -> bool:
 
 # Shares of a frame's arrival error by which phase and period follow. A jitter of 16 ms
 # (a USB adapter's) becomes 1.6 ms; a pad 5 % off its stated rate is followed within a second.
-PHASE_GAIN, PERIOD_GAIN = 0.1, 0.005
+PHASE_GAIN = 0.1
+PERIOD_GAIN = 0.005
 LOST_S = 0.25
 # Frames that flood in are stamped a millisecond apart; restart the clock once it leads arrival by this much.
 AHEAD_MS = 1000

@@ -113,6 +113,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
+        # Text pads have the same line as a preset by chance.
         is_binary = self.framing == "binary"
         alike = (name for name, preset in PRESETS.items() if is_binary and preset.line == self.line)
         return f"{next(alike, self.framing)} {self.rows}x{self.columns}"

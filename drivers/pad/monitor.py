@@ -36,12 +36,14 @@ NOTE_S = 1.0
 DEGRADING = ("gaps", "frozen", "noise")
 
 # Recognising a touch takes half a second of frames without a gap; a fault if there was none for DEAF_S.
-WITHOUT_GAP_FRAMES, DEAF_S = 27, 3.0
+WITHOUT_GAP_FRAMES = 27
+DEAF_S = 3.0
 # After a pause as long as this in their arrival, frames say nothing: the daemon may have been stopped.
 PAUSE_S = 2.0
 
 # The parser's counts are compared so often. One lost frame in fifty is a fault that will grow.
-LOOK_S, MANY_SHARE = 10.0, 0.02
+LOOK_S = 10.0
+MANY_SHARE = 0.02
 
 # Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
 # three seconds; a pad is noisy if it is for five.
@@ -53,12 +55,18 @@ NOISY_LOOKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
 AVERAGE_S = 2.0
 # Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
 BLOCK_FRAMES = 27
-STILL_SHARE, UNKNOWN_SHARE, LIVELY_SHARE = 0.01, 0.05, 0.1
+STILL_SHARE = 0.01
+UNKNOWN_SHARE = 0.05
+LIVELY_SHARE = 0.1
 # On a pad with noise, a taxel that stands still is broken. It has noise if this many taxels change in this
-# share of the first three seconds' frames; later a hand may move them. HAART's and the robot's pads have.
-FIRST_BLOCKS, LIVELY_TAXELS, NOISY_SHARE = 6, 48, 0.3
-SATURATED_COUNT, SATURATED_TAXELS = 1000, 16
-SETTLE_S = 2.0  # Taxels of one broken wire do not fall still in the same frame; report once all have.
+# share of the first three seconds' frames, as on HAART's and the robot's pads; later a hand may move them.
+FIRST_BLOCKS = 6
+LIVELY_TAXELS = 48
+NOISY_SHARE = 0.3
+SATURATED_COUNT = 1000
+SATURATED_TAXELS = 16
+# Taxels of one broken wire do not fall still in the same frame; report once all have.
+SETTLE_S = 2.0
 
 
 class PadMonitor:

@@ -64,7 +64,7 @@ class NetworkPort:
         self._until_s = time.monotonic() + GONE_S
 
     def _follows(self, sender: Any) -> bool:
-        """Whether to read a datagram: from the board that sends frames; until one does, from each in turn."""
+        """Whether to read this datagram. Until a board sends frames, each board is tried for a while."""
         is_other = self._sender is None or sender[0] != self._sender[0]
         if is_other and time.monotonic() < self._until_s:
             if self._sends_frames and not self._has_warned:

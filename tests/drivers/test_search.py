@@ -256,7 +256,7 @@ def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
 
 
 def one_in(quick: int) -> pytest.MarkDecorator:
-    """Parametrize: one in so many streams in the quick suite, all of them if slow."""
+    """Parametrize `step`: the quick suite searches every quick-th stream, the slow suite each."""
     return pytest.mark.parametrize("step", [quick, pytest.param(1, marks=pytest.mark.slow)])
 
 
