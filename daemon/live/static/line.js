@@ -1,6 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
 
-import { SharpCanvas } from "./heat.js";
+import { SharpCanvas } from "./canvas.js";
 import { nameOf, percent, seconds } from "./words.js";
 
 const SHORTEST_S = 4;

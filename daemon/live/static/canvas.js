@@ -1,0 +1,40 @@
+// A canvas that keeps its memory and its size from one picture to the next.
+
+/** A canvas with a pixel for each of the screen's. Its size is watched: to ask for it lays out the page. */
+export class SharpCanvas {
+  #canvas;
+  #isEmpty = true;
+  /** In CSS pixels. */
+  width;
+  #height;
+
+  /** onResize: called when it has another size, to draw it again. */
+  constructor(canvas, onResize) {
+    this.#canvas = canvas;
+    [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
+    new ResizeObserver(() => {
+      [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
+      onResize();
+    }).observe(canvas);
+  }
+
+  /** Return its cleared context. */
+  clear() {
+    const ratio = devicePixelRatio || 1;
+    const [width, height] = [this.width, this.#height].map((length) => Math.round(length * ratio));
+    const context = this.#canvas.getContext("2d");
+    // To set the size takes new memory, even if it is the same.
+    if (this.#canvas.width !== width || this.#canvas.height !== height) {
+      [this.#canvas.width, this.#canvas.height] = [width, height];
+    } else if (!this.#isEmpty) {
+      context.clearRect(0, 0, width, height);
+    }
+    this.#isEmpty = true;
+    return context;
+  }
+
+  /** Note that something was drawn. */
+  use() {
+    this.#isEmpty = false;
+  }
+}
