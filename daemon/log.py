@@ -1,4 +1,4 @@
-"""The log of the daemon and its libraries: printable, not too often, written by a thread of its own."""
+"""The log of the daemon and its libraries: printable, not too often, written by its own thread."""
 
 import logging
 import queue
@@ -70,7 +70,7 @@ class _Place:
 
 
 class LogWriter(QueueHandler):
-    """Writes the records that the gate lets through to a file descriptor, in a thread of its own.
+    """Writes the records that the gate lets through to a file descriptor, in its own thread.
 
     A reader that is slow or gone costs records, never the daemon. The next line says how many were dropped.
     """

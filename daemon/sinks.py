@@ -66,7 +66,7 @@ class EventFanout:
         self.sinks = tuple(sorted(sinks, key=lambda sink: isinstance(sink, RobotSink)))
 
     def emit(self, event: Event) -> None:
-        # Robots tell theirs from threads of their own; only one thread may count.
+        # Robots tell theirs from their own threads; only one thread may count.
         if isinstance(event, TouchBegan):
             self.touches += 1
         for sink in self.sinks:

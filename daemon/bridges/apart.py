@@ -1,4 +1,4 @@
-"""Runs bridges in a process of their own, for libraries that anybody on the network can make use memory.
+"""Runs bridges in a separate process, for libraries that anybody on the network can make use memory.
 
 liblsl keeps a request of any length, DDS every participant that announces itself; neither has a limit. The
 process may grow by MOST_MB. Then it ends and the daemon, which goes on undisturbed, starts another.

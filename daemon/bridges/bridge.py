@@ -132,7 +132,7 @@ class Bridge(QueuedSink[Item]):
 
 
 class ConnectedBridge(Bridge):
-    """A bridge over a connection that a thread of its own keeps open.
+    """A bridge over a connection that its own thread keeps open.
 
     where: the peer's address, for the log.
     """
@@ -148,7 +148,7 @@ class ConnectedBridge(Bridge):
     def hold(self) -> str:
         """Connect, call `connected`, and return why the connection ended; runs in the keeper's thread.
 
-        Whatever it raises is the reason.
+        The error that it raises is logged as the reason.
         """
 
     @abstractmethod

@@ -5,7 +5,7 @@ JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMB
 second of rest before the touch, the touch from its true first frame to its last contact, and the quiet in
 which its end was known.
 
-In the loop a frame costs two appends. A thread of its own cuts, packs and writes, only after a touch, when
+In the loop a frame costs two appends. A separate thread cuts, packs and writes, only after a touch, when
 the next answer is a second away or more.
 """
 

@@ -96,7 +96,7 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
                 continue
             raise
         since = [event for event in events if event.time >= time] + since
-        # The newest, for a computer without a clock of its own begins in 1970.
+        # The newest, because a computer without a battery-backed clock starts in 1970.
         if events and max(event.time for event in events) < time:
             break
     return [touch for touch in gather(since) if touch.began.time >= time]

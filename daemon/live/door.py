@@ -30,15 +30,15 @@ class Door:
             def connection_made(self, transport: asyncio.BaseTransport) -> None:
                 super().connection_made(transport)
                 self._begun_s = time.monotonic()
-                self._heard_bytes = 0
+                self._received_bytes = 0
                 inside[self] = None
                 if len(inside) > limit:
                     half_open = (one for one in inside if one.state is State.CONNECTING)
                     next(half_open, self).transport.abort()
 
             def data_received(self, data: bytes) -> None:
-                self._heard_bytes += len(data)
-                if self._heard_bytes > FIRST_BYTES + bytes_per_s * (time.monotonic() - self._begun_s):
+                self._received_bytes += len(data)
+                if self._received_bytes > FIRST_BYTES + bytes_per_s * (time.monotonic() - self._begun_s):
                     self.transport.abort()
                 else:
                     super().data_received(data)

@@ -57,9 +57,9 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     pad: name of the pad. page: stamp of the page's files; a page with another reloads. labels: in the
     order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:
     of the scene. model: its name. names: of the gestures. action: the robot's latest on the last touch.
-    touches: the last ones, oldest first; an ongoing touch comes last. heard: numbers of the touches that were
-    reported to the robot while it was up. rest: of each taxel before an ongoing touch. trace: of that touch,
-    seconds since it began and sum of counts above rest. touchable: whether viewers can touch the pad.
+    touches: the last ones, oldest first; an ongoing touch comes last. reported: numbers of the touches that
+    the robot was told about while it was up. rest: of each taxel before an ongoing touch. trace: of that
+    touch, seconds since it began and sum of counts above rest. touchable: whether viewers can touch the pad.
     """
 
     page: str
@@ -77,7 +77,7 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     sensor: SensorEvent | None
     robot: RobotEvent | None
     touches: tuple[ReportedTouch, ...]
-    heard: tuple[int, ...]
+    reported: tuple[int, ...]
     rest: tuple[float, ...]
     trace: tuple[tuple[float, float], ...]
     touchable: bool
@@ -96,7 +96,7 @@ class Memory:
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None
         self._touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
-        self._heard: deque[int] = deque(maxlen=TOUCHES)
+        self._reported: deque[int] = deque(maxlen=TOUCHES)
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
         self._traced: list[Frame] = []
         self._rest: NDArray[np.float64] | None = None
@@ -125,7 +125,7 @@ class Memory:
             case Prediction() | TouchEnded() if self._touches:
                 is_told = isinstance(event, Prediction) and event.told
                 if is_told and self._robot is not None and self._robot.state == "up":
-                    self._heard.append(event.touch)
+                    self._reported.append(event.touch)
                 self._touches[-1].add(event)
                 del self._touches[-1].predictions[:-PREDICTIONS]
 
@@ -176,7 +176,7 @@ class Memory:
             sensor=self._sensor,
             robot=self._robot if settings.robot else None,
             touches=tuple(self._touches),
-            heard=tuple(self._heard),
+            reported=tuple(self._reported),
             rest=tuple(self._rest.round(1).ravel().tolist()) if self._rest is not None and trace else (),
             trace=trace,
             touchable=touchable,

@@ -1,4 +1,4 @@
-"""The daemon in a process of its own, for the demo, the bench and end-to-end tests."""
+"""The daemon in a separate process, for the demo, the bench and end-to-end tests."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ STOP_S = 10.0
 
 
 class SpawnedDaemon:
-    """`touchd run` in a process of its own, with its own configuration file.
+    """`touchd run` in a separate process, with its own configuration file.
 
     folder: where the configuration goes. log: its standard error, ours by default. environment: added to
     ours.

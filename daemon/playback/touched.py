@@ -94,7 +94,7 @@ class TouchPage:
         self._server.put_frame(Frame(next(self._numbers), sensor_ms, time.monotonic(), counts), 0)
 
     def follow(self, log: Path) -> None:
-        """Show the live predictions of a daemon with a page of its own, whose address is in its log."""
+        """Show the live predictions of a daemon with its own page, whose address is in its log."""
         threading.Thread(target=self._relay, args=(log,), name="touchd-relay", daemon=True).start()
 
     def _relay(self, log: Path) -> None:

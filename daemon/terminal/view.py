@@ -342,8 +342,8 @@ class View:
         if before := self._before(touch, len(touch.predictions) - 1):
             remark.append(Segment(f"↻ was {before} · ", palette.changed))
         told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
-        heard = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
-        remark.append(Segment(heard, palette.muted))
+        status = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
+        remark.append(Segment(status, palette.muted))
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
         if likeliest != answer.gesture and answer.gesture in answer.probabilities:
             remark.append(Segment(f" · {self._name(likeliest)} is likelier now", palette.muted))

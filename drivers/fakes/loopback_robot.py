@@ -1,4 +1,4 @@
-"""A robot made of real qi services in a process of its own, on 127.0.0.1."""
+"""A robot made of real qi services in a separate process, on 127.0.0.1."""
 
 import subprocess
 import sys

@@ -44,7 +44,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     rows, columns: the grid as sent. Text may hold a frame in one line, or in several lines of as many numbers
     each. skip: numbers that lead each line, or bytes between a binary frame's header (and clock) and its
     cells, that are not cells. tail: numbers or bytes after the cells, unchecked.
-    end: text with which the last line of a frame ends, or a line of its own after each frame. Without it, any
+    end: text with which the last line of a frame ends, or a separate line after each frame. Without it, any
     line with another count of numbers parts frames.
     header, footer: bytes that begin or end a binary frame, in hex as in "aa ab ac".
     clock: milliseconds since boot, uint32, follow the header. cell: u8, u16, u12 (two in three bytes), i16

@@ -70,7 +70,7 @@ class NetworkPort:
             if self._sends_frames and not self._has_warned:
                 self._has_warned = True
                 log.warning(
-                    "%s: %s sends there too; only %s is read: give each board a port of its own",
+                    "%s: %s sends there too; only %s is read: give each board its own port",
                     self.port,
                     sender[0],
                     self._sender[0],

@@ -41,7 +41,7 @@ NO_ACTIONS: dict[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
 class RobotLink:
     """Sends answers to a robot and has it react to them.
 
-    Two workers, each with a session of its own: one raises events; the other, only if there are actions, has
+    Two workers, each with its own session: one raises events; the other, only if there are actions, has
     the robot speak, move and shine, which takes seconds and must not delay an event.
     settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from a worker's thread when the robot comes ("up", "") or goes ("down", why).

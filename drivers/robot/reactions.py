@@ -26,7 +26,7 @@ import msgspec
 
 from touchd.drivers.frame import DEFAULT_PAD
 
-# The daemon has the same names in a type of its own; drivers import nothing above them.
+# The daemon has the same names in its own type; drivers import nothing above them.
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 UNCERTAIN = "uncertain"
 Measure: TypeAlias = Literal[
@@ -127,7 +127,7 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     do: the actions, in order.
     gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
-    stages: the stages that this is for, whether the robot is told the answer then or has heard it before.
+    stages: the stages that this is for, whether the answer is told at that stage or was told before.
     Empty means any stage at which the answer is news: the first of its touch, or another than the last.
     Either way an answer sets a rule off once in a touch: [final, released] acts once on what each settles on.
     changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules

@@ -27,7 +27,7 @@ def read(folder: Path) -> list[Recording]:
 
 
 def takes(recordings: Iterable[Recording]) -> list[Recording]:
-    """Return every whole take as a recording of its own, without its edges, to train on.
+    """Return every whole take as a separate recording, without its edges, to train on.
 
     All recordings of L2 and all but one of L1 are a frame too short.
     """

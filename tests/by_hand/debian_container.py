@@ -1,4 +1,4 @@
-"""A Debian with a systemd of its own in a container (systemd-nspawn), which a test may fill and crash.
+"""A Debian with its own systemd in a container (systemd-nspawn), which a test may fill and crash.
 
 What is downloaded is kept in the folder TOUCHD_DEBIAN, by default /var/tmp/touchd-debian. The sources, their
 wheels, recordings and helpers are mounted at /mnt.

@@ -113,7 +113,7 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
 
 
 def test_haarts_frames_are_whole_scans_in_the_converted_file(tmp_path: Path) -> None:
-    # Every frame holds a number of its own; HAART has the last two rows of the one before on top.
+    # Every frame holds its own number; HAART has the last two rows of the one before on top.
     scans = np.repeat(np.arange(20), 64).reshape(20, 8, 8)
     rolled = np.roll(scans.reshape(-1, 8), 2, axis=0).reshape(20, 64)
     header = ",".join(["participant", "substrate", "cover", "gesture", *(f"cell{i}" for i in range(1, 65))])

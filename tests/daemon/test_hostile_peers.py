@@ -34,7 +34,7 @@ from touchd.drivers.robot.session import RobotSettings
 MOST_GROWTH_MB = 20.0
 MOST_LOG_LINES = 100
 SETTLING_S = 1.5
-# A domain of DDS of its own, unlike a lab's.
+# A separate DDS domain, unlike a lab's.
 DOMAIN = 77
 
 Configure = Callable[[int], dict[str, Any]]

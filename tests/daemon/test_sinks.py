@@ -122,7 +122,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
     done = RobotAction(touch=7, action="say", what="Hello", time=PREDICTION.time)
 
     class Link(RobotLink):
-        """Acts before it returns, as a thread of its own may."""
+        """Acts before it returns, as a separate thread may."""
 
         def __init__(self) -> None:
             pass

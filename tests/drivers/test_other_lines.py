@@ -167,9 +167,7 @@ def test_the_first_of_two_udp_boards_is_read_until_gone(
         assert read() + read()
         give(PACKETS[30])
         assert read() == []
-    warning = (
-        f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board a port of its own"
-    )
+    warning = f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board its own port"
     assert caplog.messages == [warning]
 
 

@@ -112,7 +112,7 @@ def test_a_truncated_frame_is_lost_alone_and_counted(described: PadFormat, kept:
     assert {laid(described, number) for number in (0, 1, 4, 5)} <= came
     # A frame that lost a part of its end alone is complete.
     assert laid(described, 2) not in came or ((described.footer or described.end) and kept > 0.9)
-    # A few numbers in a line of their own may be the pad's other words.
+    # A few numbers in a separate line may be the pad's other words.
     assert parser.counts.bad >= (described.framing == "binary" or (kept > 0.9 and not described.end))
 
 

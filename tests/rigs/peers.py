@@ -258,7 +258,7 @@ class Ros2Peer(Peer):
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
-        # A domain of its own for each test, unlike a lab's.
+        # A separate domain for each test, unlike a lab's.
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:

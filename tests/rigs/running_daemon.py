@@ -22,7 +22,7 @@ TOTALS = re.compile(r"(\d+) frames, (\d+) touches, (\d+) frames dropped in all")
 class Daemon:
     """The spawned daemon on a pad: its events, and its log.
 
-    pad: a started port; by default one of its own that plays LENGTHS. log: by default a file.
+    pad: a started port; by default its own, which plays LENGTHS. log: by default a file.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The soak's pad, in a process of its own, so that its memory is not counted.
+"""The soak's pad, in a separate process, so that its memory is not counted.
 
 Writes a repeating stream with a continuous clock and some garbage to standard output.
 """

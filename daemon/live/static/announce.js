@@ -1,4 +1,4 @@
-// What a screen reader says of its own accord: new answers and troubles, one at a time.
+// What a screen reader announces by itself: new answers and troubles, one at a time.
 
 const PAUSE_MS = 2000;
 

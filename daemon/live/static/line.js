@@ -108,10 +108,10 @@ function flag(prediction, before, scene) {
   const told = [at > 1 ? `at ${seconds(prediction.elapsed_s)}` : "", prediction.told ? "✓" : ""].join(" ").trim();
   const small = Object.assign(document.createElement("small"), { textContent: told });
   const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";
-  const heard = prediction.told ? ", told" : "";
+  const toldText = prediction.told ? ", told" : "";
   const unseen = Object.assign(document.createElement("span"), {
     className: "unseen",
-    textContent: ` after ${seconds(prediction.elapsed_s)}${words}${heard}`,
+    textContent: ` after ${seconds(prediction.elapsed_s)}${words}${toldText}`,
   });
   small.setAttribute("aria-hidden", "true");
   item.append(name, share, small, unseen);

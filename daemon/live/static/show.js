@@ -67,23 +67,23 @@ function whyItStands({ touch, isTouched, scene }, shown, best) {
   const [name, other] = [nameOf(answer.gesture), nameOf(best)];
   if (best === "notouch") return `${name} stands: a pause replaces no answer`;
   const lead = shown.probabilities[best] - shown.probabilities[answer.gesture];
-  const isHeard = touch.predictions.some((one) => one.told);
-  if (isHeard && lead < scene.revise_margin) {
+  const isTold = touch.predictions.some((one) => one.told);
+  if (isTold && lead < scene.revise_margin) {
     const [points, needed] = [lead, scene.revise_margin].map((share) => Math.round(100 * share));
     return `${name} stands: ${other} leads by ${points} point${points === 1 ? "" : "s"}, ${needed} are needed`;
   }
-  if (isHeard && shown.probabilities[best] < scene.speak_above) {
+  if (isTold && shown.probabilities[best] < scene.speak_above) {
     return `${name} stands: ${other} is likelier, but not yet ${percent(scene.speak_above)} sure`;
   }
   return `${name} stands until the next answer`;
 }
 
-function remarks({ scene, heard, touch }, said, previous) {
+function remarks({ scene, reported, touch }, said, previous) {
   const answer = said.at(-1);
   if (!answer) return [];
   const told = said.findLast((one) => one.told && one.gesture === answer.gesture);
   const whom = scene.robot_configured ? "the robot" : "a robot";
-  const telling = heard.has(touch.began.touch) ? `told ${whom} after` : `sure enough to tell ${whom} after`;
+  const telling = reported.has(touch.began.touch) ? `told ${whom} after` : `sure enough to tell ${whom} after`;
   const remark = told ? `${telling} ${seconds(told.elapsed_s)}` : `not sure enough to tell ${whom}`;
   const parts = previous ? [make("b", "", `↻ changed from ${nameOf(previous.gesture)}`), " · "] : [];
   const degraded = answer.degraded ? " · frames were lost" : "";

@@ -27,7 +27,7 @@ export class Store {
   touches = [];
   live = null;
   /** Numbers of the touches about which the robot was told while it was up. */
-  heard = new Set();
+  reported = new Set();
   /** Where the hand was in the last second: the sensor's clock, row and column, null where nothing pressed. */
   trail = [];
   /** Pressure above rest of each taxel, in counts. */
@@ -64,7 +64,7 @@ export class Store {
         ({ sensor: this.sensor, robot: this.robot, touches: this.touches, action: this.action } = message);
         this.scene = message;
         this.live = null;
-        this.heard = new Set(message.heard);
+        this.reported = new Set(message.reported);
         const began = this.touch?.began;
         if (began?.touch !== before?.touch || began?.time !== before?.time) {
           this.trace = message.trace.length > 0 ? message.trace : this.#lateTrace();
@@ -95,7 +95,7 @@ export class Store {
         break;
       case "prediction":
         if (this.touch?.began.touch === message.touch) this.touch.predictions.push(message);
-        if (message.told && this.robot?.state === "up") this.heard.add(message.touch);
+        if (message.told && this.robot?.state === "up") this.reported.add(message.touch);
         this.live = null;
         break;
       case "touch_ended":
