@@ -211,7 +211,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     @property
     def pipeline(self) -> PipelineSettings:
         decision = self.scene
-        if decision.final_above is None and self.sensor.format != FABRIC:
+        if decision.final_above is None and self.sensor.described.line != PRESETS[FABRIC].line:
             decision = msgspec.structs.replace(decision, final_above=FINAL_ABOVE_ON_ANOTHER_PAD)
         return PipelineSettings(touch=self.touch, decision=decision, size_mm=self.sensor.size_mm)
 

@@ -44,7 +44,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
     early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
-    final_above: the same for the final answer; None: 0.6 on a pad that `sensor.format` describes, else 0.
+    final_above: the same for the final answer; None: 0, and 0.6 on a pad of another kind.
     ongoing: whether a change of gesture after the final answer is told.
     revise_margin: an answer that was told is replaced only by one more probable than it by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.

@@ -2,16 +2,18 @@
 
 import argparse
 import json
+import os
 import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from msgspec.structs import replace
 from rich.console import Console
 from serial.tools.list_ports import comports
 
-from touchd.daemon.config import DEFAULT_PORT, ConfigError, load
+from touchd.daemon.config import DEFAULT_PORT, FABRIC, OVERRIDES, ConfigError, SensorSettings, load
 from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
@@ -65,6 +67,11 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
+    # Before anybody presses the pad for a file that cannot be written.
+    if not os.access(options.file.absolute().parent, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"{options.file}: cannot be written (no such folder, or no permission); give another path"
+        )
     if options.robot not in (None, "none"):
         robot_urls(options.robot)
     file = shlex.quote(str(options.file))
@@ -77,10 +84,12 @@ def main(arguments: Sequence[str]) -> int:
             f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
         )
         return 1
-    port, baud, described = found or Found(options.port or DEFAULT_PORT, bauds[0], None)
+    # The usual rates begin with the likeliest to be found; a fabric pad has another.
+    unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
+    port, baud, described = found or unseen
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
-    described_as = as_yaml(described or PRESETS["fabric-grid"])
-    text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n  {described_as}\n"
+    described_as = _as_settings(described or PRESETS[FABRIC])
+    text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n{described_as}"
     text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
     with (
         os_errors_as(ConfigError, f"{options.file}: cannot be written", "give another path"),
@@ -99,6 +108,18 @@ def main(arguments: Sequence[str]) -> int:
         f"wrote {file}; next: {program_name()} doctor -c {file}, then {program_name()} run -c {file}"
     )
     return 0 if is_well else 1
+
+
+def _as_settings(described: PadFormat) -> str:
+    """Return a description as lines below `sensor:`; a fabric pad of another grid or turn keeps its preset."""
+    fabric = PRESETS[FABRIC]
+    own = {name: getattr(described, name) for name in OVERRIDES}
+    if replace(fabric, **own) != described:
+        return f"  {as_yaml(described)}\n"
+    changed = {name: value for name, value in own.items() if value != getattr(fabric, name)}
+    return "".join(
+        f"  {name}: {json.dumps(value)}\n" for name, value in ({"format": FABRIC} | changed).items()
+    )
 
 
 def _quoted(text: str) -> str:

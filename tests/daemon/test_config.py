@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 from msgspec import inspect
+from msgspec.structs import replace
 
 from touchd.daemon.config import MAX_BYTES, ConfigError, SceneSettings, SensorSettings, Settings, load
-from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 EXAMPLE = Path(__file__).parents[2] / "daemon/setup/touchd.example.yaml"
@@ -177,3 +178,9 @@ def test_another_pads_unsure_final_answer_is_not_told() -> None:
     assert Settings().pipeline.decision.final_above is None
     assert Settings(sensor=another).pipeline.decision.final_above == 0.6
     assert Settings(sensor=another, scene=asked_for).pipeline.decision.final_above == 0.0
+
+
+def test_a_fabric_pad_of_another_grid_is_not_another_pad() -> None:
+    grid = replace(PRESETS["fabric-grid"], rows=8, columns=8, crop=0, turn=90)
+    for sensor in (SensorSettings(format=grid), SensorSettings(rows=8, columns=8, crop=0)):
+        assert Settings(sensor=sensor).pipeline.decision.final_above is None

@@ -7,9 +7,11 @@ import subprocess
 import termios
 import tty
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from rigs.coarse_pad import JUDGED_ON, printed, third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
@@ -116,10 +118,28 @@ def test_no_address_can_break_the_file() -> None:
     assert load(FILE).sensor.port == address
 
 
-def test_a_file_that_cannot_be_written_is_reported() -> None:
+def test_a_file_that_cannot_be_written_is_reported_at_once(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ConfigError, match=r"cannot be written .*; give another path"):
         write("missing/touchd.yaml", "--port", "Größe 😀", "--baud", "9600")
     assert os.listdir() == []
+    assert capsys.readouterr().err == ""
+
+
+def test_without_a_pad_the_file_has_a_fabric_pads_baud_rate() -> None:
+    assert write("--port", "none") == 1
+    assert load(FILE).sensor == SensorSettings(port="none")
+
+
+@pytest.mark.parametrize(
+    "changed", [{"rows": 8, "columns": 8, "crop": 0}, {"turn": 90, "mirror": True}, {"invert": False}]
+)
+def test_another_grid_of_a_fabric_pad_stands_beside_its_preset(
+    monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]
+) -> None:
+    described = replace(PRESETS["fabric-grid"], **changed)
+    monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, described))
+    assert write() == 0
+    assert load(FILE).sensor == SensorSettings(port="none", **changed)
 
 
 def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
