@@ -51,7 +51,8 @@ class Palette:
 
 def palette_for(console: Console) -> Palette:
     """Return the palette for a console's colour system."""
-    match console.color_system:
+    # With NO_COLOR rich keeps the colour system and drops the colours.
+    match None if console.no_color else console.color_system:
         case "truecolor" | "256":
             paper, column, heat = "on #0c0f13", 0, _between(HEAT)
         case None:

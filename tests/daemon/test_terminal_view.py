@@ -113,6 +113,15 @@ def test_nothing_is_lost_at_the_usual_sizes(size: tuple[int, int]) -> None:
         assert text in shown, text
 
 
+def test_without_colours_the_pad_is_drawn_in_characters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+    view, console = view_of(80, 24, "truecolor")
+    touch(view)
+    shown = "\n".join(line[:33] for line in screen(view, console))
+    assert "#" in shown
+    assert "▀" not in shown
+
+
 def test_old_bars_disappear_after_a_touch() -> None:
     view, console = view_of(80, 24)
     touch(view)
