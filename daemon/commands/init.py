@@ -111,7 +111,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _as_settings(described: PadFormat) -> str:
-    """Return a description as lines below `sensor:`; a fabric pad of another grid or turn keeps its preset."""
+    """Return a description as lines below `sensor:`; a fabric pad of another grid keeps its preset."""
     fabric = PRESETS[FABRIC]
     own = {name: getattr(described, name) for name in OVERRIDES}
     if replace(fabric, **own) != described:
