@@ -361,7 +361,7 @@ def test_the_visitors_view_hides_the_vitals(played: WatchedPage) -> None:
         wait_for(lambda: played.run("return document.body.hasAttribute('data-visitors')"))
         assert all(seen(name) for name in ("#heat", "#gesture", "#certainty", "#flags", "#legend"))
         assert not any(seen(name) for name in ("#vitals", "#bars", "#touches", "h1"))
-        assert text_of(played.chrome, "#legend").startswith("Brighter is firmer.")
+        assert text_of(played.chrome, "#legend").startswith("The stronger the colour, the firmer the touch.")
         assert played.run("return document.documentElement.scrollHeight <= innerHeight")
     finally:
         ActionChains(played.chrome).send_keys("v").perform()
@@ -475,7 +475,9 @@ def look_at(chrome: Chrome, served: Served, anchor: str = "") -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (800, 600), (390, 844)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(1280, 800), (800, 600), (390, 844), (390, 664), (360, 640), (667, 375), (844, 390)]
+)
 def test_nothing_overflows_with_the_longest_words(
     chrome: Chrome, worded: Served, width: int, height: int, scheme: str
 ) -> None:
@@ -485,8 +487,11 @@ def test_nothing_overflows_with_the_longest_words(
         look_at(chrome, worded, anchor)
         wait_for(lambda: chrome.execute_script(OUTSIDE) == [], SOON_S)
         assert chrome.execute_script("return document.documentElement.scrollWidth") <= width
-        if anchor or width > height:
+        if anchor or min(width, height) >= 600:
             assert chrome.execute_script("return document.documentElement.scrollHeight") <= height
+    assert chrome.find_element(By.ID, "pad").rect["width"] >= 140
+    assert not chrome.execute_script(COVERS, "#pad", "#line")
+    assert not chrome.execute_script(COVERS, "#answer", "#line")
     for other in ("#pad", "#line", "#answer"):
         assert not chrome.execute_script(COVERS, "#legend", other), other
         assert not chrome.execute_script(COVERS, "#enter", other), other
