@@ -57,15 +57,16 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0."""
     options = parser().parse_args(arguments)
+    found = settings_of(options)
     # If torch is missing, fail before three minutes of recording, not after.
     with Console(stderr=True).status("loading torch"):
         from touchd.model.adapt.folder import files_of, read_file
         from touchd.model.adapt.head import AdaptSettings
+        from touchd.model.adapt.output import check_output
         from touchd.model.adapt.report import report_lines
-        from touchd.model.adapt.ship import adapt_folder, check_output
+        from touchd.model.adapt.ship import adapt_folder
 
     console = Console(width=text_width(), highlight=False, markup=False)
-    found = settings_of(options)
     prepare(options.folder)
     output = _free_name(options.folder, options.folder.resolve().name)
     check_output(output)

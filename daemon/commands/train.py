@@ -1,11 +1,16 @@
 """`touchd train --extra`: adapts the shipped model to recordings of your own; needs the extra `train`."""
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
+
+from touchd.drivers.recording import NO_TOUCH
+from touchd.model.adapt.folder import files_of
+from touchd.model.adapt.output import check_output
 
 
 def parser() -> argparse.ArgumentParser:
@@ -37,7 +42,10 @@ def main(arguments: Sequence[str]) -> int:
             "name your recordings: --extra FOLDER; a recipe's networks are trained by "
             "`python -m touchd.model.studies train`, in the repository"
         )
-    # Check for torch before reading anything, since all that follows needs it.
+    output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
+    # Loading torch takes seconds: a wrong path is reported before.
+    files_of(options.extra)
+    check_output(output)
     with Console(stderr=True).status("loading torch"):
         import torch  # noqa: F401
 
@@ -45,12 +53,13 @@ def main(arguments: Sequence[str]) -> int:
         from touchd.model.adapt.report import report_lines
         from touchd.model.adapt.ship import adapt_folder
 
-    output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
     adapted = adapt_folder(options.extra, output, AdaptSettings(seed=options.seed), options.keep_all)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
+    gestures = ", ".join(label for label in adapted.labels if label != NO_TOUCH)
     sys.stdout.write(
-        f"\nWritten: {output}. To use it, set `model: {output.resolve()}` in touchd.yaml, "
-        "and in scene.gestures those that it knows, but not notouch.\n"
+        f"\nWritten: {output}\nTo use it, set in touchd.yaml:\n\n"
+        f"model: {json.dumps(str(output.resolve()), ensure_ascii=False)}\n"
+        f"scene:\n  gestures: [{gestures}]\n"
     )
     return 0

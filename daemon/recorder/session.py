@@ -15,7 +15,7 @@ from touchd.drivers.recording import SUFFIX, RecordingError, read_recordings
 
 # Names become parts of file names, separated by "_", and cells of CSV files.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
-NAME_RULE = "a name has letters, digits and - only, 32 at most"
+NAME_RULE = "a name has letters (a to z), digits and - only, 32 at most"
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ def ask_name(console: Console, question: str, default: str = "") -> str:
             raise Stopped
         if is_name(answer):
             return answer
-        console.print(f"  {NAME_RULE}", style="yellow")
+        console.print(f"  {answer!r}: {NAME_RULE}" if answer else f"  {NAME_RULE}", style="yellow")
 
 
 def ask_setting(console: Console, given: object, usual: Setting = USUAL, past: bool = False) -> Setting:

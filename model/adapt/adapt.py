@@ -114,7 +114,8 @@ def adapt(
     planned = plan(material.recordings)
     everything = tuple(range(len(material.recordings)))
     shown = [*(fold.trained for fold in planned.folds), everything]
-    bar = tqdm(shown, unit="head", desc="adapting", leave=False, disable=None)
+    counted = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
+    bar = tqdm(shown, desc="adapting", bar_format=counted, leave=False, disable=None)
     *heads, head = [learnt(chosen) for chosen in bar]
     is_new = [label in new for label in labels]
     turns = list(zip(heads, planned.folds, strict=True))

@@ -1,8 +1,6 @@
 """Writes an adapted network as a model file; an existing file is never overwritten."""
 
 import hashlib
-import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,22 +10,17 @@ import onnx
 import torch
 from torch import Tensor
 
-from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, prepare
 from touchd.model.adapt.folder import read_folder
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.adapt.origin import code_version, data_hash
+from touchd.model.adapt.output import OutputError, check_output, model_name
 from touchd.model.adapt.threads import one_torch_thread
 from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
 from touchd.model.settings import LENGTHS, MAX_LENGTH
-
-SUFFIX = ".onnx"
-
-
-class OutputError(TouchdError):
-    """The adapted model cannot be written; the message says why and what to do."""
 
 
 def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: bool = False) -> Adapted:
@@ -44,21 +37,6 @@ def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: b
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
     write(pretrained, adapted, output, settings)
     return adapted
-
-
-def check_output(output: Path) -> None:
-    """Raise OutputError unless a new .onnx file can be written there."""
-    if output.suffix != SUFFIX:
-        raise OutputError(f"{output}: a model's name ends with {SUFFIX}; give one with --output")
-    if output.exists():
-        raise OutputError(f"{output}: exists and is never overwritten; give another --output")
-    if not os.access(output.parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{output.parent}: nothing can be written there; give another --output")
-
-
-def model_name(output: Path) -> str:
-    """Return a model's name: its file's, in the characters that `Name` allows."""
-    return re.sub(r"[^A-Za-z0-9_.+-]+", "-", output.stem)[:64]
 
 
 def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:

@@ -21,7 +21,7 @@ import torch  # noqa: E402
 from rigs.programs import ran  # noqa: E402
 
 from touchd.daemon import cli  # noqa: E402
-from touchd.daemon.config import Settings  # noqa: E402
+from touchd.daemon.config import Settings, load  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
 from touchd.drivers.fakes.hand import simulate  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
@@ -30,10 +30,11 @@ from touchd.model.adapt.backbone import CropFeatures, windows  # noqa: E402
 from touchd.model.adapt.folder import ExtraError, read_folder  # noqa: E402
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
 from touchd.model.adapt.measure import Answers, compare, mean_interval, wilson_interval  # noqa: E402
+from touchd.model.adapt.output import model_name  # noqa: E402
 from touchd.model.adapt.plan import plan  # noqa: E402
 from touchd.model.adapt.remembered import Remembered  # noqa: E402
 from touchd.model.adapt.report import report_lines  # noqa: E402
-from touchd.model.adapt.ship import model_name, write  # noqa: E402
+from touchd.model.adapt.ship import write  # noqa: E402
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
 from touchd.model.studies.checks.reference import Reference  # noqa: E402
@@ -237,6 +238,38 @@ def test_an_existing_file_is_not_overwritten(adapted_file: Path, capsys: pytest.
     assert "is never overwritten" in capsys.readouterr().err
     assert adapted_file.read_bytes() == before
     assert sorted(path.name for path in adapted_file.parent.iterdir()) == ["lab", "lab.onnx"]
+
+
+@pytest.mark.parametrize(
+    ("extra", "output", "error"),
+    [
+        ("missing", "new.onnx", "missing: cannot be read"),
+        ("lab.onnx", "new.onnx", "is a file; name the folder"),
+        ("lab", "new.pt", "a model's name ends with .onnx"),
+    ],
+)
+def test_a_wrong_path_is_reported_before_torch_is_loaded(
+    adapted_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    extra: str,
+    output: str,
+    error: str,
+) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    home = adapted_file.parent
+    assert cli.main(["train", "--extra", str(home / extra), "--output", str(home / output)]) == 2
+    assert error in capsys.readouterr().err
+
+
+def test_the_printed_settings_use_the_new_model(trained: tuple[Path, str]) -> None:
+    output, printed = trained
+    config = output.with_name("printed.yaml")
+    config.write_text(printed.split("set in touchd.yaml:\n\n")[1])
+    settings = load(config)
+    config.unlink()
+    assert settings.model == str(output)
+    assert settings.scene.gestures == ("hug", "pat", "scratch", "stroke")
 
 
 # --- training ---
