@@ -66,7 +66,7 @@ def check_port(port: str, baud: int) -> None:
             raise OSError(errno.ENOTTY, "no device")
         if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
             raise PermissionError(errno.EACCES, "permission denied")
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, re.error) as error:
         raise _explained(port, error) from error
 
 
@@ -78,7 +78,7 @@ def open_port(port: str, baud: int) -> Line:
 
             return NetworkPort(port, *address, READ_TIMEOUT_S)
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
-    except (OSError, ValueError, termios.error) as error:
+    except (OSError, ValueError, LookupError, re.error, termios.error) as error:
         raise _explained(port, error) from error
     # The lock above keeps only those programs out that ask for it too. A pseudo-terminal would stay closed to
     # others after touchd was killed.

@@ -41,12 +41,18 @@ def test_a_readable_port_passes_undisturbed() -> None:
             "rfc2217://pad:1 cannot be opened: not supported; set the server to raw TCP",
         ),
         ("/dev/null", -1, "/dev/null cannot be opened: .*baudrate"),
+        ("hwgrep://(", BAUD, "hwgrep://\\( cannot be opened: missing \\)"),
     ],
 )
 def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, message: str) -> None:
     with pytest.raises(SensorError, match=message) as refusal:
         check_port(port, baud)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_wrong_option_of_an_address_is_refused_in_one_line() -> None:
+    with pytest.raises(SensorError, match=r"loop://\?logging=loud cannot be opened: 'loud'"):
+        open_port("loop://?logging=loud", BAUD)
 
 
 @pytest.mark.parametrize(
