@@ -12,6 +12,7 @@ UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
 MISSING = re.compile(r"Object missing required field `(.*)`")
 WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?.*)")
+WRONG_LENGTH = re.compile(r"Expected `array` of length (\d+), got (\d+)")
 WRONG_CHOICE = re.compile(r"Invalid enum value (.*)")
 # msgspec's names of kinds, in words.
 KINDS = {
@@ -22,6 +23,22 @@ KINDS = {
     "float": "a number",
     "bool": "true or false",
 }
+
+# What PyYAML says, in part, and what is wrong then.
+INDENTED = "indent this line as far as the other settings of its section"
+YAML_PROBLEMS = {
+    "'\\t'": "indent with spaces, not with tabs",
+    "found '<block mapping start>'": INDENTED,
+    "found '<block sequence start>'": INDENTED,
+    "mapping values are not allowed here": "a colon where none can stand: does a line above lack ': ' after "
+    "its name, or a text with a colon its quotes?",
+    "found unexpected end of stream": "a quote is opened above and not closed",
+}
+
+
+def in_words(problem: str) -> str:
+    """Return what PyYAML finds wrong with a text, in words for somebody who does not know YAML."""
+    return next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
 
 
 def explain(error: str, struct: type[msgspec.Struct]) -> str:
@@ -39,6 +56,8 @@ def explain(error: str, struct: type[msgspec.Struct]) -> str:
             " or ".join(KINDS.get(kind, kind) for kind in each.split(" | ")) for each in match.groups()
         )
         problem = f"{expected} expected, not {got.partition(' (')[0]}"
+    elif match := WRONG_LENGTH.fullmatch(problem):
+        problem = f"{match[1]} values expected, not {match[2]}"
     elif match := OUT_OF_RANGE.fullmatch(problem):
         problem = f"must be {match[1]}"
     elif match := WRONG_CHOICE.fullmatch(problem):
