@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
-from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
+from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, split, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Answers, Comparison, compare, cross_entropy
 from touchd.model.adapt.plan import Fold, plan
@@ -114,8 +114,7 @@ def adapt(
     planned = plan(material.recordings)
     everything = tuple(range(len(material.recordings)))
     shown = [*(fold.trained for fold in planned.folds), everything]
-    counted = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
-    bar = tqdm(shown, desc="adapting", bar_format=counted, leave=False, disable=None)
+    bar = tqdm(shown, desc="adapting", bar_format=BAR, leave=False, disable=None)
     *heads, head = [learnt(chosen) for chosen in bar]
     is_new = [label in new for label in labels]
     turns = list(zip(heads, planned.folds, strict=True))

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
 from touchd.model.adapt.augment import begin_from_rest, crop, vary
@@ -21,6 +22,8 @@ from touchd.model.tgc import TGC
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64
+# Of a progress bar; a rate says nothing to who waits.
+BAR = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
 # A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 
@@ -67,7 +70,8 @@ def crops(
     resting = _resting(recordings)
     length = LEARNT_LENGTHS[-1]
     values = []
-    for i, recording in enumerate(recordings):
+    shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
+    for i, recording in enumerate(shown):
         own = settings
         if len(counts[i]) <= length:
             own = msgspec.structs.replace(settings, **AS_IT_IS)
