@@ -69,6 +69,8 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | N
             yield Check("rest", "not checked", "measured only while nothing touches the pad")
         yield from check_taxels(sample)
         yield from check_format(sample.chunks, sensor)
+        if sample.broke_off:
+            return
         if talk is None:
             yield Check("orientation", "not checked", "asked for in a terminal only")
             return

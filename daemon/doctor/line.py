@@ -10,7 +10,7 @@ from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.monitor import MANY_SHARE
@@ -70,7 +70,12 @@ def check_protocol(
     """
     described = sensor.described
     if sample.frames:
-        return Check("protocol", "ok", f"{described}{at_baud(sensor.port, sensor.baud)}, as configured")
+        found = f"{described}{at_baud(sensor.port, sensor.baud)}, as configured"
+        rows, columns = described.rows - 2 * described.crop, described.columns - 2 * described.crop
+        if described.crop and (rows < ROWS or columns < COLUMNS):
+            found = f"{found}, of which only the inner {rows}x{columns} are used"
+            return Check("protocol", "warning", found, "set sensor.crop: 0 if no cell is to be left out")
+        return Check("protocol", "ok", found)
     if sample.broke_off:
         return Check("protocol", "to do", sample.broke_off, "try another cable")
     data = b"".join(chunk.data for chunk in sample.chunks)

@@ -117,10 +117,11 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64]) -> Check:
     if row < ROWS // 2 and column < COLUMNS // 2:
         return Check("orientation", "ok", found)
     if row >= ROWS // 2 and column >= COLUMNS // 2:
-        return Check("orientation", "to do", found, "turn the pad by 180 degrees")
-    return Check(
-        "orientation", "to do", found, "turn the pad by 90 degrees, or swap its plugs if it is mirrored"
-    )
+        return Check("orientation", "to do", found, "turn the pad by 180 degrees, or add 180 to sensor.turn")
+    # As `init` turns it: clockwise, until this corner is at the top left.
+    turn = 90 if row >= ROWS // 2 else 270
+    advice = f"turn the pad, or add {turn} to sensor.turn; if it is mirrored, swap its plugs instead"
+    return Check("orientation", "to do", found, advice)
 
 
 def _places(mask: NDArray[np.bool_]) -> str:

@@ -27,7 +27,7 @@ from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
 from touchd.drivers.frame import COLUMNS, ROWS, Counts
 from touchd.drivers.pad.pace import pace_of
-from touchd.drivers.recording import RecordingError, write_recordings
+from touchd.drivers.recording import NO_TOUCH, RecordingError, write_recordings
 
 # Trim both ends, as HAART does: it keeps the middle eight of ten seconds.
 EDGE_S = 1.0
@@ -44,6 +44,7 @@ HOW = {
     "tickle": "tickle the pad with light, quick fingers",
 }
 
+HANDS_OFF = "hands off"
 REFRESH_HZ = 12
 PAD_SCALE = 2
 WIDTH = 56
@@ -138,16 +139,17 @@ class Dialogue:
         countdown_s = self._terms.countdown_s
         length_s = self._terms.seconds + 2 * EDGE_S
         frames, touched = [], 0
+        step = HANDS_OFF if take.gesture == NO_TOUCH else f"{take.gesture} now"
         with progress(self._console) as show:
             for elapsed_s, frame in self._pad.follow(countdown_s):
                 contact.update(frame)
-                show("hands off", elapsed_s, countdown_s, frame.pressure)
+                show(HANDS_OFF, elapsed_s, countdown_s, frame.pressure)
             # For people who look at their hand rather than the screen.
             self._console.bell()
             for elapsed_s, frame in self._pad.follow(length_s):
                 is_touched = contact.update(frame)
                 kept_s = min(max(elapsed_s - EDGE_S, 0.0), self._terms.seconds)
-                show(f"{take.gesture} now", kept_s, self._terms.seconds, frame.pressure)
+                show(step, kept_s, self._terms.seconds, frame.pressure)
                 if EDGE_S <= elapsed_s < length_s - EDGE_S:
                     frames.append(frame)
                     touched += is_touched

@@ -119,6 +119,8 @@ def label(console: Console, options: argparse.Namespace) -> None:
         raise RecordingError(f"--gestures: a key can name {len(KEYS)} at most; name fewer")
     pad = options.pad or DEFAULT_PAD
     kept = kept_touches(folder_of(journal, pad))
+    if not kept and not journal.exists():
+        raise RecordingError(f"{journal}: there is no such journal; check the path")
     if not kept:
         raise RecordingError(f"{folder_of(journal, pad)}: {NOT_KEPT}")
     folder = LabelFolder(options.folder, options.licence)

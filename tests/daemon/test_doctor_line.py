@@ -46,6 +46,15 @@ def test_settings_against_the_proven_format_are_named() -> None:
     assert check.advice == "set under sensor: format: fabric-grid; delete rows, columns, crop there"
 
 
+def test_a_border_left_out_of_a_small_pad_is_a_warning() -> None:
+    check = protocol_of(pad_of(resting(60.0), as_8x8), SensorSettings(rows=8, columns=8))
+    assert check.verdict == "warning"
+    assert check.found.endswith("as configured, of which only the inner 6x6 are used")
+    assert check.advice.startswith("set sensor.crop: 0")
+    whole = SensorSettings(rows=8, columns=8, crop=0)
+    assert protocol_of(pad_of(resting(60.0), as_8x8), whole).verdict == "ok"
+
+
 def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, seconds: float = 1.0) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
         unheard = listen(opened, parser_of(sensor.described), 1.0, start_s=seconds)

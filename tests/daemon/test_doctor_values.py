@@ -76,7 +76,7 @@ def test_a_touch_during_the_rest_check_is_reported() -> None:
 
 @pytest.mark.parametrize(
     ("row", "column", "verdict", "advice"),
-    [(0, 1, "ok", ""), (7, 7, "to do", "180"), (0, 7, "to do", "90"), (7, 0, "to do", "90")],
+    [(0, 1, "ok", ""), (7, 7, "to do", "add 180"), (0, 7, "to do", "add 270"), (7, 0, "to do", "add 90")],
 )
 def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdict: str, advice: str) -> None:
     counts = resting(1.0)

@@ -182,8 +182,10 @@ def test_labels_need_a_person_and_a_journal(lab: Lab, capsys: pytest.CaptureFixt
 def test_a_journal_without_kept_touches_says_how_to_keep(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "events.jsonl").touch()
     lab = ["record", str(tmp_path / "lab"), "--from-journal", str(tmp_path / "events.jsonl")]
+    assert cli.main(lab) == 2
+    assert "events.jsonl: there is no such journal" in capsys.readouterr().err
+    (tmp_path / "events.jsonl").touch()
     assert cli.main(lab) == 2
     assert "set journal.keep_touches" in capsys.readouterr().err
     assert not (tmp_path / "lab").exists()

@@ -129,7 +129,7 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, record: list[str]) -> N
     with Terminal(*record, *ANNA, "--rounds", "2") as terminal:
         assert "1 of 2" not in terminal.until("2 of 2: notouch")
         terminal.until("Enter to begin")
-        terminal.answer("", "notouch now")
+        terminal.answer("", "hands off, 2 s")
         terminal.process.kill()
         terminal.process.wait()
     assert list(tmp_path.iterdir()) == [kept]
