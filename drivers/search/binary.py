@@ -218,7 +218,11 @@ def _of_kind(
                 if described is not None:
                     values = numbers[:, at : at + cells]
                     misfits, is_cut = movement.misfits(at, rows, columns), movement.is_cut(at, cells)
-                    yield Guess(described, values, fold, misfits, is_cut, movement.is_stride(columns))
+                    is_folded = movement.is_stride(columns)
+                    beside = numbers[:, max(at - columns, 0) : at], numbers[:, at + cells :][:, :columns]
+                    # Zeros may be a dead row; other bytes that never change are not.
+                    is_short = any(each.shape[1] == columns and not each.any() for each in beside)
+                    yield Guess(described, values, fold, misfits, is_cut, is_folded, is_short)
 
 
 def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:

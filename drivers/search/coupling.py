@@ -46,9 +46,15 @@ LASTS = 0.5
 MOST_OVER = 2.0
 # A cell is hardly so much noisier than most.
 WILD_NOISES = 20.0
-# The middle is a seam if cells move together across it by less than this share of the usual, and both its
+# Between two rows lies a seam if cells move together across it by less than this share of the usual, and both
 # rows move by this share of the mean.
 SEAM_SHARE, BUSY_SHARE = 0.45, 0.25
+# The nearest rows that move are compared across a seam, up to so far apart.
+SEAM_ROWS = 3
+# A total, mean or maximum equals that of the other rows in this share of the frames in which they move.
+MOSTLY_EQUAL = 0.95
+# Numbers that are unlike the cells are fewer than this share of what a hand moves.
+FEW_BEYOND = 0.2
 # A hand has to reach this share of the cells, and half of the rows and columns.
 REACHED = 0.3
 # A later frame that resembles a frame by so much more than the next one does: frames of two kinds by turns.
@@ -245,6 +251,8 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
     is_below_0 = (numbers[:, movement.pressed].max(axis=0) <= 0).mean() > 0.5
     if movement.goes_negative and (movement.falls or is_below_0):
         return "a press makes its numbers negative, and those are cut at 0: print what a press adds"
+    if 0 < _has_fraction(numbers).mean() < FEW_BEYOND:
+        return "some numbers among its cells have a fraction, the others have none: print the cells alone"
     reached = movement.pressed.reshape(rows, columns)
     if reached.mean() < REACHED or min(reached.any(axis=0).mean(), reached.any(axis=1).mean()) < 0.5:
         return TOO_LITTLE
@@ -273,7 +281,10 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
     if _runs_to_and_fro(together, rows, columns):
         return "every other row seems to run backwards: print all rows in one direction"
     if _has_seam(together, cells) or _has_seam(together, cells.T):
-        return "its halves move apart: two pads in one frame? press across the middle, too"
+        return "its parts move apart: two pads in one frame? press across the middle, too"
+    grid = numbers.reshape(-1, rows, columns)
+    if _has_total(grid, movement.noise) or _has_total(grid.swapaxes(1, 2), movement.noise):
+        return "an outer row or column is a total or maximum of the others: print the cells alone"
     if _takes_turns(numbers):
         return "frames of several kinds come by turns: two pads on one line, or a part of a frame each"
     return ""
@@ -302,17 +313,27 @@ def _is_odd(
     numbers: Numbers, rest: Numbers, pressed: NDArray[np.bool_], still: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Whether each number is unlike the pressed ones: it never changes, but those do at rest, too, or rest at
-    other values; or it always lies beyond what they reach."""
+    other values; or it always lies beyond what they reach; or it has a fraction."""
     if not pressed.any():
         return pressed
     cells, rests = numbers[:, pressed], rest[pressed]
     parts = np.array_split(np.diff(cells, axis=0) != 0, CALM_PARTS)
     at_calmest = np.min([part.mean(axis=0) for part in parts if len(part)], axis=0)
     is_no_rest = (rest < rests.min()) | (rest > rests.max()) | bool(np.median(at_calmest) > 0)
-    is_above = numbers.min(axis=0) > np.median(cells.max(axis=0))
-    is_below = numbers.max(axis=0) < np.median(cells.min(axis=0))
-    odd: NDArray[np.bool_] = (still & is_no_rest) | is_above | is_below
+    is_beyond = numbers.min(axis=0) > np.median(cells.max(axis=0))
+    is_beyond |= numbers.max(axis=0) < np.median(cells.min(axis=0))
+    # Cells that rest at values of their own lie beyond one another.
+    is_beyond &= is_beyond[pressed].mean() < FEW_BEYOND
+    # Where cells are whole numbers, a number with a fraction is none.
+    has_fraction = _has_fraction(numbers)
+    is_other = has_fraction & (has_fraction[pressed].mean() < FEW_BEYOND)
+    odd: NDArray[np.bool_] = (still & is_no_rest) | is_beyond | is_other
     return odd
+
+
+def _has_fraction(numbers: Numbers) -> NDArray[np.bool_]:
+    fractions: NDArray[np.bool_] = (numbers % 1 != 0).any(axis=0)
+    return fractions
 
 
 def _is_switch(numbers: Numbers) -> NDArray[np.bool_]:
@@ -381,24 +402,54 @@ def _runs_to_and_fro(together: NDArray[np.float32], rows: int, columns: int) -> 
 
 
 def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
-    """Whether one half repeats the other, or the two rows at the middle do not move together as others do.
+    """Whether one half repeats the other, or where equal parts meet, rows do not move together as others do.
 
-    Halves too short for a pad are not compared.
+    Parts too short for a pad are not compared.
     """
-    if len(cells) % 2 or len(cells) < 2 * SHORTEST_SIDE:
+    if len(cells) < 2 * SHORTEST_SIDE:
         return False
-    own = np.array([together[row, row].sum() for row in cells])
-    shared = np.array([together[cells[i], cells[i + 1]].sum() for i in range(len(cells) - 1)])
-    is_busy = np.minimum(own[:-1], own[1:]) > BUSY_SHARE * own.mean()
-    middle = len(cells) // 2 - 1
-    if not is_busy[middle] or is_busy.sum() < 3:
+    shared = np.array([[together[one, other].sum() for other in cells] for one in cells])
+    own = np.diagonal(shared)
+    is_busy = own > BUSY_SHARE * own.mean()
+    pairs = is_busy[:, None] & is_busy
+    if np.diagonal(pairs, 1).sum() < 3:
         return False
-    top, bottom = cells[: middle + 1].ravel(), cells[middle + 1 :].ravel()
-    repeated = together[top, bottom].sum() / np.sqrt(own[: middle + 1].sum() * own[middle + 1 :].sum())
-    if repeated > shared.sum() / own.sum():
-        return True
-    share = shared / np.sqrt(np.maximum(own[:-1] * own[1:], 1e-9))
-    return bool(share[middle] < SEAM_SHARE * np.median(share[is_busy]))
+    middle = len(cells) // 2
+    if len(cells) % 2 == 0 and pairs[middle - 1, middle]:
+        top, bottom = cells[:middle].ravel(), cells[middle:].ravel()
+        repeated = together[top, bottom].sum() / np.sqrt(own[:middle].sum() * own[middle:].sum())
+        if repeated > np.diagonal(shared, 1).sum() / own.sum():
+            return True
+    share = shared / np.sqrt(np.maximum(np.outer(own, own), 1e-9))
+    usual = [np.median(np.diagonal(share, far)[np.diagonal(pairs, far)]) for far in range(1, SEAM_ROWS + 1)]
+    for parts in range(2, len(cells) // SHORTEST_SIDE + 1):
+        if len(cells) % parts:
+            continue
+        # Halves of one pad are often pressed one at a time: compare only rows that touch.
+        farthest = 1 if parts == 2 else SEAM_ROWS
+        seams = []
+        for cut in range(len(cells) // parts, len(cells), len(cells) // parts):
+            for far, expected in enumerate(usual[:farthest], 1):
+                above = np.arange(cut - far, cut)
+                across = above[pairs[above, above + far]]
+                if len(across):
+                    seams.append(share[across, across + far].mean() < SEAM_SHARE * expected)
+                    break
+        if seams and all(seams):
+            return True
+    return False
+
+
+def _has_total(grid: Numbers, noise: float) -> bool:
+    """Whether the first or last row of (frames, rows, columns) is the sum, mean or maximum of the others."""
+    for total, others in ((grid[:, 0], grid[:, 1:]), (grid[:, -1], grid[:, :-1])):
+        mean, highest = others.mean(axis=1), others.max(axis=1)
+        moves = mean - others.min(axis=1) > PRESSED_NOISES * noise
+        moves &= np.ptp(total, axis=0) > PRESSED_NOISES * noise
+        for made in (len(others[0]) * mean, mean, highest):
+            if moves.any() and (np.abs(total - made)[moves] <= noise).mean() > MOSTLY_EQUAL:
+                return True
+    return False
 
 
 def _takes_turns(numbers: Numbers) -> bool:

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from touchd.drivers.frame import MAX_COUNT
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import CELL_TOP, PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
@@ -41,10 +42,18 @@ MISFIT_GAIN = 1.15
 NEAR = 0.85
 
 
+# A press has to move a cell by as many counts of the model's scale: less is felt, but not recognised.
+LEAST_PRESS = 16.0
+
 TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
+SHORT = "numbers beside its cells may be a row or column that does not move: press all over it, or mend it"
+PRESSED_LONG = (
+    "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
+    "go of the pad between presses"
+)
 # After one of these, contacts may still show what the movement does not.
-UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE)
+UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE, PRESSED_LONG)
 
 
 class Chunk(NamedTuple):
@@ -110,6 +119,7 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     best = min((each for each in ranked if not ranked[0].fold.beats(each.fold)), key=_misfits)
     wanting = objection(best.values, best.described.rows, best.described.columns, by_contact)
     wanting = wanting or (CUT if best.is_cut else "" if best.is_folded else NOT_TOGETHER)
+    wanting = wanting or (SHORT if best.is_short else "")
     if not printed:
         ranked = _confirmed(ranked, data, times_s)
         best = ranked[0] if best not in ranked else best
@@ -123,7 +133,7 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     if ties:
         return nothing(TIED, [best, ties[0]])
     described = _finished(best) if printed else binary.complete(_finished(best), data, times_s)
-    if missing := _unexplained(described, best, kept):
+    if missing := _unscaled(described, best.values) or _unexplained(described, best, kept):
         return nothing(missing, [best])
     return Finding(_as_preset(described), (described,), "", saw)
 
@@ -209,6 +219,19 @@ def _finished(guess: Guess) -> PadFormat:
     else:
         scale = float(f"{math.ceil(largest * 1e3) / 1e3:.6g}") if largest > 0 else 1.0
     return replace(described, full_scale=scale, invert=Movement(values, None).falls)
+
+
+def _unscaled(described: PadFormat, values: Numbers) -> str:
+    """Say why values are not pressure on the description's scale."""
+    rest = np.median(values, axis=0)
+    farthest, top = float(np.abs(values - rest).max()), described.full_scale
+    if farthest * MAX_COUNT < LEAST_PRESS * top:
+        return (
+            f"a press moves its numbers by only {farthest:.4g} of {top:g}: press firmly; if they go no "
+            "farther, set full_scale by hand, and print what a press adds where they rest far from 0"
+        )
+    is_high = np.median(rest[np.ptp(values, axis=0) > 0]) > top / 2
+    return "" if is_high == described.invert else PRESSED_LONG
 
 
 def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) -> str:

@@ -37,8 +37,9 @@ class Guess:
     """A description that may be right, what it reads, and how well its neighbours move together.
 
     misfits: numbers that a hand moves but that are none of its cells, and cells that are unlike the others.
-    is_cut: such a number stands beside the cells. is_folded: its rows have the length at which numbers move
-    together more than a little nearer or farther.
+    is_cut: such a number stands beside the cells. is_short: a whole row or column beside the cells may be
+    cells, too. is_folded: its rows have the length at which numbers move together more than a little nearer
+    or farther.
     """
 
     described: PadFormat
@@ -47,6 +48,7 @@ class Guess:
     misfits: int
     is_cut: bool
     is_folded: bool = True
+    is_short: bool = False
 
 
 def guesses(data: bytes, by_contact: bool = False) -> Iterator[Guess]:
@@ -87,7 +89,9 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
                 is_cut = movement.is_cut(skip, rows * columns)
                 is_folded = by_contact or movement.is_stride(columns)
                 fold = movement.fold(skip, rows, columns)
-                yield Guess(described, values, fold, misfits, is_cut, is_folded)
+                beside = numbers[:, max(skip - columns, 0) : skip], numbers[:, width - tail :][:, :columns]
+                is_short = any(each.shape[1] == columns and _may_be_cells(each, values) for each in beside)
+                yield Guess(described, values, fold, misfits, is_cut, is_folded, is_short)
 
 
 def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> Iterator[Guess]:
@@ -121,7 +125,20 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
                 fold = movement.fold(0, rows, each)
                 fold = Fold(skip, rows, each, fold.by_stretch * share)
                 left_out = pressed[:, :skip].sum() + pressed[:, stop:].sum()
-                yield Guess(described, cells, fold, int(left_out), bool(left_out))
+                is_short = _are_alike(numbers[:, :, :skip], cells) or _are_alike(numbers[:, :, stop:], cells)
+                yield Guess(described, cells, fold, int(left_out), bool(left_out), is_short=is_short)
+
+
+def _are_alike(beside: Numbers, cells: Numbers) -> bool:
+    """Whether numbers beside the cells of each line may be columns of them: no two lines differ."""
+    return bool(beside.size and (np.ptp(beside, axis=1) == 0).all() and _may_be_cells(beside, cells))
+
+
+def _may_be_cells(beside: Numbers, cells: Numbers) -> bool:
+    """Whether numbers beside the cells may be cells that nothing has pressed, or dead ones, which read 0."""
+    is_within = min(cells.min(), 0) <= beside.min() and beside.max() <= cells.max()
+    are_alike = (beside % 1 == 0).all() or (cells % 1 != 0).any()
+    return bool(is_within and are_alike)
 
 
 def _leads(numbers: Numbers, still: Flags, skip: int, stop: int) -> bool:

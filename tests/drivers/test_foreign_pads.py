@@ -60,6 +60,66 @@ def test_text_that_anybody_can_read_is_read(printed: Callable[[Grid, int], str])
     assert (proposed.rows, proposed.columns, proposed.invert) == (8, 10, False)
 
 
+def around(values: Grid, row: NDArray[np.int_]) -> str:
+    return f"{table(values)}{line(row)}\r\n\r\n"
+
+
+REST = np.random.default_rng(4).integers(18_000, 23_000, (8, 10))
+UNPROVEN: dict[str, tuple[Callable[[Grid, int], str], str]] = {
+    "column sums": (lambda v, n: around(v, v.sum(0)), "total"),
+    "column means": (lambda v, n: around(v, v.mean(0).astype(np.int_)), "total"),
+    "column maxima": (lambda v, n: f"{line(v)},{line(v.max(0))}\r\n", "maximum"),
+    "row sums": (lambda v, n: f"{table(np.hstack([v, v.sum(1)[:, None]]))}\r\n", "total"),
+    "a dead first row": (lambda v, n: f"{line(v * (np.arange(8) > 0)[:, None])}\r\n", "beside its cells"),
+    "dead last columns": (lambda v, n: f"{table(v * (np.arange(10) < 8))}\r\n", "does not move"),
+    "large offsets": (lambda v, n: f"{line(REST + v)}\r\n", "full_scale by hand"),
+    "large offsets, falling": (lambda v, n: f"{line(REST - v)}\r\n", "full_scale by hand"),
+    "few levels": (lambda v, n: f"{line(v // 50)}\r\n", "full_scale by hand"),
+    "nine angles": (lambda v, n: f"{line(v)}{9 * ',0.71'}{n % 7}\r\n", "fraction"),
+    "three axes": (lambda v, n: f"{line(np.vstack([v * n % 7 - v, v - v * n % 5, v]))}\r\n", "move"),
+}
+
+
+@pytest.mark.parametrize(("printed", "missing"), UNPROVEN.values(), ids=UNPROVEN)
+def test_a_grid_that_is_not_the_pads_is_not_proposed(
+    printed: Callable[[Grid, int], str], missing: str
+) -> None:
+    values = a_hand_on(8, 10)
+    finding = found_in(lambda number: printed(values[number], number))
+    assert finding.proposed is None
+    assert missing in finding.missing
+
+
+def test_a_centre_of_pressure_after_the_cells_is_none() -> None:
+    def printed(number: int) -> str:
+        v = values[number]
+        down, right = v.sum(1) @ np.arange(8) / v.sum(), v.sum(0) @ np.arange(10) / v.sum()
+        return f"{line(v)},{down:.2f},{right:.2f},{v.sum()}\r\n"
+
+    values = a_hand_on(8, 10)
+    proposed = found_in(printed).proposed
+    assert proposed is not None
+    assert (proposed.rows, proposed.skip, proposed.tail, proposed.full_scale) == (8, 0, 3, 1023)
+
+
+@pytest.mark.parametrize("is_inverted", [False, True])
+def test_a_hand_that_hardly_lets_go_turns_no_pad_upside_down(is_inverted: bool) -> None:
+    y, x = np.mgrid[0:8, 0:8]
+    rng = np.random.default_rng(3)
+
+    def printed(number: int) -> str:
+        at_s = number / RATE_HZ
+        down, right = 3.5 + 0.3 * math.sin(2 * at_s), 3.5 + 0.3 * math.cos(2.6 * at_s)
+        hand = 400 * np.exp(-(((y - down) / 3) ** 2) - ((x - right) / 3) ** 2)
+        hand *= (at_s % 2 < 1.5) * (1 + 0.05 * math.sin(7 * at_s))
+        values = (rng.integers(0, 3, (8, 8)) + hand).astype(np.int_)
+        return f"{line(1023 - values if is_inverted else values)}\r\n"
+
+    finding = found_in(printed)
+    assert finding.proposed is None
+    assert "let go" in finding.missing
+
+
 CONSTANTS = [bytes(10), bytes([3, 4] * 5), bytes([0, 255, 255] * 3), bytes(range(50, 60)), b"\2"]
 CELLS = {"u1": (8, 5), "<u2": (5, 4), ">i2": (6, 4)}
 PLACED = list(product(CELLS, CONSTANTS, CONSTANTS))
