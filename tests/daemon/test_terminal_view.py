@@ -113,6 +113,15 @@ def test_nothing_is_lost_at_the_usual_sizes(size: tuple[int, int]) -> None:
         assert text in shown, text
 
 
+def test_labels_of_marks_never_run_together() -> None:
+    for width, labels in ((80, ["1", "s", "1.5", "s", "2.67", "s"]), (40, ["1", "2.67", "s"])):
+        view, console = view_of(width, 24)
+        touch(view)
+        (shown,) = (line for line in screen(view, console) if re.search(r" 1 .* 2\.67 s *$", line))
+        assert shown.split()[-len(labels) :] == labels
+        assert "11" not in shown
+
+
 def test_without_colours_the_pad_is_drawn_in_characters(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     view, console = view_of(80, 24, "truecolor")
