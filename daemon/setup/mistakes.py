@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 import msgspec
+import yaml
 
 UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
 MISSING = re.compile(r"Object missing required field `(.*)`")
@@ -36,9 +37,14 @@ YAML_PROBLEMS = {
 }
 
 
-def in_words(problem: str) -> str:
-    """Return what PyYAML finds wrong with a text, in words for somebody who does not know YAML."""
-    return next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
+def explain_yaml(error: yaml.MarkedYAMLError) -> str:
+    """Say where a text is not YAML and why, in words for somebody who does not know YAML."""
+    mark = error.problem_mark or error.context_mark
+    where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+    problem = str(error.problem)
+    if problem.endswith("has no value"):
+        problem += "; write null for none, {} for the defaults; a list is [a, b], a fraction 0.5"
+    return where + next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
 
 
 def explain(error: str, struct: type[msgspec.Struct]) -> str:

@@ -37,9 +37,7 @@ class StrictLoader(yaml.SafeLoader):
             if key.value in seen:
                 raise _problem(f"{key.value} is set twice", key)
             if isinstance(value, yaml.ScalarNode) and not value.value and value.style is None:
-                in_braces = "write a list as [a, b], a fraction as 0.5, nothing as null"
-                hint = in_braces if node.flow_style else "write null for none, {} for the defaults"
-                raise _problem(f"{key.value} has no value; {hint}", key)
+                raise _problem(f"{key.value} has no value", key)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -53,11 +51,9 @@ def convert(text: bytes | str, struct: type[T]) -> T:
     try:
         raw = StrictLoader(text).get_single_data()
     except yaml.MarkedYAMLError as error:
-        from touchd.daemon.setup.mistakes import in_words
+        from touchd.daemon.setup.mistakes import explain_yaml
 
-        mark = error.problem_mark or error.context_mark
-        where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        raise StrictYamlError(f"{where}{in_words(str(error.problem))}") from error
+        raise StrictYamlError(explain_yaml(error)) from error
     except yaml.reader.ReaderError as error:
         line = len(text[: error.position + 1].splitlines())
         raise StrictYamlError(f"line {line}: {error.reason}; save the file as UTF-8 text") from error

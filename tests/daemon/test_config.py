@@ -140,7 +140,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("model: 'a\n", "line 2, column 1: a quote is opened above and not closed"),
         (
             "scene: {speak_above: 0,65}",
-            "line 1, column 24: 65 has no value; write a list as [a, b], a fraction",
+            "line 1, column 24: 65 has no value; write null for none, {} for",
         ),
         ("scene: {answer_at_frames: [54, 81]}", "scene.answer_at_frames: 3 values expected, not 2"),
         ("[" * 20_000, "not YAML"),
