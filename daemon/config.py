@@ -42,10 +42,10 @@ class ConfigError(TouchdError):
 
 @contextmanager
 def config_errors(prefix: str = "") -> Iterator[None]:
-    """Raise whatever a configuration causes as ConfigError; a missing library stays an ImportError."""
+    """Raise whatever a configuration causes as ConfigError, but not what the machine lacks."""
     try:
         yield
-    except (TouchdError, ImportError):
+    except (TouchdError, ImportError, MemoryError, OSError):
         raise
     except StrictYamlError as error:
         raise ConfigError(f"{prefix}{error}") from error

@@ -31,15 +31,15 @@ class Journal:
     """
 
     def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
-        # Resolve symlinks, so that rotation stays on the target's disk.
-        self._path = path = path.resolve()
         self._max_bytes = max_bytes
         self._keep = keep
         self._failing = False
         self.lost = 0
         advice = "give another journal.path, or null"
         with os_errors_as(JournalError, f"journal {path}: cannot be written", advice):
-            self._fd = _open(path)
+            # Resolve symlinks, so that rotation stays on the target's disk.
+            self._path = Path(os.path.realpath(path))
+            self._fd = _open(self._path)
 
     def append(self, line: bytes) -> None:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""

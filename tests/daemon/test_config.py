@@ -1,5 +1,6 @@
 """The configuration: each mistake is reported in one line that names it and says what to do."""
 
+import errno
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -8,7 +9,15 @@ import pytest
 from msgspec import inspect
 from msgspec.structs import replace
 
-from touchd.daemon.config import MAX_BYTES, ConfigError, SceneSettings, SensorSettings, Settings, load
+from touchd.daemon.config import (
+    MAX_BYTES,
+    ConfigError,
+    SceneSettings,
+    SensorSettings,
+    Settings,
+    config_errors,
+    load,
+)
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -194,3 +203,10 @@ def test_a_fabric_pad_of_another_grid_is_not_another_pad() -> None:
     grid = replace(PRESETS["fabric-grid"], rows=8, columns=8, crop=0, turn=90)
     for sensor in (SensorSettings(format=grid), SensorSettings(rows=8, columns=8, crop=0)):
         assert Settings(sensor=sensor).pipeline.decision.final_above is None
+
+
+@pytest.mark.parametrize("lack", [MemoryError(), OSError(errno.EMFILE, "Too many open files")])
+def test_a_machine_without_room_is_no_mistake_in_the_configuration(lack: Exception) -> None:
+    # As a mistake it would end with exit code 2, after which systemd does not start it again.
+    with pytest.raises(type(lack)), config_errors():
+        raise lack

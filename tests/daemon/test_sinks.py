@@ -261,6 +261,10 @@ def test_half_a_line_left_by_a_power_cut_is_removed(tmp_path: Path) -> None:
 def test_an_unusable_journal_is_reported_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(JournalError, match=r"cannot be written \(No such file or directory\)"):
         Journal(tmp_path / "nowhere" / "events.jsonl", max_bytes=1000, keep=1)
+    loop = tmp_path / "loop.jsonl"
+    loop.symlink_to(loop)
+    with pytest.raises(JournalError, match=r"loop.jsonl: cannot be written \(Too many levels of symbolic"):
+        Journal(loop, max_bytes=1000, keep=1)
 
 
 FILL_THE_DISK = """
