@@ -117,9 +117,8 @@ def _as_settings(described: PadFormat) -> str:
     if replace(fabric, **own) != described:
         return f"  {as_yaml(described)}\n"
     changed = {name: value for name, value in own.items() if value != getattr(fabric, name)}
-    return "".join(
-        f"  {name}: {json.dumps(value)}\n" for name, value in ({"format": FABRIC} | changed).items()
-    )
+    lines = (f"  {name}: {json.dumps(value)}\n" for name, value in changed.items())
+    return "".join((f"  {as_yaml(fabric)}\n", *lines))
 
 
 def _quoted(text: str) -> str:
