@@ -34,7 +34,8 @@ def main(arguments: Sequence[str]) -> int:
     name = arguments[0] if arguments else ""
     if name not in STUDIES:
         listing = "\n".join(f"  {known:<10} {what}" for known, (_, what) in STUDIES.items())
-        sys.stderr.write(f"usage: python -m touchd.model.studies NAME [OPTIONS]\n\n{listing}\n")
+        wrong = f"\n{name} is not one of them\n" if name not in ("", "-h", "--help") else ""
+        sys.stderr.write(f"usage: python -m touchd.model.studies NAME [OPTIONS]\n\n{listing}\n{wrong}")
         return 2
     module, _, function = STUDIES[name][0].partition(":")
     try:

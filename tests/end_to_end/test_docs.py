@@ -41,6 +41,11 @@ def test_every_study_prints_help(study: str, capsys: pytest.CaptureFixture[str])
     assert f"usage: python -m touchd.model.studies {study}" in capsys.readouterr().out
 
 
+def test_an_unknown_study_is_named_below_the_list(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["evalute"]) == 2
+    assert capsys.readouterr().err.endswith("\n\nevalute is not one of them\n")
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_link_and_picture_exists(page: Path) -> None:
     links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())
