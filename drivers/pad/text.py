@@ -1,11 +1,11 @@
 """Pads that print: lines with numbers in them, bytes in, frames out, no I/O.
 
-Words, labels (`R0:`, `A7`, `Row 4:`), brackets, other punctuation and terminal escapes are skipped. Lines end
-in LF, CR LF or CR. A frame is one line with all cells, or several lines with equally many numbers each. Three
-things separate frames of several lines: a line with another count of numbers (a word, a blank line), a row
-number that falls, or the text `end`. A frame is delivered only if exactly its lines lie between two
-separators, so a damaged line spoils only its own frame. A line has no checksum: a digit damaged into another
-digit goes unnoticed. The first line after a (re)connect may be half a line, so it is never used.
+Words, labels (`R0:`, `A7`, `Row 4:`), brackets, other punctuation and terminal escapes are skipped; `nan` and
+`null` read 0. Lines end in LF, CR LF or CR. A frame is one line with all cells, or several lines of as many
+numbers each. Three things separate frames of several lines: a line with another count of numbers (a word, a
+blank line), a row number that falls, or the text `end`. A frame is delivered only if exactly its lines lie
+between two separators, so a damaged line spoils only its own frame. A line has no checksum: a digit damaged
+into another digit goes unnoticed. The first line after a (re)connect may be half a line, so it is never used.
 """
 
 import re
@@ -27,12 +27,12 @@ TOKEN = re.compile(
     rb"""
       \x1b \[ [0-?]* [ -/]* [@-~] | \x1b .      # what clears the screen or sets a colour
     | \* [0-9A-Fa-f]{2} \s* $                   # a checksum after an asterisk, as NMEA has it
-    | 0 [xX] (?P<hex> [0-9A-Fa-f]{1,8} ) \b
+    | 0 [xX] (?P<hex> [0-9A-Fa-f]{1,8} ) \b | (?P<missing> nan \b | null \b )
     | [A-Za-z_]+ (?P<of_word> \d* ) [A-Za-z_]*  # a word, perhaps with a number: R0, A7
     | (?P<number> (?: (?<![\d.]) [-+] )? (?: \d+ \.? \d* | \. \d+ ) (?: [eE] [-+]? \d+ )? )
       [A-Za-z_]* (?P<is_label> ["')\]]? \s* [:=] )?
     """,
-    re.VERBOSE,
+    re.VERBOSE | re.IGNORECASE,
 )
 
 
@@ -68,8 +68,8 @@ def _numbers_among_words(line: bytes) -> tuple[list[float], int | None]:
                 numbers.append(float(token["number"]))
             elif not numbers and label is None and token["number"].isdigit():
                 label = int(token["number"][:9])
-        elif token["hex"]:
-            numbers.append(float(int(token["hex"], 16)))
+        elif token["hex"] or token["missing"]:
+            numbers.append(float(int(token["hex"] or "0", 16)))
         elif token["of_word"] and not numbers and label is None:
             label = int(token["of_word"][:9])
     return numbers, label

@@ -36,6 +36,8 @@ STEADY_SHARE = 0.985
 LENGTH_BYTES = 400_000
 # A header may be met among the cells, too, as often as random bytes hold one of a single byte.
 STRAY, STRAY_A_BYTE = 1.5, 0.01
+# Frames in which replaced zeros are looked for.
+COBS_FRAMES = 200
 CHECKSUMS = ("values", "sum8", "xor8")
 ORDERS: tuple[Order, ...] = ("little", "big")
 CLOCK_TOLERANCE = 0.1
@@ -112,6 +114,25 @@ def guesses(data: bytes) -> Iterator[Guess]:
 def has_frames(data: bytes) -> bool:
     """Whether bytes of one place in frames of one length never change, and mark them."""
     return any(_frames_of(data, length) is not None for length in _lengths(data))
+
+
+def is_cobs(data: bytes) -> bool:
+    """Whether zeros end frames in which other zeros are replaced by the distance to the next one (COBS)."""
+    frames = data.split(b"\0")[1:-1][-COBS_FRAMES:]
+    found = [_distances(frame) for frame in frames]
+    right = [each for each in found if each]
+    # Frames that always hold one distance are as good as plain ones.
+    return len(frames) >= LEAST_FRAMES and len(right) >= STEADY_SHARE * len(frames) and len(set(right)) > 1
+
+
+def _distances(frame: bytes) -> tuple[int, ...]:
+    """Return the distances from each replaced zero to the next one; none if they do not fill the frame."""
+    steps: list[int] = []
+    at = 0
+    while at < len(frame):
+        steps.append(frame[at])
+        at += frame[at]
+    return tuple(steps) if at == len(frame) >= LEAST_CELLS else ()
 
 
 def _lengths(data: bytes) -> list[int]:

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from heapq import nsmallest
@@ -44,6 +45,8 @@ NEAR = 0.85
 
 # A press has to move a cell by as many counts of the model's scale: less is felt, but not recognised.
 LEAST_PRESS = 16.0
+# Bytes are signed if they then change by less than this share.
+SIGNED_SHARE = 0.5
 
 TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
@@ -52,6 +55,8 @@ PRESSED_LONG = (
     "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
     "go of the pad between presses"
 )
+# A cell without a number.
+DASHES = re.compile(rb"[0-9][ \t,;|]+-{2,}[ \t,;|]+[0-9]")
 # After one of these, contacts may still show what the movement does not.
 UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE, PRESSED_LONG)
 
@@ -110,6 +115,10 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     def nothing(missing: str, likely: Sequence[Guess] = ()) -> Finding:
         return Finding(None, tuple(_finished(each) for each in likely), missing, saw)
 
+    if not printed and binary.is_cobs(data):
+        return nothing("COBS frames: send plain cells after a header of two bytes")
+    if printed and len(DASHES.findall(data)) >= text.LEAST_FRAMES:
+        return nothing("some cells are dashes: print a number for each cell")
     found = text.guesses(data, by_contact) if printed else binary.guesses(data)
     paced = [each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ]
     ranked = nsmallest(MOST_RANKED, [each for each in paced if each.is_folded] or paced, key=_rank)
@@ -223,6 +232,10 @@ def _finished(guess: Guess) -> PadFormat:
 
 def _unscaled(described: PadFormat, values: Numbers) -> str:
     """Say why values are not pressure on the description's scale."""
+    if described.framing == "binary" and described.cell == "u8":
+        signed = (values + 128) % 256 - 128
+        if np.abs(np.diff(signed, axis=0)).sum() < SIGNED_SHARE * np.abs(np.diff(values, axis=0)).sum():
+            return "its bytes seem to be signed, and touchd reads none such: send 0 to 255"
     rest = np.median(values, axis=0)
     farthest, top = float(np.abs(values - rest).max()), described.full_scale
     if farthest * MAX_COUNT < LEAST_PRESS * top:

@@ -48,6 +48,10 @@ TEXTS: dict[str, Callable[[Grid, int], str]] = {
     "percent": lambda v, n: " ".join(f"{x / 10.23:.1f}%" for x in v.ravel()) + "\r\n",
     "exponents": lambda v, n: " ".join(f"{x * 1e-3:.4e}" for x in v.ravel()) + "\n",
     "total": lambda v, n: f"{line(v)},{v.sum()}\n",
+    "a cell that fails": lambda v, n: (
+        " ".join("NaN" if i == 33 else f"{x}" for i, x in enumerate(v.ravel())) + "\r\n"
+    ),
+    "a cell that is null": lambda v, n: json.dumps([None, *v.ravel().tolist()[1:]]) + "\n",
     "ruled table": lambda v, n: "".join(f"R{i} | {line(r, ' ')} |\r\n" for i, r in enumerate(v)) + "----\r\n",
 }
 
@@ -76,6 +80,10 @@ UNPROVEN: dict[str, tuple[Callable[[Grid, int], str], str]] = {
     "large offsets, falling": (lambda v, n: f"{line(REST - v)}\r\n", "full_scale by hand"),
     "few levels": (lambda v, n: f"{line(v // 50)}\r\n", "full_scale by hand"),
     "nine angles": (lambda v, n: f"{line(v)}{9 * ',0.71'}{n % 7}\r\n", "fraction"),
+    "a column of dashes": (
+        lambda v, n: "".join(f"{line(r[:3], ' ')}  --  {line(r[3:], ' ')}\r\n" for r in v) + "\r\n",
+        "dashes",
+    ),
     "three axes": (lambda v, n: f"{line(np.vstack([v * n % 7 - v, v - v * n % 5, v]))}\r\n", "move"),
 }
 
@@ -88,6 +96,25 @@ def test_a_grid_that_is_not_the_pads_is_not_proposed(
     finding = found_in(lambda number: printed(values[number], number))
     assert finding.proposed is None
     assert missing in finding.missing
+
+
+def with_distances(data: bytes) -> bytes:
+    """Return a frame in COBS: each zero is replaced by the distance to the next one."""
+    return b"".join(bytes([len(part) + 1]) + part for part in data.split(b"\0")) + b"\0"
+
+
+def test_zeros_that_are_replaced_are_no_cells() -> None:
+    values = (a_hand_on(8, 8) - 2).astype("<u2")
+    finding = found_in(lambda number: with_distances(values[number].tobytes()))
+    assert finding.proposed is None
+    assert "COBS" in finding.missing
+
+
+def test_signed_bytes_are_not_taken_for_a_pad_upside_down() -> None:
+    values = (a_hand_on(8, 8, 120) - 10).astype("i1")
+    finding = found_in(lambda number: b"\xaa\x55" + values[number].tobytes())
+    assert finding.proposed is None
+    assert "signed" in finding.missing
 
 
 def test_a_centre_of_pressure_after_the_cells_is_none() -> None:
