@@ -236,6 +236,12 @@ def _unscaled(described: PadFormat, values: Numbers) -> str:
         signed = (values + 128) % 256 - 128
         if np.abs(np.diff(signed, axis=0)).sum() < SIGNED_SHARE * np.abs(np.diff(values, axis=0)).sum():
             return "its bytes seem to be signed, and touchd reads none such: send 0 to 255"
+    if described.framing == "binary" and described.cell in ("u16", "i16", "u12"):
+        bits = values.astype(np.int64)
+        changing = int(np.bitwise_or.reduce(bits, axis=None) ^ np.bitwise_and.reduce(bits, axis=None))
+        changing //= changing & -changing or 1
+        if changing & (changing + 1):
+            return "some bits inside its numbers never change: send plain u8, u16, i16 or f32 cells"
     rest = np.median(values, axis=0)
     farthest, top = float(np.abs(values - rest).max()), described.full_scale
     if farthest * MAX_COUNT < LEAST_PRESS * top:

@@ -117,6 +117,24 @@ def test_signed_bytes_are_not_taken_for_a_pad_upside_down() -> None:
     assert "signed" in finding.missing
 
 
+def split(values: Grid, at: int, mark: int = 0) -> bytes:
+    return b"".join(bytes([each // at, mark + each % at]) for each in values.ravel().tolist())
+
+
+OTHER_CELLS: dict[str, Callable[[Grid], bytes]] = {
+    "seven bits a byte": lambda v: split(v, 128),
+    "six bits, marked": lambda v: split(v, 64, 64),
+}
+
+
+@pytest.mark.parametrize("cells", OTHER_CELLS.values(), ids=OTHER_CELLS)
+def test_cells_of_a_kind_that_is_not_read_are_refused(cells: Callable[[Grid], bytes]) -> None:
+    values = a_hand_on(8, 8)
+    finding = found_in(lambda number: b"\xf0\xaa\x55" + cells(values[number]))
+    assert finding.proposed is None
+    assert "bits" in finding.missing
+
+
 def test_a_centre_of_pressure_after_the_cells_is_none() -> None:
     def printed(number: int) -> str:
         v = values[number]
