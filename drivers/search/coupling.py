@@ -61,7 +61,9 @@ REACHED = 0.3
 TURNS_SHARE = 0.8
 MOST_TURNS = 64
 NOT_TOGETHER = "neighbouring cells do not move together: press one place at a time while I listen"
-TOO_LITTLE = "a hand reached too little of the pad: press all over it while I listen"
+TOO_LITTLE = (
+    "a hand reached too little of the pad: press all over it while I listen, and print nothing but its cells"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +249,9 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
     """Say why (frames, cells) are not a pressed pad of this grid; "" if they are proven to be one."""
     movement = Movement(numbers, np.zeros(numbers.shape[1], np.bool_), by_contact)
     if not movement.is_pressed:
-        return "nothing presses the pad: press it while I listen"
+        return (
+            f"nothing presses the pad (its numbers move by {movement.largest:.4g}): press it while I listen"
+        )
     is_below_0 = (numbers[:, movement.pressed].max(axis=0) <= 0).mean() > 0.5
     if movement.goes_negative and (movement.falls or is_below_0):
         return "a press makes its numbers negative, and those are cut at 0: print what a press adds"
