@@ -131,9 +131,7 @@ class Pipeline:
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
         self._tracker = TouchTracker(settings.touch, self._p_no_touch if NO_TOUCH in model.labels else None)
-        # The longest window, and the frames between a touch's last one and its end.
-        spare_frames = SETTLED_FRAMES + round((settings.touch.quiet_s + MAX_GAP_S + 2) * FRAME_RATE_HZ)
-        self._ring = Ring(self._final_frames + spare_frames, first_index)
+        self._ring = Ring(_history_frames(settings), first_index)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
         self._touch: Touch | None = None
@@ -332,3 +330,9 @@ class Pipeline:
 def _as_sent(frame: GridFrame) -> int:
     """Return the sensor's clock at a point of the grid as the sensor sends it, (0 to 2^32 - 1) ms."""
     return round(frame.sensor_ms) % CLOCK_MODULUS
+
+
+def _history_frames(settings: PipelineSettings) -> int:
+    """Return the frames to keep: the longest window, and those between a touch's last frame and its end."""
+    spare_frames = round((settings.touch.quiet_s + MAX_GAP_S + 2) * FRAME_RATE_HZ)
+    return settings.decision.answer_at_frames[-1] + SETTLED_FRAMES + spare_frames

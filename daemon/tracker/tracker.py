@@ -47,9 +47,6 @@ WIRE_COUNTS = 25.0
 # touch.
 COMMON_COUNTS = 8.0
 COMMON_SHARE = 0.25
-# A supply that jumps lifts all taxels by more, and the least lifted by this share of the highest. In 458,000
-# frames under hands, of three studies, that share is never above 0.3.
-EVEN_SHARE = 0.5
 # Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without the
 # rule, one more false touch in ten minutes on the robot.
 RESTLESS_FACTOR = 1.5
@@ -140,14 +137,14 @@ class MeasuringRest:
 class Quiet:
     """Nothing touches the pad.
 
-    frames: for how long, without those in maybe. peak: the highest contact since then. shifted_frames: for
-    how long the pad has read less than at rest, or evenly more. unsteady_index: the last frame in which it
-    did, or in which rest was calibrated.
+    frames: for how long, without those in maybe. peak: the highest contact since then. sunken_frames: for how
+    long the pad has read less than at rest. unsteady_index: the last frame in which it did, or in which rest
+    was calibrated.
     """
 
     frames: int = 0
     peak: float = 0.0
-    shifted_frames: int = 0
+    sunken_frames: int = 0
     unsteady_index: int = -SECOND_FRAMES
 
 
@@ -207,7 +204,6 @@ class TouchTracker:
         self._restless = 0.0
         self._index = -1
         self._sensor_ms = 0.0
-        self._blur = 0
 
     @property
     def last_contact_index(self) -> int:
@@ -229,14 +225,13 @@ class TouchTracker:
     def update(self, frame: GridFrame) -> Change:
         """Take the next grid frame; return the touch that it begins or ends."""
         release = self._restart(frame) if frame.restarted else None
-        self._index, self._sensor_ms, self._blur = frame.index, frame.sensor_ms, frame.blur
+        self._index, self._sensor_ms = frame.index, frame.sensor_ms
         self._recent.push(self.without_loose_wire(frame.pressure).reshape(TAXELS))
         if len(self._recent) < SMOOTH_FRAMES:
             return release
         match self._state:
             case MeasuringRest():
-                if len(self._recent) >= CALIBRATION_FRAMES:
-                    self._calibrate(Quiet())
+                self._measure_rest()
                 return release
             case Quiet() as quiet:
                 return self._watch(quiet)
@@ -269,10 +264,14 @@ class TouchTracker:
         self._recent.clear()
         self._state = MeasuringRest()
 
+    def _measure_rest(self) -> None:
+        if len(self._recent) >= CALIBRATION_FRAMES:
+            self._calibrate(Quiet())
+
     def _calibrate(self, quiet: Quiet, frames: int = CALIBRATION_FRAMES) -> None:
         """Take the last frames as rest, and be quiet."""
         self.baseline.calibrate(self._recent.last(frames))
-        quiet.shifted_frames, quiet.unsteady_index = 0, self._index
+        quiet.sunken_frames, quiet.unsteady_index = 0, self._index
         self._state = quiet
 
     # Quiet.
@@ -283,11 +282,6 @@ class TouchTracker:
         rise = smooth - self.baseline.counts
         contact = beyond_one_wire(self._above(rise))
         if contact >= self._onset_counts:
-            if is_even(rise):
-                # The network takes such a pad for touched.
-                self._network.forget_rest()
-                self._follow_rest(quiet, is_shifted=True)
-                return None
             if not is_in_common(rise):
                 self._state = Maybe(quiet, self._index, self._index, smooth)
                 return self._weigh(self._state)
@@ -298,17 +292,17 @@ class TouchTracker:
             self._restless = quiet.peak
         quiet.frames += 1
         self.baseline.track(self._recent.last(1)[0])
-        sunken = beyond_one_wire(self._above(-rise))
-        self._follow_rest(quiet, is_shifted=sunken >= self._settings.onset_threshold)
+        self._follow_rest(quiet, sunken=beyond_one_wire(self._above(-rise)))
         return self._ask_at_rest(quiet)
 
-    def _follow_rest(self, quiet: Quiet, *, is_shifted: bool) -> None:
-        """Calibrate a pad whose rest has shifted, and learn how much it sways."""
-        quiet.shifted_frames = quiet.shifted_frames + 1 if is_shifted else 0
-        if is_shifted:
+    def _follow_rest(self, quiet: Quiet, sunken: float) -> None:
+        """Calibrate a pad that reads less than at rest, and learn how much it sways."""
+        is_sunken = sunken >= self._settings.onset_threshold
+        quiet.sunken_frames = quiet.sunken_frames + 1 if is_sunken else 0
+        if is_sunken:
             quiet.unsteady_index = self._index
-        if quiet.shifted_frames >= CALIBRATION_FRAMES:
-            # Below rest, it was calibrated under a hand or an object that is now gone.
+        if quiet.sunken_frames >= CALIBRATION_FRAMES:
+            # Pressure does not go below rest: it was calibrated under a hand or an object that is now gone.
             self._calibrate(quiet)
         elif self._is_time_to_check and self._index - quiet.unsteady_index >= SECOND_FRAMES:
             older, newer = self._recent.halves()
@@ -328,20 +322,14 @@ class TouchTracker:
     def _weigh(self, maybe: Maybe) -> Change:
         self._look_for_loose_wire()
         smooth = self._smooth()
-        rise = smooth - self.baseline.counts
-        if is_even(rise):
-            self._state = maybe.quiet
-            return None
-        above = self._above(rise)
+        above = self._above(smooth - self.baseline.counts)
         contact = beyond_one_wire(above)
         waited = self._index - maybe.since
-        # On a slow pad it may be one broken frame.
-        is_blurred = waited < self._blur
-        if waited <= STEP_FRAMES or is_blurred:
+        if waited <= STEP_FRAMES:
             maybe.before = smooth
         if contact >= self._onset_counts:
             maybe.last, maybe.touched = self._index, above > 0
-        maybe.highest = max(maybe.highest, 0.0 if is_blurred else contact)
+        maybe.highest = max(maybe.highest, contact)
         off = smooth - maybe.before
         off -= np.sort(off)[TAXELS // 2]
         maybe.moved = max(maybe.moved, float(np.maximum(np.abs(off) - self.baseline.noise_floor, 0).sum()))
@@ -350,7 +338,7 @@ class TouchTracker:
         may_breathe = waited > SURE_FRAMES and self._network.is_there
         is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
         is_sure = is_firm or (movement >= SURE_MOVEMENT and not may_breathe)
-        if (is_sure and not is_blurred) or self._is_light_touch(waited, movement):
+        if is_sure or self._is_light_touch(waited, movement):
             return self._begin(self._first_frame(maybe))
         if self._index - maybe.last >= CALIBRATION_FRAMES:
             self._restless = max(self._restless, maybe.highest)
@@ -446,7 +434,7 @@ class TouchTracker:
         older, newer = self._recent.halves()
         self.baseline.track_sway(np.abs(newer - older))
         frames = self._recent.last(SECOND_FRAMES)
-        smooth = np.sort([frames[2:], frames[1:-1], frames[:-2]], axis=0)[SMOOTH_FRAMES // 2]
+        smooth = _median(frames[2:], frames[1:-1], frames[:-2])
         self._restless = max(beyond_one_wire(each) for each in self._above(smooth - self.baseline.counts))
         return release
 
@@ -489,12 +477,12 @@ def is_in_common(rise: Taxels) -> bool:
     return bool(lifted[TAXELS // 2] >= COMMON_SHARE * lifted[-1] and lifted[-1] <= COMMON_COUNTS)
 
 
-def is_even(rise: Taxels) -> bool:
-    """Whether all taxels are well above rest by a similar amount."""
-    return bool(rise.max() > COMMON_COUNTS and rise.min() >= EVEN_SHARE * rise.max())
-
-
 def beyond_one_wire(above: Taxels) -> float:
     """Sum (64,) counts, less the strongest row or column up to what a loose wire lifts."""
     sums = LINES.dot(above).tolist()
     return float(sum(sums[:ROWS]) - min(max(sums), WIRE_COUNTS))
+
+
+def _median(a: NDArray[np.float32], b: NDArray[np.float32], c: NDArray[np.float32]) -> NDArray[np.float32]:
+    median: NDArray[np.float32] = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+    return median

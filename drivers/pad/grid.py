@@ -40,7 +40,6 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
     host_s: arrival of the sensor frame that completed it, `time.monotonic()`.
     pressure: (8, 8) float32 counts, read-only.
     bridged: stands in for a lost frame. restarted: what came before is not contiguous with this.
-    blur: frames in which interpolation and a median over three may show one sensor frame; 0 for none.
     """
 
     index: int
@@ -49,7 +48,6 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
     pressure: NDArray[np.float32]
     bridged: bool
     restarted: bool
-    blur: int = 0
 
 
 class Ring:
@@ -64,7 +62,6 @@ class Ring:
         self._grid_ms = 0.0
         self._phase_ms = 0.0
         self._in_step = IN_STEP_FRAMES
-        self._blur = 0
         self._late: Frame | None = None
         self._vibration = Vibration()
 
@@ -97,8 +94,6 @@ class Ring:
             due_ms = [*self._times_until(now_ms - PERIOD_MS / 2), float(now_ms)]
         else:
             due_ms = self._times_until(now_ms)
-        reach = round(2 * (now_ms - self._clock_ms) / PERIOD_MS)
-        self._blur = 0 if reach < 2 or due_ms == [now_ms] else reach + 2
         frames = [self._between(frame, pressure, now_ms, at_ms) for at_ms in due_ms]
         self._sensor_ms, self._clock_ms, self._pressure = frame.sensor_ms, now_ms, pressure
         return frames
@@ -159,7 +154,7 @@ class Ring:
             self._vibration = Vibration()
         pressure = self._vibration.take_out(pressure)
         pressure.flags.writeable = False
-        laid = GridFrame(self._next_index, float(at_ms), host_s, pressure, bridged, restarted, self._blur)
+        laid = GridFrame(self._next_index, float(at_ms), host_s, pressure, bridged, restarted)
         self._history.append(laid)
         self._next_index += 1
         self._grid_ms = float(at_ms)

@@ -10,8 +10,7 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from touchd.daemon.tracker.baseline import Baseline, LastSecond
 from touchd.daemon.tracker.network_check import PNoTouch
 from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings, TouchTracker
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.grid import GridFrame, Ring
+from touchd.drivers.pad.grid import GridFrame
 
 
 class TrackedPad(MadePad):
@@ -505,48 +504,3 @@ def test_a_loose_wire_is_forgotten_with_the_sensor(pad: TrackedPad) -> None:
     pad.feel(loose(6.0))
     pad.tracker.forget("sensor")
     assert pad.tracker.loose_lines == ()
-
-
-@pytest.mark.parametrize("rate_hz", [25, 30, 45, 60, 108])
-def test_one_broken_frame_begins_no_touch(rate_hz: int) -> None:
-    # Where in the 54 Hz grid the broken frame falls differs from phase to phase.
-    for phase in range(8):
-        tracker, ring, made = TouchTracker(TouchSettings()), Ring(54), MadePad()
-        scans = np.zeros((3 * rate_hz, 8, 8), np.float32)
-        scans[2 * rate_hz + phase, 3, 4] = 512
-        for number, counts in enumerate(made.counts(scans)):
-            sensor_ms = round(number * 1000 / rate_hz)
-            changes = [tracker.update(frame) for frame in ring.push(Frame(number, sensor_ms, 0.0, counts))]
-            assert not any(changes)
-
-
-def test_a_slow_pads_touch_is_noticed_within_a_sixth_of_a_second() -> None:
-    tracker, ring, rate_hz = TouchTracker(TouchSettings()), Ring(54), 30
-    scans = np.concatenate([np.zeros((2 * rate_hz, 8, 8), np.float32), palm(1.0, 60.0)])
-    for number, counts in enumerate(MadePad().counts(scans)):
-        frame = Frame(number, round(number * 1000 / rate_hz), 0.0, counts)
-        if any(tracker.update(laid) for laid in ring.push(frame)):
-            break
-    assert number - 2 * rate_hz <= rate_hz // 6
-
-
-def lifted(seconds: float, counts: float) -> Scans:
-    return nothing(seconds) + counts * np.linspace(0.7, 1.0, 64, dtype=np.float32).reshape(8, 8)
-
-
-@pytest.mark.parametrize("counts", [30.0, 200.0, 1023.0])
-@pytest.mark.parametrize("seconds", [0.2, 0.8, 4.0])
-def test_a_pad_lifted_as_a_whole_is_not_touched(seconds: float, counts: float) -> None:
-    # As the shipped network answers: pressure everywhere is a touch.
-    pad = TrackedPad(p_no_touch=lambda frames: 0.01 if frames.mean() > 20 else 0.99)
-    assert pad.feel(3.0, lifted(seconds, counts), 4.0, lifted(seconds, counts), 4.0) == []
-    began = pad.index
-    onset, _ = pad.feel(palm(1.0, 60.0), 2.0)
-    assert onset == Onset(began)
-
-
-def test_a_touch_of_a_lifted_pad_is_detected(pad: TrackedPad) -> None:
-    assert pad.feel(lifted(1.0, 200.0)) == []
-    began = pad.index
-    onset, release = pad.feel(lifted(1.0, 200.0) + palm(1.0, 60.0), lifted(2.0, 200.0))
-    assert (onset, release) == (Onset(began), Release(began, began + 53, "released"))
