@@ -172,7 +172,8 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
             disabled_optimizers=["SkipLayerNormFusion"],
         )
     except Exception as error:  # ONNX Runtime raises its own undocumented types
-        raise ModelError(f"{path}: ONNX Runtime refuses the file ({str(error).splitlines()[0]})") from error
+        why = str(error).splitlines()[0]
+        raise ModelError(f"{path}: ONNX Runtime refuses the file ({why}); {advice}") from error
 
 
 def digest_file(path: Path) -> Path:

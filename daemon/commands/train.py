@@ -16,8 +16,8 @@ from touchd.model.adapt.output import check_output
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd train",
-        description="Adapts the shipped model to recordings of your own, in about a minute, and says how "
-        "well it does before and after.",
+        description="Adapts the shipped model to your own recordings: a minute for one person, several "
+        "for a dozen. Says how well it does before and after.",
     )
     parser.add_argument(
         "--extra", type=Path, metavar="FOLDER", help="recordings of your own, as `touchd record` makes them"
