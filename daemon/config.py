@@ -1,5 +1,6 @@
 """Reads a YAML file into typed settings; a mistake in it is reported in one line."""
 
+import errno
 import os
 import re
 from collections.abc import Iterator
@@ -29,6 +30,8 @@ FABRIC = "fabric-grid"
 # On a pad of a kind that the network never met, 43 % of the final answers to touches are right. A third has
 # this confidence; of these, 75 % are right (fabric.onnx on the third study's windows).
 FINAL_ABOVE_ON_ANOTHER_PAD = 0.6
+# What the machine lacks: descriptors or memory.
+NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 
 # Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
@@ -45,11 +48,13 @@ def config_errors(prefix: str = "") -> Iterator[None]:
     """Raise whatever a configuration causes as ConfigError, but not what the machine lacks."""
     try:
         yield
-    except (TouchdError, ImportError, MemoryError, OSError):
+    except (TouchdError, ImportError, MemoryError):
         raise
     except StrictYamlError as error:
         raise ConfigError(f"{prefix}{error}") from error
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            raise
         raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
 
 

@@ -210,3 +210,5 @@ def test_a_machine_without_room_is_no_mistake_in_the_configuration(lack: Excepti
     # As a mistake it would end with exit code 2, after which systemd does not start it again.
     with pytest.raises(type(lack)), config_errors():
         raise lack
+    with pytest.raises(ConfigError, match="Too many levels"), config_errors():
+        raise OSError(errno.ELOOP, "Too many levels of symbolic links")
