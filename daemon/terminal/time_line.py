@@ -101,6 +101,7 @@ def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float, palette: Pale
 
 def _labels(marks_s: Sequence[float], end_s: float, width: int, palette: Palette) -> Line:
     line = [" "] * width
+    # The last label first: where there is room for one alone, it names the end.
     for mark_s in (marks_s[-1], *marks_s[:-1]):
         text = f"{mark_s:.3g} s" if width >= ROOMY or mark_s == marks_s[-1] else f"{mark_s:.3g}"
         start = min(max(_column(mark_s, end_s, width) - len(text) // 2, 0), width - len(text))

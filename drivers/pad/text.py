@@ -1,11 +1,12 @@
 """Pads that print: lines with numbers in them, bytes in, frames out, no I/O.
 
 Words, labels (`R0:`, `A7`, `Row 4:`), brackets, other punctuation and terminal escapes are skipped; `nan` and
-`null` read 0. Lines end in LF, CR LF or CR. A frame is one line with all cells, or several lines of as many
-numbers each. Three things separate frames of several lines: a line with another count of numbers (a word, a
-blank line), a row number that falls, or the text `end`. A frame is delivered only if exactly its lines lie
-between two separators, so a damaged line spoils only its own frame. A line has no checksum: a digit damaged
-into another digit goes unnoticed. The first line after a (re)connect may be half a line, so it is never used.
+`null` read 0. Lines end in LF, CR LF or CR. A frame is one line with all cells, or several lines with equally
+many numbers each. Three things separate frames of several lines: a line with another count of numbers (a
+word, a blank line), a row number that falls, or the text `end`. A frame is delivered only if exactly its
+lines lie between two separators, so a damaged line spoils only its own frame. A line has no checksum: a digit
+damaged into another digit goes unnoticed. The first line after a (re)connect may be half a line, so it is
+never used.
 """
 
 import re

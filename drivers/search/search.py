@@ -235,7 +235,7 @@ def _unscaled(described: PadFormat, values: Numbers) -> str:
     if described.framing == "binary" and described.cell == "u8":
         signed = (values + 128) % 256 - 128
         if np.abs(np.diff(signed, axis=0)).sum() < SIGNED_SHARE * np.abs(np.diff(values, axis=0)).sum():
-            return "its bytes seem to be signed, and touchd reads none such: send 0 to 255"
+            return "its bytes seem to be signed; touchd reads unsigned bytes only: send 0 to 255"
     if described.framing == "binary" and described.cell in ("u16", "i16", "u12"):
         bits = values.astype(np.int64)
         changing = int(np.bitwise_or.reduce(bits, axis=None) ^ np.bitwise_and.reduce(bits, axis=None))

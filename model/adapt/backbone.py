@@ -22,7 +22,7 @@ from touchd.model.tgc import TGC
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64
-# Of a progress bar; a rate says nothing to who waits.
+# A progress bar without tqdm's rate, which does not help somebody who waits.
 BAR = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
 # A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
