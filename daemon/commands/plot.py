@@ -42,7 +42,7 @@ def main(arguments: Sequence[str]) -> int:
     from touchd.daemon.plot import journal, recording
     from touchd.daemon.plot.plot import PlotError, save
 
-    path: Path = options.out or Path(f"{options.files[0].name.partition('.')[0]}.png")
+    path: Path = options.out or picture_of(options.files[0])
     names = ", ".join(file.name for file in options.files)
     if all(file.is_dir() or file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options).settings
@@ -58,3 +58,11 @@ def main(arguments: Sequence[str]) -> int:
     save(figure, path)
     sys.stdout.write(f"{path}\n")
     return 0
+
+
+def picture_of(file: Path) -> Path:
+    """Return the name of a file's or folder's picture, in the current folder."""
+    name = file.absolute().name
+    for suffix in (*SUFFIXES, ".jsonl"):
+        name = name.removesuffix(suffix)
+    return Path(f"{name}.png")

@@ -14,6 +14,7 @@ from matplotlib.text import Text
 from rigs.made_events import PREDICTION, TIME
 
 from touchd.daemon import cli
+from touchd.daemon.commands.plot import picture_of
 from touchd.daemon.config import Settings
 from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.kept.touches import gather, read_journal
@@ -122,6 +123,20 @@ def test_a_picture_is_written_to_the_working_folder(
     assert cli.main(["plot", str(recorded)]) == 0
     assert capsys.readouterr().out == "mine.png\n"
     assert Path("mine.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize(
+    ("file", "picture"),
+    [
+        ("j.jsonl", "j.png"),
+        ("j.jsonl.touches", "j.jsonl.touches.png"),
+        ("lab.csv", "lab.png"),
+        ("2026-11-25.P3.csv.gz", "2026-11-25.P3.png"),
+        ("../lab/.", "lab.png"),
+    ],
+)
+def test_a_picture_is_named_after_its_whole_file_name(file: str, picture: str) -> None:
+    assert str(picture_of(Path(file))) == picture
 
 
 def test_a_folder_of_recordings_becomes_one_picture(
