@@ -71,6 +71,11 @@ class Frames:
     def _bytes(self) -> bytes:
         return self.data.tobytes()
 
+    @cached_property
+    def _usual(self) -> Bytes:
+        usual: Bytes = np.median(self.data, axis=0).astype(np.uint8)
+        return usual
+
     def tells(self, header: bytes) -> bool:
         """Whether these bytes come once a frame and hardly ever else."""
         if not header:
@@ -83,7 +88,7 @@ class Frames:
         """Return where the header of `around` bytes from `start` on begins, and the header; b"" if none."""
         if (start, around) not in self.headers:
             places = np.arange(start, start + around) % self.length
-            usual = np.median(self.data[:, places], axis=0).astype(np.uint8).tobytes()
+            usual = self._usual[places].tobytes()
             headers = _headers(usual, self.steady[places], self.marks[places])
             self.headers[start, around] = next((each for each in headers if self.tells(each[1])), (0, b""))
         return self.headers[start, around]

@@ -200,6 +200,8 @@ class Movement:
 
     def _odd_in(self, start: int, rows: int, columns: int) -> int:
         """Return how many cells of a grid are hardly cells; a border that never changes may be."""
+        if not self.odd.any():
+            return 0
         stop = start + rows * columns
         odd = self.odd[start:stop].reshape(rows, columns)
         inner = self.alive[start:stop].reshape(rows, columns)[1:-1, 1:-1]

@@ -97,20 +97,38 @@ def search(chunks: Sequence[Chunk]) -> Finding:
     data = b"".join(chunk.data for chunk in kept)
     if not data:
         return Finding(None, (), "is it the pad's port, and does the pad run?", "nothing arrives")
-    sizes = [len(chunk.data) for chunk in kept]
-    times_s = np.repeat([chunk.host_s for chunk in kept], sizes)
-    finding = _searched(data, kept, times_s, by_contact=False)
-    if finding.missing in UNSURE and _is_printed(data):
-        by_contact = _searched(data, kept, times_s, by_contact=True)
+    seconds = max(kept[-1].host_s - kept[0].host_s, 1e-3)
+    arrived = _Arrived(
+        chunks=kept,
+        data=data,
+        times_s=np.repeat([chunk.host_s for chunk in kept], [len(chunk.data) for chunk in kept]),
+        seconds=seconds,
+        saw=f"{len(data) / seconds:.0f} bytes/s of {looks_like(data)}",
+        lines=text.lines_of(data) if _is_printed(data) else None,
+    )
+    finding = _searched(arrived, by_contact=False)
+    if finding.missing in UNSURE and arrived.lines is not None:
+        by_contact = _searched(arrived, by_contact=True)
         return finding if by_contact.proposed is None else by_contact
     return finding
 
 
-def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: bool) -> Finding:
+@dataclass(frozen=True)
+class _Arrived:
+    """What arrived. times_s: when each byte did. saw: what it is, in words. lines: those of a text."""
+
+    chunks: Sequence[Chunk]
+    data: bytes
+    times_s: Numbers
+    seconds: float
+    saw: str
+    lines: Sequence[text.Line] | None
+
+
+def _searched(arrived: _Arrived, by_contact: bool) -> Finding:
     """Return what bytes are by one measure of what moves together."""
-    seconds = max(kept[-1].host_s - kept[0].host_s, 1e-3)
-    printed = _is_printed(data)
-    saw = f"{len(data) / seconds:.0f} bytes/s of {looks_like(data)}"
+    data, seconds, saw = arrived.data, arrived.seconds, arrived.saw
+    printed = arrived.lines is not None
 
     def nothing(missing: str, likely: Sequence[Guess] = ()) -> Finding:
         return Finding(None, tuple(_finished(each) for each in likely), missing, saw)
@@ -119,7 +137,7 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
         return nothing("COBS frames: send plain cells after a header of two bytes")
     if printed and len(DASHES.findall(data)) >= text.LEAST_FRAMES:
         return nothing("some cells are dashes: print a number for each cell")
-    found = text.guesses(data, by_contact) if printed else binary.guesses(data)
+    found = binary.guesses(data) if arrived.lines is None else text.guesses(arrived.lines, by_contact)
     paced = [each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ]
     ranked = nsmallest(MOST_RANKED, [each for each in paced if each.is_folded] or paced, key=_rank)
     if not ranked:
@@ -130,7 +148,7 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
     wanting = wanting or (CUT if best.is_cut else "" if best.is_folded else NOT_TOGETHER)
     wanting = wanting or (SHORT if best.is_short else "")
     if not printed:
-        ranked = _confirmed(ranked, data, times_s)
+        ranked = _confirmed(ranked, data, arrived.times_s)
         best = ranked[0] if best not in ranked else best
     ties = [each for each in ranked if not (_is_same(best, each) or _outdoes(best, each))]
     # Cells of another kind may hide the distance at which numbers agree.
@@ -141,8 +159,8 @@ def _searched(data: bytes, kept: Sequence[Chunk], times_s: Numbers, by_contact: 
         return nothing(wanting, [best, *ties[:1]])
     if ties:
         return nothing(TIED, [best, ties[0]])
-    described = _finished(best) if printed else binary.complete(_finished(best), data, times_s)
-    if missing := _unscaled(described, best.values) or _unexplained(described, best, kept):
+    described = _finished(best) if printed else binary.complete(_finished(best), data, arrived.times_s)
+    if missing := _unscaled(described, best.values) or _unexplained(described, best, arrived.chunks):
         return nothing(missing, [best])
     return Finding(_as_preset(described), (described,), "", saw)
 

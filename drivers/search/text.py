@@ -51,10 +51,14 @@ class Guess:
     is_short: bool = False
 
 
-def guesses(data: bytes, by_contact: bool = False) -> Iterator[Guess]:
-    """Yield the grids that the numbers of a text may form."""
+def lines_of(data: bytes) -> list[Line]:
+    """Return the whole lines of a text."""
     text = data[: ended_at(data)]
-    lines = [Line(*numbers_in(line), line) for line in lines_in(text)][1:] if text else []
+    return [Line(*numbers_in(line), line) for line in lines_in(text)][1:] if text else []
+
+
+def guesses(lines: Sequence[Line], by_contact: bool = False) -> Iterator[Guess]:
+    """Yield the grids that the numbers of a text may form."""
     weight: Counter[int] = Counter()
     for line in lines:
         weight[len(line.numbers)] += len(line.numbers)
