@@ -199,15 +199,16 @@ def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -
     assert "13 hours of recordings and quiet, 12 at most" in said
 
 
-def test_classify_writes_the_events_as_json_lines() -> None:
-    done = ran([*TOUCHD, "classify", GESTURES])
-    assert done.returncode == 0, done.stderr
-    assert outline(decode(line) for line in done.stdout.splitlines()) == expected(GESTURES)
+def test_classify_writes_the_events_as_json_lines(capfd: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["classify", str(GESTURES)]) == 0
+    assert outline(decode(line) for line in capfd.readouterr().out.splitlines()) == expected(GESTURES)
 
 
-def test_classify_plays_only_the_selected_recordings_with_quiet_around_them() -> None:
-    done = ran([*TOUCHD, "classify", GESTURES, "--gesture", "rub", "--gesture", "pat"])
-    events = [decode(line) for line in done.stdout.splitlines()]
+def test_classify_plays_only_the_selected_recordings_with_quiet_around_them(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["classify", str(GESTURES), "--gesture", "rub", "--gesture", "pat"]) == 0
+    events = [decode(line) for line in capfd.readouterr().out.splitlines()]
     began = [event.sensor_ms for event in events if isinstance(event, TouchBegan)]
     assert began == [pytest.approx(2500, abs=300), pytest.approx(2 * 2500 + 3200, abs=400)]
 

@@ -73,6 +73,16 @@ def test_commands_run_as_typed_on_a_fake_pad(pad: str) -> None:
         assert terminal.process.wait(WITHIN_S) == 1
     with typed("record") as terminal:
         terminal.until("Who touches the pad?")
+    with typed("run") as terminal:
+        terminal.until(f"settings: {Path.cwd() / 'touchd.yaml'}; journal: {Path.cwd()}/state/")
+        terminal.until("touch 1 ends: ")
+
+
+@pytest.mark.slow
+def test_record_runs_as_typed_on_a_fake_pad(pad: str) -> None:
+    init(pad)
+    with typed("record") as terminal:
+        terminal.until("Who touches the pad?")
         terminal.answer("ann", "What is under the pad?")
         terminal.answer("", "What is over the pad?")
         terminal.answer("", "Enter to begin")
@@ -82,9 +92,6 @@ def test_commands_run_as_typed_on_a_fake_pad(pad: str) -> None:
         terminal.answer("q", "Stopped. What was kept is safe")
         assert terminal.process.wait(WITHIN_S) == 0
     assert len(list(Path("lab").glob("*.csv.gz"))) == 1
-    with typed("run") as terminal:
-        terminal.until(f"settings: {Path.cwd() / 'touchd.yaml'}; journal: {Path.cwd()}/state/")
-        terminal.until("touch 1 ends: ")
 
 
 @pytest.mark.slow

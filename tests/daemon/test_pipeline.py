@@ -139,7 +139,7 @@ def test_an_answer_due_in_a_pause_is_deferred() -> None:
 
 def test_without_a_touch_the_model_gets_no_frames() -> None:
     bench = Bench()
-    assert bench.feel(nothing(60.0)) == []
+    assert bench.feel(nothing(20.0)) == []
     assert bench.model.asked == bench.model.stepped == []
 
 
@@ -331,8 +331,8 @@ def test_touches_after_a_reset_of_the_board_are_told() -> None:
 @pytest.mark.parametrize(
     ("quiet_s", "hand_s", "pause_s", "frames"),
     [
-        *((quiet_s, 0.8, 0.9, [43] * 4) for quiet_s in (0.1, 0.3, 0.5, 0.8)),
-        *((quiet_s, 0.4, 1.8, [round(54 * (4 * 0.4 + 3 * 1.8)) + 1]) for quiet_s in (2.0, 5.0)),
+        *((quiet_s, 0.8, 0.9, [43] * 4) for quiet_s in (0.1, 0.8)),
+        (2.0, 0.4, 1.8, [round(54 * (4 * 0.4 + 3 * 1.8)) + 1]),
     ],
 )
 def test_only_pauses_longer_than_the_quiet_time_separate_touches(
@@ -415,7 +415,10 @@ class Fickle(Scripted):
         return self._rng.dirichlet(np.full(len(LABELS), 0.3))
 
 
-@pytest.mark.parametrize("seed", range(8))
+SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     rng = np.random.default_rng(seed)
     emitted: list[Event] = []

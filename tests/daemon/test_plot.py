@@ -113,7 +113,7 @@ def test_a_name_like_a_formula_is_drawn_as_it_is(demo: Trace) -> None:
 @pytest.fixture
 def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
-    write_simulated(tmp_path / "mine.csv.gz", SCRIPT, 4)
+    write_simulated(tmp_path / "mine.csv.gz", [("notouch", 1.5), ("rub", 1.5), ("notouch", 1.5)], 4)
     return tmp_path / "mine.csv.gz"
 
 

@@ -1,17 +1,16 @@
 """The simulated hand: reproducible, within a pad's range, and recognised as intended."""
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.haart_folder import needs_haart
+from rigs.haart_folder import BARE, needs_haart, recordings_of
 
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, simulate, write_simulated
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
-from touchd.drivers.recording import Recording, Selection, read_recordings, splice
+from touchd.drivers.recording import Recording, read_recordings, splice
 from touchd.model.classifier import Classifier
 
 TOUCHES = sorted(set(GESTURES) - {"notouch"})
@@ -126,9 +125,8 @@ def test_the_shipped_model_names_every_part_of_the_demo(
 
 
 @needs_haart
-def test_simulated_hands_move_as_haarts_do() -> None:
-    bare = Selection(covers=("none",))
-    haart = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", bare)
+def test_simulated_hands_move_as_haarts_do(tmp_path: Path) -> None:
+    haart = read_recordings(recordings_of("training.csv.gz", BARE, tmp_path))
     at_rest = {(r.participant, r.substrate): r for r in haart if r.gesture == "notouch"}
     for gesture in TOUCHES:
         real = [r for r in haart if r.gesture == gesture and (r.participant, r.substrate) in at_rest]

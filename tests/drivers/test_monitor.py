@@ -1,7 +1,6 @@
 """What is wrong with a pad is one state and a few log lines: its line, its clock, its values."""
 
 import logging
-import os
 import signal
 import time
 from collections.abc import Iterable
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
-from rigs.haart_folder import needs_haart
+from rigs.haart_folder import needs_haart, recordings_of
 from rigs.line_faults import Faults
 from rigs.made_pad import MadePad, nothing
 from rigs.patient_port import playing
@@ -30,7 +29,7 @@ from touchd.drivers.pad.grid import MAX_GAP_MS
 from touchd.drivers.pad.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.recording import Selection, Stream, ideal_clock_ms, read_recordings, realign, splice
+from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, realign, splice
 
 RATE_HZ = 54
 DEAD_ROW = "row 7 of the 8x8 grid stands still: a broken wire?"
@@ -212,9 +211,9 @@ def test_a_wire_that_breaks_for_good_is_logged_again(caplog: pytest.LogCaptureFi
 
 
 @needs_haart
-def test_ten_minutes_of_real_touches_have_no_finding() -> None:
-    path = Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz"
-    recordings = [realign(recording) for recording in read_recordings(path, Selection(participants=("T9",)))]
+def test_ten_minutes_of_real_touches_have_no_finding(tmp_path: Path) -> None:
+    path = recordings_of("testWITHLABELS.csv.gz", "T9,", tmp_path)
+    recordings = [realign(recording) for recording in read_recordings(path)]
     counts = splice(recordings).counts
     assert len(counts) > 10 * 60 * RATE_HZ
     assert faults_in(counts) == []

@@ -1,22 +1,20 @@
 """Hands that follow pointers: they press a simulated pad as people press a real one."""
 
 import math
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 import pytest
 from numpy.random import RandomState
 from numpy.typing import NDArray
-from rigs.haart_folder import needs_haart
+from rigs.haart_folder import BARE, needs_haart, recordings_of
 
 from touchd.daemon.events import TouchEnded
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
-from touchd.drivers.recording import Recording, Selection, read_recordings
+from touchd.drivers.recording import Recording, read_recordings
 from touchd.model.classifier import Classifier
 from touchd.model.studies.play import frames_of, play
 
@@ -85,8 +83,8 @@ def measures(counts: Counts, rest: NDArray[np.float64]) -> tuple[float, float, f
 
 
 @pytest.fixture(scope="module")
-def haart() -> list[Recording]:
-    return read_recordings(Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz", Selection(covers=("none",)))
+def haart(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
+    return read_recordings(recordings_of("training.csv.gz", BARE, tmp_path_factory.mktemp("haart")))
 
 
 @needs_haart
@@ -116,8 +114,10 @@ def named(model: Classifier, counts: Counts) -> str:
 
 
 @pytest.mark.parametrize("size", ["hand", "finger"])
-def test_a_single_slow_pass_is_named_stroke(classifier: Classifier, size: Size) -> None:
+@pytest.mark.parametrize("step", [2, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_single_slow_pass_is_named_stroke(classifier: Classifier, size: Size, step: int) -> None:
     routes = [one_pass(seconds, 0.4 * math.pi * turn) for seconds in (1.0, 2.0, 3.0) for turn in range(5)]
+    routes = routes[::step]
     answers = [
         named(classifier, counts_under(route, seed, size, rest=3 * REST)) for seed, route in enumerate(routes)
     ]

@@ -1,13 +1,13 @@
 """From bytes on a serial port to lines on standard output: the spawned daemon, a pty, recordings."""
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, outline, stream_of
+from rigs.expectations import GESTURES, LENGTHS, RECORDINGS, answers, expected, outline, stream_of
+from rigs.haart_folder import needs_haart, recordings_of
 from rigs.line_faults import Faults
 from rigs.patient_port import PATIENT, PatientPort
 from rigs.robots import Robot
@@ -20,7 +20,6 @@ from touchd.daemon.playback.stream import with_quiet
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import (
     Recording,
-    Selection,
     Stream,
     ideal_clock_ms,
     read_recordings,
@@ -61,14 +60,21 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
     return run
 
 
-@pytest.mark.parametrize("recording", RECORDINGS, ids=lambda path: path.name)
+# The gestures are also checked by `touchd classify`, without a port.
+SHIPPED = [
+    pytest.param(path, id=path.name, marks=[pytest.mark.slow] if path == GESTURES else [])
+    for path in RECORDINGS
+]
+
+
+@pytest.mark.parametrize("recording", SHIPPED)
 def test_shipped_recordings_give_the_expected_events(
     run: Callable[..., list[Event]], recording: Path
 ) -> None:
     assert outline(run(stream_of(recording))) == expected(recording)
 
 
-@pytest.mark.parametrize("noise", [0.0, 1.5])
+@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 1.5])
 def test_touches_of_a_session_stay_apart_through_a_port(
     run: Callable[..., list[Event]], noise: float
 ) -> None:
@@ -81,8 +87,8 @@ def test_touches_of_a_session_stay_apart_through_a_port(
 
 @pytest.mark.parametrize(
     "line",
-    [{"protocol": "csv"}, {"faults": Faults(chunk_bytes=40)}, {"faults": Faults(garbage_every=31)}],
-    ids=["lines of numbers", "bytes in pieces", "garbage between frames"],
+    [{"protocol": "csv"}, {"faults": Faults(chunk_bytes=40, garbage_every=31)}],
+    ids=["lines of numbers", "bytes in pieces, garbage between frames"],
 )
 def test_another_line_gives_the_same_answers(
     run: Callable[..., list[Event]], classifier: Classifier, line: dict[str, object]
@@ -113,9 +119,10 @@ def test_the_robot_gets_exactly_the_told_answers(run: Callable[..., list[Event]]
         assert robot.calls.raised("TouchGesture/Gesture") == told
 
 
-def test_a_minute_without_a_touch_tells_the_robot_nothing(run: Callable[..., list[Event]]) -> None:
+@pytest.mark.parametrize("seconds", [15.0, pytest.param(60.0, marks=pytest.mark.slow)])
+def test_without_a_touch_the_robot_is_told_nothing(run: Callable[..., list[Event]], seconds: float) -> None:
     with Robot() as robot:
-        at_rest = splice(simulate([("notouch", 60.0)], seed=5))
+        at_rest = splice(simulate([("notouch", seconds)], seed=5))
         emitted = run(at_rest, robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == []
@@ -126,13 +133,12 @@ def four_seconds_of(recording: Recording) -> Recording:
     return replace(recording, counts=recording.counts[:216], sensor_ms=recording.sensor_ms[:216])
 
 
-@pytest.mark.skipif("TOUCHD_HAART" not in os.environ, reason="TOUCHD_HAART is not set")
+@needs_haart
 def test_each_gestures_real_recording_is_one_touch(
-    run: Callable[..., list[Event]], classifier: Classifier
+    run: Callable[..., list[Event]], classifier: Classifier, tmp_path: Path
 ) -> None:
-    path = Path(os.environ["TOUCHD_HAART"]) / "training.csv.gz"
-    condition = Selection(participants=("P4",), substrates=("none",), covers=("none",))
-    recordings = [four_seconds_of(realign(recording)) for recording in read_recordings(path, condition)]
+    path = recordings_of("training.csv.gz", "P4,none,none,", tmp_path)
+    recordings = [four_seconds_of(realign(recording)) for recording in read_recordings(path)]
     assert sorted(recording.gesture for recording in recordings) == sorted(classifier.labels)
     stream = with_quiet(recordings, [recording for recording in recordings if recording.gesture == "notouch"])
     emitted = run(stream)

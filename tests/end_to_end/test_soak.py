@@ -23,10 +23,10 @@ def final(touch: int = 1, **changes: Any) -> Prediction:
     return msgspec.structs.replace(PREDICTION, touch=touch, **(values | changes))
 
 
-def test_a_soak_of_minutes_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_short_soak_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHD_HAART", raising=False)
     with pad() as line:
-        figures = Soak(tmp_path).run(line, hours=0.03, until_s=float("inf"))
+        figures = Soak(tmp_path).run(line, hours=0.012, until_s=float("inf"))
     holds = figures["holds"]
     assert isinstance(holds, dict)
     assert [what for what, held in holds.items() if not held] == []

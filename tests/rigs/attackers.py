@@ -18,6 +18,8 @@ from websockets.utils import accept_key
 CONNACK = b"\x20\x02\x00\x00"
 PUBACK = b"\x40\x02"
 CHUNK = 64 * 1024
+# The ports of a domain.
+DDS_PORTS = 250
 # Python threads share one processor: larger pieces attack faster.
 Attack = Callable[[socket.socket, Callable[[], bool]], None]
 
@@ -255,25 +257,33 @@ def datagrams(find: Find, goes_on: Callable[[], bool]) -> None:
             for port, datagram in itertools.product(find(), sent):
                 with suppress(OSError):
                     stranger.sendto(datagram, ("127.0.0.1", port))
+            time.sleep(0.005)
 
 
 def dds_participants(domain: int) -> Callable[[Find, Callable[[], bool]], None]:
     """Announce ever more participants, with copies of a real one's announcement."""
 
     def announce(find: Find, goes_on: Callable[[], bool]) -> None:
+        first = _first_port(domain)
         original = _announcement(domain)
         prefix = original[8:20]
         numbers = itertools.count()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             while goes_on():
-                for port in find()[:1]:
-                    for number in itertools.islice(numbers, 20):
+                # Looking for the ports takes as long as sending some hundreds.
+                for port in [port for port in find() if 0 <= port - first < DDS_PORTS][:1]:
+                    for number in itertools.islice(numbers, 500):
                         copy = original.replace(prefix, struct.pack("!IQ", 0x01100000, number))
                         with suppress(OSError):
                             stranger.sendto(copy, ("127.0.0.1", port))
-                time.sleep(0.002)
+                        if number % 20 == 0:
+                            time.sleep(0.002)
 
     return announce
+
+
+def _first_port(domain: int) -> int:
+    return 7400 + DDS_PORTS * domain
 
 
 def _announcement(domain: int) -> bytes:
@@ -283,7 +293,7 @@ def _announcement(domain: int) -> bytes:
     )
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
         # Where the sixth participant of the domain would listen on this computer.
-        listener.bind(("127.0.0.1", 7400 + 250 * domain + 20))
+        listener.bind(("127.0.0.1", _first_port(domain) + 20))
         listener.settimeout(15.0)
         with subprocess.Popen([sys.executable, "-c", participant]) as process:
             try:
@@ -295,14 +305,12 @@ def _announcement(domain: int) -> bytes:
 def noisy_viewers(find: Find, goes_on: Callable[[], bool]) -> None:
     """Watch the live page, read nothing and send pings and empty fragments; more join than may."""
     piece = (b"\x89\xbc" + bytes(64)) * 100 + (b"\x01\x80" + bytes(4)) + (b"\x00\x80" + bytes(4)) * 1000
+    ports = find()
+    joining = HANDSHAKE.format(port=ports[0]).encode()
     watchers = [
         threading.Thread(
             target=one_connection,
-            args=(
-                find,
-                goes_on,
-                itertools.chain([HANDSHAKE.format(port=find()[0]).encode()], itertools.repeat(piece)),
-            ),
+            args=(lambda: ports, goes_on, itertools.chain([joining], itertools.repeat(piece))),
         )
         for _ in range(30)
     ]

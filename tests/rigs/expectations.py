@@ -60,6 +60,13 @@ def stream_of(recording: Path) -> Stream:
     return splice(read_recordings(recording))
 
 
+def beginning_of(recording: Path, touches: int) -> Stream:
+    """Return the first touches of a shipped recording, with the rest after the last."""
+    whole = stream_of(recording)
+    stop = whole.spans[2 * touches].stop
+    return Stream(whole.counts[:stop], whole.sensor_ms[:stop], whole.spans[: 2 * touches + 1])
+
+
 def expected(recording: Path) -> list[dict[str, object]]:
     """Return the expected events of a recording."""
     return [json.loads(line) for line in expectation_of(recording).read_text().splitlines()]

@@ -23,7 +23,11 @@ def free_port() -> int:
 
 def sockets(pid: int) -> list[tuple[str, str, str]]:
     """Return protocol, local address and state, as proc(5) writes them, of a process's network sockets."""
-    links = [link.readlink().name for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()]
+    links = []
+    for link in Path(f"/proc/{pid}/fd").iterdir():
+        # Closed meanwhile.
+        with suppress(FileNotFoundError):
+            links.append(link.readlink().name)
     inodes = {name[len("socket:[") : -1] for name in links if name.startswith("socket:[")}
     found = []
     for protocol in ("tcp", "tcp6", "udp", "udp6"):
