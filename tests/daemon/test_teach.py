@@ -21,7 +21,6 @@ from touchd.daemon.config import ConfigError, SensorSettings, Settings, load
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.model.adapt.folder import ExtraError
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 TESTS = Path(__file__).parents[1]
@@ -108,13 +107,6 @@ def test_line_ends_stay_as_they_are(config: Path) -> None:
     config.write_bytes(b"robot: null\r\nlanguage: de\r\n")
     used_after("", config)
     assert config.read_bytes().startswith(b"robot: null\r\nlanguage: de")
-
-
-def test_a_foreign_file_in_the_folder_is_reported_before_recording(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
-    (tmp_path / "participants.csv").write_text("name,age\nAnn,30\n")
-    with pytest.raises(ExtraError, match=r"participants.csv: no known layout .*move it to another folder"):
-        teach.main([str(tmp_path), "--participant", "ann"])
 
 
 def test_a_worse_model_is_used_only_if_asked_for(config: Path) -> None:

@@ -21,6 +21,7 @@ import torch  # noqa: E402
 from rigs.programs import ran  # noqa: E402
 
 from touchd.daemon import cli  # noqa: E402
+from touchd.daemon.commands import teach  # noqa: E402
 from touchd.daemon.config import Settings, load  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
 from touchd.drivers.fakes.hand import simulate  # noqa: E402
@@ -556,3 +557,9 @@ def test_half_written_files_of_a_session_are_ignored(tmp_path: Path) -> None:
     lab = keep(tmp_path / "lab", simulated(("A",), 1))
     (lab / ".partial-x.csv.gz").write_bytes(b"half")
     assert len(read_folder(lab, ())) == 5
+
+
+def test_a_foreign_file_is_reported_before_teach_records(tmp_path: Path) -> None:
+    (tmp_path / "participants.csv").write_text("name,age\nAnn,30\n")
+    with pytest.raises(ExtraError, match=r"participants.csv: no known layout .*move it to another folder"):
+        teach.main([str(tmp_path), "--participant", "ann"])
