@@ -166,9 +166,8 @@ def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
         ] == spoken
 
 
-def test_viewers_get_the_models_own_probabilities() -> None:
+def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> None:
     shown: list[LivePrediction] = []
-    classifier = Classifier.load()
     pad, emitted = MadePad(), list[Event]()
     pipeline = Pipeline(
         PipelineSettings(), classifier, emitted.append, STOPPED, viewers=lambda: [shown.append]
@@ -336,21 +335,21 @@ def test_touches_after_a_reset_of_the_board_are_told() -> None:
     ],
 )
 def test_only_pauses_longer_than_the_quiet_time_separate_touches(
-    quiet_s: float, hand_s: float, pause_s: float, frames: list[int]
+    classifier: Classifier, quiet_s: float, hand_s: float, pause_s: float, frames: list[int]
 ) -> None:
-    bench = Bench(Classifier.load(), touch=TouchSettings(quiet_s=quiet_s))
+    bench = Bench(classifier, touch=TouchSettings(quiet_s=quiet_s))
     events = bench.feel(*[palm(hand_s, 60.0), nothing(pause_s)] * 4, nothing(quiet_s))
     assert [(end.frames, end.reason) for end in ended(events)] == [(number, "released") for number in frames]
 
 
-def test_a_raised_threshold_ignores_light_touches_and_detects_firm_ones() -> None:
-    bench = Bench(Classifier.load(), touch=TouchSettings(onset_threshold=200.0))
+def test_a_raised_threshold_ignores_light_touches_and_detects_firm_ones(classifier: Classifier) -> None:
+    bench = Bench(classifier, touch=TouchSettings(onset_threshold=200.0))
     assert bench.feel(palm(2.0, 12.0), nothing(3.0)) == []
     assert [end.frames for end in ended(bench.feel(palm(2.0, 100.0), nothing(3.0)))] == [108]
 
 
-def test_a_still_load_that_slowly_gives_way_ends_as_a_touch() -> None:
-    bench = Bench(Classifier.load())
+def test_a_still_load_that_slowly_gives_way_ends_as_a_touch(classifier: Classifier) -> None:
+    bench = Bench(classifier)
     gives_way = palm(9.0, 60.0, trembling=False) * np.exp(-np.arange(9 * 54) / (5 * 54))[:, None, None]
     events = bench.feel(palm(1.0, 60.0), gives_way.astype(np.float32), nothing(3.0))
     assert [end.reason for end in ended(events)] == ["released"]
@@ -444,10 +443,10 @@ def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     assert audit.touches > 0
 
 
-def test_light_touches_after_firm_ones_are_detected() -> None:
+def test_light_touches_after_firm_ones_are_detected(classifier: Classifier) -> None:
     # The recording ends with a resting hand's pats, far lighter than the pressure before.
     twice = splice(read_recordings(LENGTHS) * 2)
-    events = answers(twice, Classifier.load())
+    events = answers(twice, classifier)
     spans = [span for span in twice.spans if span.gesture != NO_TOUCH]
     made = len(spans) - sum(one.stop == other.start for one, other in pairwise(spans))
     assert sum(isinstance(event, TouchBegan) for event in events) == made

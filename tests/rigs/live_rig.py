@@ -4,6 +4,7 @@ import http.client
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -61,10 +62,15 @@ class Served:
         return connection.getresponse()
 
 
+@cache
+def _model() -> Classifier:
+    return load_model(Settings())
+
+
 @contextmanager
 def serving(**settings: Any) -> Iterator[Served]:
     """Yield a served page; afterwards no thread of it is left."""
-    served = Served(load_model(Settings()), **settings)
+    served = Served(_model(), **settings)
     try:
         yield served
     finally:

@@ -1,5 +1,7 @@
 """Training: reproducible by seed, resumable to the same weights; checkpoints carry their origin."""
 
+import os
+import zipfile
 from importlib import metadata
 from pathlib import Path
 
@@ -255,3 +257,30 @@ def test_the_learning_rate_warms_up_and_decays() -> None:
     assert max(rates) == rates[9] == rates[10] == 1.0
     assert rates[10:] == sorted(rates[10:], reverse=True)
     assert rates[-1] < 0.001
+
+
+def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
+    ran = tmp_path / "ran"
+
+    class Trap:
+        def __reduce__(self) -> tuple[object, ...]:
+            return os.mkdir, (str(ran),)
+
+    torch.save({"state": Trap()}, tmp_path / "trap.pt")
+    with pytest.raises(Exception, match=r"trap\.pt"):
+        checkpoint.load(tmp_path / "trap.pt")
+    assert not ran.exists()
+    torch.load(tmp_path / "trap.pt", weights_only=False)
+    assert ran.exists(), "the trap would not have caught anything"
+
+
+def test_a_checkpoint_that_unpacks_too_large_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "huge.pt"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        with archive.open("archive/data/0", "w", force_zip64=True) as entry:
+            for _ in range(checkpoint.MAX_FILE_BYTES // 2**20):
+                entry.write(bytes(2**20))
+        archive.writestr("archive/data.pkl", b"x")
+    assert path.stat().st_size < 2**20
+    with pytest.raises(CheckpointError, match="larger than 128 MiB"):
+        checkpoint.load(path)
