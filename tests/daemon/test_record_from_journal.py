@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.expectations import LENGTHS, answers, stream_of
+from rigs.expectations import LENGTHS, answers, beginning_of
 from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
@@ -329,7 +329,7 @@ def stages(events: list[Event]) -> list[tuple[str, str]]:
 
 
 def test_a_kept_touch_is_labelled_and_classified_again(tmp_path: Path, classifier: Classifier) -> None:
-    stream, path = stream_of(LENGTHS), tmp_path / "events.jsonl"
+    stream, path = beginning_of(LENGTHS, 5), tmp_path / "events.jsonl"
     with playing(stream, SPEED) as port:
         journal = JournalSettings(path=str(path), keep_touches=20)
         settings = Settings(sensor=SensorSettings(port=port.path), journal=journal, scene=PATIENT)
