@@ -113,7 +113,7 @@ def endured(folder: Path, attacks: Sequence[Attack], seconds: float, **settings:
     """Attack a running daemon from all sides at once; check its memory, its log and how it ends."""
     encode = encoder_for(SensorSettings())
     with (
-        FakePort(stream_of(DEMO), encode, speed=4.0, loop=True) as pad,
+        FakePort(stream_of(DEMO), encode, loop=True) as pad,
         Daemon(folder, pad, **settings) as daemon,
     ):
         wait_for(lambda: daemon.events)

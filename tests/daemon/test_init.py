@@ -78,7 +78,7 @@ def test_a_pad_is_found_at_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @needs_third_study
 def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
-    touches = [each for who, touched, each in third_study() if touched and who == "S15"]
+    touches = [each for _, touched, each in third_study("S15") if touched]
     # Here somebody touches all the time: any eight seconds prove it, wherever init begins to listen.
     played = touches[14]
     stream = Stream(played[:, 1:], played[:, 0] - played[0, 0], ())

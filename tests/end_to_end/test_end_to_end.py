@@ -142,8 +142,6 @@ def test_each_gestures_real_recording_is_one_touch(
     assert sorted(recording.gesture for recording in recordings) == sorted(classifier.labels)
     stream = with_quiet(recordings, [recording for recording in recordings if recording.gesture == "notouch"])
     emitted = run(stream)
-    assert outline(emitted) == outline(answers(stream, classifier))
-
     begins_ms = [event.sensor_ms for event in emitted if isinstance(event, TouchBegan)]
     touching = [span for span in stream.spans if span.gesture != "notouch"]
     assert begins_ms == pytest.approx([int(stream.sensor_ms[span.start]) for span in touching], abs=300)

@@ -16,14 +16,16 @@ JUDGED_ON = ("S10", "S12", "S15", "S18")
 
 
 @cache
-def third_study() -> list[tuple[str, bool, NDArray[np.int_]]]:
-    """Return who touched, whether they did, and (frames, clock and 36 counts) of each stream."""
+def third_study(*who: str) -> list[tuple[str, bool, NDArray[np.int_]]]:
+    """Return who touched, whether they did, and (frames, clock and 36 counts) of these people's streams."""
     streams: dict[str, list[str]] = defaultdict(list)
     keys: dict[str, tuple[str, bool]] = {}
     with gzip.open(Path(str(THIRD_STUDY)) / "streams.csv.gz", "rt") as file:
         assert next(file).startswith("stream,participant,substrate,gesture,ms,label,c1,")
         for row in file:
             stream, participant, _, gesture, at_ms, _, counts = row.rstrip().split(",", 6)
+            if who and participant not in who:
+                continue
             streams[stream].append(f"{at_ms},{counts}")
             keys[stream] = participant, gesture != "notouch"
     return [
