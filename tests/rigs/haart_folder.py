@@ -3,9 +3,13 @@
 import gzip
 import os
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
+
+from touchd.drivers.recording import Recording, read_recordings
+from touchd.model.training import haart
 
 HAART = os.environ.get("TOUCHD_HAART")
 needs_haart = pytest.mark.skipif(HAART is None, reason="TOUCHD_HAART names no folder of HAART recordings")
@@ -22,10 +26,22 @@ needs_third_study = pytest.mark.skipif(
 BARE = "[^,]*,[^,]*,none,"
 
 
-def recordings_of(name: str, keys: str, folder: Path) -> Path:
-    """Copy the rows of a HAART file that match these keys; touchd would parse all to find them."""
+@cache
+def haart_test() -> list[Recording]:
+    """The recordings of HAART's test participants, read once."""
+    return haart.read_test(Path(str(HAART)))
+
+
+def recordings_of(name: str, keys: str, folder: Path, study: str | None = HAART) -> Path:
+    """Copy the rows of a study's file that match these keys; touchd would parse all to find them."""
     wanted = re.compile(keys).match
-    with gzip.open(Path(str(HAART)) / name, "rt") as file:
-        copy = folder / "haart.csv"
-        copy.write_text(next(file) + "".join(row for row in file if wanted(row)))
+    with gzip.open(Path(str(study)) / name, "rt") as file:
+        header = next(line for line in file if not line.startswith("#"))
+        copy = folder / name.removesuffix(".gz")
+        copy.write_text(header + "".join(row for row in file if wanted(row)))
     return copy
+
+
+def one_person(name: str, person: str, folder: Path, study: str | None = HAART) -> list[Recording]:
+    """Read one person's recordings."""
+    return read_recordings(recordings_of(name, f"{person},", folder, study))

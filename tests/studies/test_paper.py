@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
-from rigs.haart_folder import HAART, needs_haart
+from rigs.haart_folder import haart_test, needs_haart
 from torch import nn
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
@@ -118,14 +118,9 @@ def test_a_row_shows_the_longest_training_with_six_blocks(results: Results) -> N
     assert paper._row(results, paper.trained(results)) == ("6 / 60", "60.0", "70.0")
 
 
-@pytest.fixture(scope="module")
-def participants() -> list[Recording]:
-    return haart.read_test(Path(str(HAART)))
-
-
 @needs_haart
-def test_the_papers_network_scores_as_its_stored_answers(participants: list[Recording]) -> None:
-    labels = {frames: haart.cut(participants, frames).labels for frames in evaluate.REPORTED_LENGTHS}
+def test_the_papers_network_scores_as_its_stored_answers() -> None:
+    labels = {frames: haart.cut(haart_test(), frames).labels for frames in evaluate.REPORTED_LENGTHS}
     for cell in paper.trained(RESULTS):
         values = RESULTS.get(cell.key)
         named = np.array(list(values["answers"]), dtype=np.int64)
@@ -135,13 +130,11 @@ def test_the_papers_network_scores_as_its_stored_answers(participants: list[Reco
 
 
 @needs_haart
-@pytest.mark.parametrize(("file", "frames"), [(0, 54), (1, 144)])
-def test_our_networks_score_in_the_papers_windows_as_stored(
-    participants: list[Recording], file: int, frames: int
-) -> None:
+@pytest.mark.parametrize(("file", "frames"), [pytest.param(0, 54, marks=pytest.mark.slow), (1, 144)])
+def test_our_networks_score_in_the_papers_windows_as_stored(file: int, frames: int) -> None:
     stored = RESULTS.get(paper.our_key("published", frames))["accuracies"]
     assert len(stored) == len(touchd_1_files())
-    again = evaluate.score([(Classifier.load(touchd_1_files()[file]), participants)], frames)
+    again = evaluate.score([(Classifier.load(touchd_1_files()[file]), haart_test())], frames)
     assert again.accuracy == pytest.approx(stored[file], abs=TOLERANCE)
 
 

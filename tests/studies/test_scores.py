@@ -1,6 +1,5 @@
 """The scores beside the shipped model belong to that file, are of the right windows, and hold again."""
 
-import gzip
 import hashlib
 import subprocess
 import sys
@@ -13,24 +12,20 @@ from rigs.haart_folder import (
     HAART,
     SECOND_STUDY,
     THIRD_STUDY,
+    haart_test,
     needs_haart,
     needs_second_study,
     needs_third_study,
+    one_person,
+    recordings_of,
 )
 
 from touchd.drivers.fakes.hand import simulate
-from touchd.drivers.recording import (
-    Recording,
-    Selection,
-    ideal_clock_ms,
-    read_recordings,
-    write_recordings,
-)
+from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks import evaluate
 from touchd.model.training import haart, second_study, third_study
-from touchd.model.training.haart import TRAINING_FILE, find
 from touchd.model.training.studies import MISSING
 
 pytest.importorskip("torch", reason="needs the extra train")
@@ -103,15 +98,11 @@ def on(person: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("person", [person, pytest.param(None, marks=pytest.mark.slow)])
 
 
-def recordings_in(file: Path, person: str | None) -> list[Recording]:
-    return read_recordings(file, Selection(participants=(person,) if person else ()))
-
-
 @needs_haart
 @pytest.mark.timeout(300)
 @on("T9")
 def test_the_test_participants_score_as_published(scores: Scores, person: str | None) -> None:
-    recordings = haart.realigned(recordings_in(find(Path(str(HAART)), haart.TEST_FILE), person))
+    recordings = haart.realigned(haart.only(haart_test(), [person]) if person else haart_test())
     for frames in (54,) if person else (54, 144):
         again = evaluate.score([(Classifier.load(), recordings)], frames)
         published = stored(scores.test.realigned, frames)
@@ -124,8 +115,14 @@ def test_the_test_participants_score_as_published(scores: Scores, person: str | 
 @needs_haart
 @pytest.mark.timeout(300)
 @on("P4")
-def test_the_held_out_participants_score_as_published(scores: Scores, person: str | None) -> None:
-    recordings = haart.realigned(recordings_in(find(Path(str(HAART)), TRAINING_FILE), person))
+def test_the_held_out_participants_score_as_published(
+    scores: Scores, person: str | None, tmp_path: Path
+) -> None:
+    if person:
+        published_recordings = one_person(f"{haart.TRAINING_FILE}.gz", person, tmp_path)
+    else:
+        published_recordings = haart.read_training(Path(str(HAART)))
+    recordings = haart.realigned(published_recordings)
     again = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
     published = stored(scores.left_out.realigned, 144)
     assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))
@@ -134,10 +131,12 @@ def test_the_held_out_participants_score_as_published(scores: Scores, person: st
 @needs_second_study
 @pytest.mark.timeout(300)
 @on("R14")
-def test_the_second_study_scores_as_published(scores: Scores, person: str | None) -> None:
-    # The person is in the first file.
-    files = [find(Path(str(SECOND_STUDY)), name) for name in second_study.FILES[: 1 if person else None]]
-    recordings = second_study.scored([each for file in files for each in recordings_in(file, person)])
+def test_the_second_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
+    if person:
+        stored_recordings = one_person(f"{second_study.FILES[0]}.gz", person, tmp_path, SECOND_STUDY)
+    else:
+        stored_recordings = second_study.read(Path(str(SECOND_STUDY)))
+    recordings = second_study.scored(stored_recordings)
     left_out = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
     unseen = evaluate.score([(Classifier.load(WIDE_MODEL), recordings)], 144)
     for again, evaluated in ((left_out, scores.second_study), (unseen, scores.cross_study)):
@@ -154,10 +153,7 @@ def test_the_second_study_scores_as_published(scores: Scores, person: str | None
 def test_the_third_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     folder = Path(str(THIRD_STUDY))
     if person:
-        # Laying all others' recordings on the grid would take longer than the scoring.
-        with gzip.open(find(folder, third_study.FILE), "rt") as file:
-            own = [line for number, line in enumerate(file) if not number or f",{person}," in line]
-        (tmp_path / third_study.FILE).write_text("".join(own))
+        recordings_of(f"{third_study.FILE}.gz", f"[^,]*,{person},", tmp_path, THIRD_STUDY)
         folder = tmp_path
     recordings = third_study.read(folder)
     assert {each.participant for each in recordings} == ({person} if person else set(THIRD_STUDY_PEOPLE))
@@ -180,7 +176,7 @@ def tolerance(person: str | None) -> float:
 def small_haart(tmp_path: Path) -> Path:
     """A folder with two recordings a gesture of one test person and of one training person."""
     for name, person in ((haart.TEST_FILE, "T1"), (haart.TRAINING_FILE, "P3")):
-        made = [replace(each, participant=person) for each in simulate([(g, 8.0) for g in haart.GESTURES], 3)]
+        made = [replace(each, participant=person) for each in simulate([(g, 3.0) for g in haart.GESTURES], 3)]
         write_recordings(tmp_path / name, made, {})
     return tmp_path
 

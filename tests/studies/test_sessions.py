@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.haart_folder import SECOND_STUDY, needs_second_study
+from rigs.haart_folder import SECOND_STUDY, needs_second_study, one_person
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 
@@ -97,10 +97,10 @@ def test_touches_of_the_second_study_stay_apart() -> None:
     ],
 )
 def test_a_breathing_robots_answers_are_as_measured(
-    people: tuple[str, ...], touches: int, split: float, final: float
+    people: tuple[str, ...], touches: int, split: float, final: float, tmp_path: Path
 ) -> None:
-    path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
-    recordings = read_recordings(path, Selection(participants=people, substrates=("dynamic",)))
+    each = [one_person("robot-pad.csv.gz", person, tmp_path, SECOND_STUDY) for person in people]
+    recordings = [recording for own in each for recording in own if recording.substrate == "dynamic"]
     never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R03-R04-R06-L1-S01-S06-S11-S15.onnx"
     result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
     assert result.n == touches

@@ -1,23 +1,21 @@
 """The tracker's committed figures, checked again on a part of their recordings."""
 
-import os
 import statistics
-from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.haart_folder import needs_haart
+from rigs.haart_folder import needs_haart, one_person
 
 from touchd.daemon.events import Prediction
 from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.frame import Frame
-from touchd.drivers.recording import NO_TOUCH, Recording, Selection, ideal_clock_ms, read_recordings, realign
+from touchd.drivers.recording import NO_TOUCH, Recording, ideal_clock_ms
 from touchd.model.classifier import Classifier
 from touchd.model.studies.play import play
 from touchd.model.studies.tracker import figures, report
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.studies.tracker.measure import spliced
-from touchd.model.training.haart import TRAINING_FILE, find
+from touchd.model.training import haart
 
 SAMPLE = "P6"
 
@@ -28,9 +26,9 @@ def committed() -> TouchReport:
 
 
 @pytest.fixture(scope="module")
-def recordings() -> list[Recording]:
-    path = find(Path(os.environ["TOUCHD_HAART"]), TRAINING_FILE)
-    return [realign(recording) for recording in read_recordings(path, Selection(participants=(SAMPLE,)))]
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
+    folder = tmp_path_factory.mktemp("haart")
+    return haart.realigned(one_person(f"{haart.TRAINING_FILE}.gz", SAMPLE, folder))
 
 
 @pytest.mark.parametrize("splice", ["as recorded", "rest levelled"])
