@@ -129,8 +129,9 @@ def test_the_papers_network_scores_as_its_stored_answers() -> None:
         assert again == pytest.approx(values["accuracies"][-1], abs=TOLERANCE), cell.key
 
 
+@pytest.mark.slow
 @needs_haart
-@pytest.mark.parametrize(("file", "frames"), [pytest.param(0, 54, marks=pytest.mark.slow), (1, 144)])
+@pytest.mark.parametrize(("file", "frames"), [(0, 54), (1, 144)])
 def test_our_networks_score_in_the_papers_windows_as_stored(file: int, frames: int) -> None:
     stored = RESULTS.get(paper.our_key("published", frames))["accuracies"]
     assert len(stored) == len(touchd_1_files())

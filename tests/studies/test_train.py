@@ -192,7 +192,7 @@ def test_a_finished_training_is_not_trained_on(finished: tuple[Checkpoint, Path]
 
 
 def test_two_plainly_different_gestures_are_learnt(tmp_path: Path) -> None:
-    longer = msgspec.structs.replace(SETTINGS, epochs=25, average_decay=0.9)
+    longer = msgspec.structs.replace(SETTINGS, epochs=16, average_decay=0.8)
     network = train(recordings(), longer, tmp_path, DEVICE).build()
     unseen = recordings(("P9",), seed=7)
     with torch.no_grad():
