@@ -65,12 +65,6 @@ def keep(terminal: Terminal, *until: str) -> str:
 def test_commands_run_as_typed_on_a_fake_pad(pad: str) -> None:
     assert [line.split()[0] for line in TYPED] == ["fake-pad", "init", "doctor", "record", "teach", "run"]
     init(pad)
-    with typed("doctor") as terminal:
-        terminal.until("fabric-grid 10x10")
-        terminal.until("as configured")
-        terminal.until("frames/s")
-        terminal.until("to do")
-        assert terminal.process.wait(WITHIN_S) == 1
     with typed("record") as terminal:
         terminal.until("Who touches the pad?")
     with typed("run") as terminal:
@@ -79,8 +73,15 @@ def test_commands_run_as_typed_on_a_fake_pad(pad: str) -> None:
 
 
 @pytest.mark.slow
-def test_record_runs_as_typed_on_a_fake_pad(pad: str) -> None:
+@pytest.mark.timeout(300)
+def test_doctor_and_record_run_as_typed_on_a_fake_pad(pad: str) -> None:
     init(pad)
+    with typed("doctor") as terminal:
+        terminal.until("fabric-grid 10x10")
+        terminal.until("as configured")
+        terminal.until("frames/s")
+        terminal.until("to do")
+        assert terminal.process.wait(WITHIN_S) == 1
     with typed("record") as terminal:
         terminal.until("Who touches the pad?")
         terminal.answer("ann", "What is under the pad?")

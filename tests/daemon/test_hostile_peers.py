@@ -155,8 +155,8 @@ STRANGERS: dict[str, tuple[str, Configure, str, Stranger]] = {
 ATTACKS = (*SERVERS, *STRANGERS)
 
 
-# Together: one by each peer, and those by strangers that find their ports apart. The two others, which only
-# the minutes' attacks bring, meet the same allowance as the other answers of a rosbridge.
+# Together: one by each peer, and those of strangers, of which one at most fills the memory that a library's
+# process may take. The others, which only the minutes' attacks bring, meet an allowance that is met here too.
 TOGETHER = (
     (
         "mqtt, QoS 2 without end",
@@ -164,17 +164,18 @@ TOGETHER = (
         "robot, no answer to the login",
         "lsl, an endless request",
     ),
-    ("mqtt, a message of 256 MiB", "rosbridge, pings", "robot, a message of 4 GB", "lsl, many listeners"),
     (
         "mqtt, a broker that reads nothing",
         "rosbridge, refusals",
-        "robot, zeros",
+        "robot, a message of 4 GB",
         "lsl, datagrams",
         "ros2, participants",
     ),
     (
         "mqtt, zeros",
         "rosbridge, an endless answer",
+        "robot, zeros",
+        "lsl, many listeners",
         "ros2, datagrams",
         "live page, viewers",
         "pad, tcp",
@@ -186,15 +187,15 @@ TOGETHER = (
 
 @contextmanager
 def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
-    """Attack, in a thread, the ports at which a daemon and what it started listen."""
+    """Attack, in a thread, the ports at which a daemon, first, and what it started listen."""
 
     def find() -> list[int]:
-        ports = set()
+        ports: dict[int, None] = {}
         with suppress(FileNotFoundError, ProcessLookupError):
             for kind, address, state in [one for each in (pid, *children(pid)) for one in sockets(each)]:
                 if kind == protocol and (protocol == "udp" or state == LISTENS):
-                    ports.add(int(address.split(":")[1], 16))
-        return sorted(ports)
+                    ports[int(address.split(":")[1], 16)] = None
+        return list(ports)
 
     ended = threading.Event()
     thread = threading.Thread(target=attack, args=(find, lambda: not ended.is_set()))

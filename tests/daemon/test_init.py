@@ -55,25 +55,17 @@ class Found:
         self.device = device
 
 
-def test_the_pads_port_is_found_among_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pads_port_is_found_among_others_and_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
-    with FakePort(STREAM, ENCODE, loop=True) as pad:
+    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0) as pad:
         monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
         assert write() == 0
     settings = load(FILE)
     assert settings.sensor.described == SensorSettings().described
-    assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 115_200)
+    assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 57_600)
     with pytest.raises(ConfigError, match="is there already"):
         write()
-
-
-def test_a_pad_is_found_at_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
-    pad = pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0)
-    with pad:
-        assert write("--port", pad.path) == 0
-    assert load(FILE).sensor.baud == 57_600
 
 
 @needs_third_study

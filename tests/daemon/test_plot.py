@@ -76,9 +76,10 @@ def test_time_continues_when_the_pads_clock_restarts() -> None:
 
 
 @pytest.mark.parametrize(("gesture", "is_red"), [("purr", True), (UNLABELLED, False)])
-def test_an_answer_is_wrong_only_where_labels_exist(gesture: str, is_red: bool) -> None:
-    parts = [part if part.gesture == "notouch" else replace(part, gesture=gesture) for part in recordings()]
-    figure = plot_recording.draw(traced(splice(parts)), "a title")
+def test_an_answer_is_wrong_only_where_labels_exist(demo: Trace, gesture: str, is_red: bool) -> None:
+    spans = demo.stream.spans
+    labelled = tuple(span if span.gesture == "notouch" else replace(span, gesture=gesture) for span in spans)
+    figure = plot_recording.draw(replace(demo, stream=replace(demo.stream, spans=labelled)), "a title")
     assert ("#c00000" in {text.get_color() for text in figure.findobj(Text)}) == is_red
 
 

@@ -114,7 +114,7 @@ def named(model: Classifier, counts: Counts) -> str:
 
 
 @pytest.mark.parametrize("size", ["hand", "finger"])
-@pytest.mark.parametrize("step", [2, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_single_slow_pass_is_named_stroke(classifier: Classifier, size: Size, step: int) -> None:
     routes = [one_pass(seconds, 0.4 * math.pi * turn) for seconds in (1.0, 2.0, 3.0) for turn in range(5)]
     routes = routes[::step]

@@ -204,6 +204,7 @@ def test_splicing_nothing_is_refused() -> None:
 
 
 @needs_haart
+@pytest.mark.slow
 def test_haarts_files_are_read_completely() -> None:
     recordings = read_recordings(Path(os.environ["TOUCHD_HAART"]) / "testWITHLABELS.csv.gz")
     assert {recording.counts.shape for recording in recordings} == {(432, 8, 8)}

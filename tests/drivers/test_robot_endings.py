@@ -49,7 +49,7 @@ def _exits_cleanly(state: str) -> str:
 
 
 @needs_qi
-@pytest.mark.parametrize("state", ["busy", "hung"])
+@pytest.mark.parametrize("state", ["hung", pytest.param("busy", marks=pytest.mark.slow)])
 def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
     assert _exits_cleanly(state) == ""
 
