@@ -23,11 +23,11 @@ def published_csv(participants: tuple[str, ...], frames: int = PUBLISHED_FRAMES,
     """Made-up recordings in the layout of the official training file: quoted, space-padded header."""
     cells = ", ".join(f'"cell{i}"' for i in range(1, 65))
     header = f'"ParticipantNo", "Substrate", "Cover", "Gesture", {cells}'
-    rng = np.random.default_rng(0)
+    counts = np.random.default_rng(0).integers(1024, size=(len(participants), frames, 64)).tolist()
     rows = [
-        f"{participant},foam,fur,{gesture}," + ",".join(map(str, rng.integers(1024, size=64)))
-        for participant in participants
-        for _ in range(frames)
+        f"{participant},foam,fur,{gesture}," + ",".join(map(str, frame))
+        for participant, own in zip(participants, counts, strict=True)
+        for frame in own
     ]
     return "\n".join([header, *rows]) + "\n"
 
@@ -39,7 +39,7 @@ TEST_CSV = published_csv(("T1",))
 
 def archive(members: dict[str, str]) -> bytes:
     content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as opened:
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as opened:
         for name, text in members.items():
             opened.writestr(name, text)
     return content.getvalue()

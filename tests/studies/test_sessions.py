@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from rigs.haart_folder import SECOND_STUDY, needs_second_study, one_person
+from rigs.haart_folder import SECOND_STUDY, needs_second_study, recordings_of
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 
@@ -99,8 +99,8 @@ def test_touches_of_the_second_study_stay_apart() -> None:
 def test_a_breathing_robots_answers_are_as_measured(
     people: tuple[str, ...], touches: int, split: float, final: float, tmp_path: Path
 ) -> None:
-    each = [one_person("robot-pad.csv.gz", person, tmp_path, SECOND_STUDY) for person in people]
-    recordings = [recording for own in each for recording in own if recording.substrate == "dynamic"]
+    moving = f"({'|'.join(people)}),dynamic,"
+    recordings = read_recordings(recordings_of("robot-pad.csv.gz", moving, tmp_path, SECOND_STUDY))
     never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R03-R04-R06-L1-S01-S06-S11-S15.onnx"
     result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
     assert result.n == touches
