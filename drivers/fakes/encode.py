@@ -39,9 +39,10 @@ def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -
 def values_of(described: PadFormat, counts: Counts) -> Values:
     """Turn pressure (8, 8) into values (rows, columns) that decode to it; cropped cells are at rest."""
     turned = np.rot90(counts[:, ::-1] if described.mirror else counts, described.turn // 90)
-    left = (described.rows - 2 * described.crop, described.columns - 2 * described.crop)
-    at = [np.arange(side) * 8 // side for side in left]
-    grid = np.pad(turned[np.ix_(*at)], described.crop)
+    rows, columns, crop = described.rows, described.columns, described.crop
+    down, right = (np.arange(side - 2 * crop) * 8 // (side - 2 * crop) for side in (rows, columns))
+    grid = np.zeros((rows, columns), turned.dtype)
+    grid[crop : rows - crop, crop : columns - crop] = turned[down[:, None], right]
     if described.invert:
         grid = MAX_COUNT - grid
     values = grid * (described.full_scale / MAX_COUNT)

@@ -38,7 +38,11 @@ def dangers(source: str) -> Iterator[str]:
             yield node.module or ""
         elif isinstance(node, ast.Call):
             called = ast.unparse(node.func)
-            given = {keyword.arg: ast.unparse(keyword.value) for keyword in node.keywords}
+            given = {
+                keyword.arg: ast.unparse(keyword.value)
+                for keyword in node.keywords
+                if keyword.arg in ("shell", "weights_only", "allow_pickle")
+            }
             if called in ("eval", "exec", "os.system", "os.popen") or given.get("shell") == "True":
                 yield called
             if called == "torch.load" and given.get("weights_only") != "True":
