@@ -248,7 +248,14 @@ NO_PADS: dict[str, Callable[[int], str | bytes]] = {
 }
 
 
-@pytest.mark.parametrize("printed", NO_PADS.values(), ids=NO_PADS)
+# The longest frames take longest.
+SENSORS = [
+    pytest.param(printed, id=name, marks=[pytest.mark.slow] if name == "coloured lights" else [])
+    for name, printed in NO_PADS.items()
+]
+
+
+@pytest.mark.parametrize("printed", SENSORS)
 def test_other_sensors_are_no_pads(printed: Callable[[int], str | bytes]) -> None:
     finding = found_in(printed)
     assert finding.proposed is None
