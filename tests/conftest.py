@@ -33,15 +33,14 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # Training or exporting a network imports torch's compiler, which takes as long as torch itself: one worker
-# does all of it. test_scores reads the same recordings as two of the others.
+# does all of it.
 TRAINING = (
     "test_adapt.py",
     "test_tgc.py",
-    "test_scores.py",
     "test_challenge.py",
-    "test_paper.py",
     "test_train.py",
     "test_speed.py",
+    "test_paper.py",
 )
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
@@ -52,6 +51,7 @@ LONGEST = (
     "test_live_page.py",
     "test_search.py",
     "test_end_to_end.py",
+    "test_scores.py",
     "test_first_day.py",
     "test_pipeline.py",
     "test_doctor_line.py",

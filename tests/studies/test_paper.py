@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
-from rigs.haart_folder import haart_test, needs_haart
+from rigs.haart_folder import HAART, haart_test_without_counts, needs_haart
 from torch import nn
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
@@ -120,7 +120,8 @@ def test_a_row_shows_the_longest_training_with_six_blocks(results: Results) -> N
 
 @needs_haart
 def test_the_papers_network_scores_as_its_stored_answers() -> None:
-    labels = {frames: haart.cut(haart_test(), frames).labels for frames in evaluate.REPORTED_LENGTHS}
+    recordings = haart_test_without_counts()
+    labels = {frames: haart.cut(recordings, frames).labels for frames in evaluate.REPORTED_LENGTHS}
     for cell in paper.trained(RESULTS):
         values = RESULTS.get(cell.key)
         named = np.array(list(values["answers"]), dtype=np.int64)
@@ -135,7 +136,8 @@ def test_the_papers_network_scores_as_its_stored_answers() -> None:
 def test_our_networks_score_in_the_papers_windows_as_stored(file: int, frames: int) -> None:
     stored = RESULTS.get(paper.our_key("published", frames))["accuracies"]
     assert len(stored) == len(touchd_1_files())
-    again = evaluate.score([(Classifier.load(touchd_1_files()[file]), haart_test())], frames)
+    recordings = haart.read_test(Path(str(HAART)))
+    again = evaluate.score([(Classifier.load(touchd_1_files()[file]), recordings)], frames)
     assert again.accuracy == pytest.approx(stored[file], abs=TOLERANCE)
 
 

@@ -50,7 +50,9 @@ def test_noise_begins_at_its_time_and_not_before() -> None:
     assert (clean.counts[540:] != noisy.counts[540:]).mean() > 0.5
 
 
-@pytest.mark.parametrize("disturbance", [{}, {"noise": 1.5}, {"hum": 2.0}, {"motor": 2.0}])
+@pytest.mark.parametrize(
+    "disturbance", [pytest.param({}, marks=pytest.mark.slow), {"noise": 1.5}, {"hum": 2.0}, {"motor": 2.0}]
+)
 def test_the_touches_of_a_session_stay_apart(disturbance: dict[str, float], classifier: Classifier) -> None:
     session = made(SessionSettings(**disturbance))
     result = score([judge(session, play(frames_of(session.counts), classifier))])
