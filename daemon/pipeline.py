@@ -37,7 +37,7 @@ from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
 from touchd.drivers.pad.monitor import REST_FRAMES, PadMonitor
-from touchd.model.classifier import Classifier, State
+from touchd.model.classifier import Classifier, State, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the network is asked about the last three quarters of a second alone, three times a
@@ -181,12 +181,12 @@ class Pipeline:
 
     def _p_no_touch(self, window: NDArray[np.float32]) -> float:
         """Return the model's probability that nothing touches the pad in these frames."""
+        window = as_known(window, self._tracker.baseline.counts)
         return float(self._model.probabilities(window)[self._model.labels.index(NO_TOUCH)])
 
     def _stop(self, reason: EndReason) -> None:
         since_s = self._clock.monotonic_s()
-        release = self._tracker.forget(reason)
-        if release is not None:
+        if (release := self._tracker.forget(reason)) is not None:
             self._end(release, since_s)
         self._ring.reset()
 
@@ -227,7 +227,8 @@ class Pipeline:
                 show(live)
 
     def _window(self, stop_index: int, length: int) -> NDArray[np.float32]:
-        return self._tracker.without_loose_wire(self._ring.window(stop_index, length))
+        window = self._tracker.without_loose_wire(self._ring.window(stop_index, length))
+        return as_known(window, self._tracker.baseline.counts)
 
     def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         if frame.index - self._tracker.last_contact_index > LIFT_OFF_FRAMES:

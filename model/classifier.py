@@ -21,6 +21,8 @@ MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
 TRIAL_S = 10.0
 TRIAL_FRAMES = 54
+# The pads that the network learnt from rest at up to 8 counts in the mean.
+KNOWN_REST_COUNTS = 10.0
 
 # Every answer's event carries all of them; these limits bound its size.
 MOST_LABELS, LONGEST_LABEL = 12, 24
@@ -141,6 +143,16 @@ class Classifier:
         if not (counts.min(initial=0.0) >= 0.0 and counts.max(initial=0.0) <= MAX_COUNT):
             raise ModelInputError(f"counts must be finite and within 0 to {MAX_COUNT}")
         return counts
+
+
+def as_known(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return (T, 8, 8) counts as the network knows them: above rest, 64 counts, if the pad rests higher.
+
+    Without this, a touch on a pad that rests at 60 counts is called constant, whatever it is.
+    """
+    if rest.mean() <= KNOWN_REST_COUNTS:
+        return frames
+    return (frames - rest.reshape(frames.shape[1:])).clip(0)
 
 
 def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:

@@ -23,6 +23,7 @@ from touchd.drivers.pad.parser import FrameParser
 LONG_HEADER = 3
 # A pad that has not answered by then is polled again.
 REPLY_S = 0.2
+CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 PLAIN_CELLS = {
     ("u8", "little"): "u1",
     ("u8", "big"): "u1",
@@ -37,6 +38,13 @@ PLAIN_CELLS = {
 U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
 
 
+def frame_bytes(described: PadFormat) -> int:
+    """Return the length of a pad's binary frame."""
+    cells = -(-described.cells * CELL_BITS[described.cell] // 8)
+    around = described.skip + described.tail + (described.checksum != "none")
+    return len(described.first_bytes) + 4 * described.clock + cells + around
+
+
 class BinaryFrames(FrameParser):
     """Parser for frames with a header or a footer; keeps less than two frames' bytes between calls.
 
@@ -46,7 +54,7 @@ class BinaryFrames(FrameParser):
     def __init__(self, described: PadFormat) -> None:
         super().__init__(described)
         self._header = described.first_bytes
-        self._size = described.frame_bytes
+        self._size = frame_bytes(described)
         self._cells_at = len(self._header) + 4 * described.clock + described.skip
         self._cells_end = self._size - described.tail - (described.checksum != "none")
         self._position = 0

@@ -13,7 +13,6 @@ from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 SHORTEST_SIDE, LONGEST_SIDE = 4, 64
 Side = Annotated[int, msgspec.Meta(ge=SHORTEST_SIDE, le=LONGEST_SIDE)]
 Few = Annotated[int, msgspec.Meta(ge=0, le=64)]
-CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 # The largest value of a cell; a float has none that matters.
 CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
 
@@ -133,13 +132,6 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def first_bytes(self) -> bytes:
         """The bytes before every frame but perhaps the first: the previous one's footer and its header."""
         return bytes.fromhex(self.footer) + bytes.fromhex(self.header)
-
-    @property
-    def frame_bytes(self) -> int:
-        """Length of a binary frame."""
-        cells = -(-self.cells * CELL_BITS[self.cell] // 8)
-        around = self.skip + self.tail + (self.checksum != "none")
-        return len(self.first_bytes) + 4 * self.clock + cells + around
 
 
 PRESETS = {

@@ -13,8 +13,8 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from touchd.drivers.pad.binary import PLAIN_CELLS, U12_BITS, BinaryFrames
-from touchd.drivers.pad.format import CELL_BITS, CELL_TOP, PadFormat
+from touchd.drivers.pad.binary import CELL_BITS, PLAIN_CELLS, U12_BITS, BinaryFrames, frame_bytes
+from touchd.drivers.pad.format import CELL_TOP, PadFormat
 from touchd.drivers.search.coupling import Movement, Numbers, sides
 from touchd.drivers.search.text import LEAST_FRAMES, Guess
 
@@ -324,7 +324,7 @@ def _headers(
 def complete(described: PadFormat, data: bytes, times_s: Numbers) -> PadFormat:
     """Return a description with the clock and the checksum that are among the bytes it skips."""
     reader = BinaryFrames(described)
-    size, header = described.frame_bytes, described.first_bytes
+    size, header = frame_bytes(described), described.first_bytes
     starts, at = [], data.find(header)
     while at >= 0 and at + size <= len(data):
         if data[at + size : at + size + len(header)] == header:

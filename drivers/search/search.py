@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from touchd.drivers.frame import MAX_COUNT
 from touchd.drivers.pad.arrived import is_text, looks_like
+from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import CELL_TOP, PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
@@ -296,7 +297,7 @@ def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) ->
     share = len(came_s) / (len(came_s) + max(refused - 1, 0))
     if described.framing == "binary":
         sent = sum(len(chunk.data) for chunk in chunks)
-        share = min(share, (len(came_s) + 2) * described.frame_bytes / sent)
+        share = min(share, (len(came_s) + 2) * frame_bytes(described) / sent)
     if share < EXPLAINED:
         return f"that explains {100 * share:.0f} % of what came, not {100 * EXPLAINED:.0f} %"
     rate_hz = len(came_s) / max(last_s - first_s, 1e-3)

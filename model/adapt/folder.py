@@ -3,7 +3,10 @@
 import hashlib
 import re
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ
@@ -16,8 +19,9 @@ from touchd.drivers.recording import (
     on_grid,
     read_recordings,
     realign,
+    set_up,
 )
-from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS
+from touchd.model.classifier import KNOWN_REST_COUNTS, LONGEST_LABEL, MOST_LABELS, as_known
 
 # The first answer needs 54 frames.
 SHORTEST_FRAMES = 54
@@ -36,6 +40,7 @@ class ExtraError(TouchdError):
 def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
     """Return every recording of the folder's files, in the order of their names: whole scans at 54 Hz.
 
+    On a pad that rests high they are what the daemon shows the network: see `as_known`.
     known: gestures of the model to adapt. keep_all: whether it keeps those without recordings.
     Raises ExtraError.
     """
@@ -58,7 +63,23 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
             first_of[digest] = path
             recordings.append(recording)
     _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
-    return recordings
+    return _as_known(recordings)
+
+
+def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
+    """Return the recordings above the rest of their own set-up, or else of any."""
+    untouched = [recording for recording in recordings if recording.gesture == NO_TOUCH]
+    rests = {set_up(each): np.median(each.counts, axis=0).astype(np.float32) for each in reversed(untouched)}
+    if not rests:
+        return [*recordings]
+    any_rest = next(iter(rests.values()))
+    known = []
+    for each in recordings:
+        rest = rests.get(set_up(each), any_rest)
+        is_high = rest.mean() > KNOWN_REST_COUNTS
+        counts = as_known(each.counts.astype(np.float32), rest) if is_high else each.counts
+        known.append(replace(each, counts=counts))
+    return known
 
 
 def files_of(folder: Path) -> list[Path]:

@@ -19,6 +19,7 @@ from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent,
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
 from touchd.daemon.tracker.tracker import TouchSettings
+from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame, SensorState
 from touchd.drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice
 from touchd.model.classifier import Classifier, State
@@ -182,6 +183,24 @@ def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> Non
         window = np.stack(counts[first : first + prediction.frames])
         expected = dict(zip(classifier.labels, classifier.probabilities(window).tolist(), strict=True))
         assert prediction.probabilities == pytest.approx(expected, abs=1e-4)
+
+
+def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> None:
+    script = [("notouch", 3.0)]
+    for gesture in ("stroke", "pat", "constant", "rub", "scratch", "tickle"):
+        script += [(gesture, 4.0), ("notouch", 3.0)]
+    counts = splice(simulate(script, 1)).counts
+    differ = np.random.default_rng(0).uniform(0.5, 1.5, (8, 8))
+
+    def finals(rest_counts: int) -> list[str]:
+        emitted: list[Event] = []
+        resting = np.minimum(counts + np.rint(rest_counts * differ), MAX_COUNT).astype(np.uint16)
+        pipeline = Pipeline(PipelineSettings(), classifier, emitted.append, STOPPED)
+        play(Stream(resting, ideal_clock_ms(len(resting)), ()), pipeline)
+        return [event.gesture for event in predictions(emitted) if event.stage == "final"]
+
+    assert finals(0) == ["stroke", "pat", "constant", "rub", "scratch", "tickle"]
+    assert finals(40) == finals(300) == finals(0)
 
 
 def when_sure(

@@ -14,6 +14,7 @@ from rigs.wire import counts_of
 
 from touchd.drivers.fakes.encode import encode_frame, encode_values, values_of
 from touchd.drivers.frame import Frame
+from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
@@ -78,7 +79,7 @@ def feed(parser: FrameParser, data: bytes, cuts: Sequence[int] = ()) -> list[Fra
 
 def longest(described: PadFormat) -> int:
     if described.framing == "binary":
-        return described.frame_bytes
+        return frame_bytes(described)
     return 24 * (described.cells + described.skip + described.tail) + 256
 
 
@@ -198,7 +199,7 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     assert_are(described, frames, [0, 1, 3, 4, 5])
     assert parser.counts.bad == 2
     # All but a byte of one reply, and a byte after another.
-    assert parser.counts.bytes_dropped == described.frame_bytes
+    assert parser.counts.bytes_dropped == frame_bytes(described)
     assert parser.ask_in_s(5 / 54) == pytest.approx(1 / 54)
     parser.ask(1.0)
     assert parser.ask_in_s(1.05) == float("inf")

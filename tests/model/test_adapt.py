@@ -95,6 +95,19 @@ def weights(head: torch.nn.Module) -> torch.Tensor:
     return torch.cat([weight.detach().flatten() for weight in head.parameters()])
 
 
+@pytest.mark.parametrize("rest_counts", [5, 60])
+def test_a_high_rest_is_taken_out_of_recordings(tmp_path: Path, rest_counts: int) -> None:
+    made = [
+        replace(each, counts=each.counts + np.uint16(rest_counts))
+        for each in simulated(("Ann",), 1, ("notouch", "pat"))
+    ]
+    untouched, touched = read_folder(keep(tmp_path / "lab", made), ())
+    is_high = rest_counts > 10
+    rest = np.median(made[0].counts, axis=0) if is_high else np.zeros((8, 8))
+    assert np.array_equal(touched.counts, np.clip(made[1].counts - rest, 0, None))
+    assert (untouched.counts.mean() < 2) == is_high
+
+
 @pytest.fixture(scope="module")
 def pretrained() -> Pretrained:
     return Pretrained.shipped()

@@ -49,7 +49,8 @@ def test_streams_are_scored_by_what_the_daemon_says(tmp_path: Path, classifier: 
 @pytest.mark.slow
 @needs_third_study
 def test_the_page_says_what_the_streams_give() -> None:
-    result = measure(Path(str(THIRD_STUDY)), held_out())
+    models = held_out()
+    result = measure(Path(str(THIRD_STUDY)), models)
     page = " ".join((Path(__file__).parents[2] / "docs" / "sessions.md").read_text("utf-8").split())
     share, right = 100 * result.several / result.touched, 100 * result.right / result.named
     detected = (
@@ -60,3 +61,10 @@ def test_the_page_says_what_the_streams_give() -> None:
     assert result.missed == result.false == 0
     assert share <= 8
     assert right >= 75
+    high = measure(Path(str(THIRD_STUDY)), models, 60)
+    assert (
+        f"{high.right} of {high.named} named touches are right ({100 * high.right / high.named:.0f} %;"
+        in page
+    )
+    assert f"{high.missed} of {high.touched} are missed" in page
+    assert f"in {high.false} of the {high.rest} recordings without any" in page

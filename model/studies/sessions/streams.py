@@ -2,6 +2,7 @@
 
 Each row becomes a line of text, the pad's clock and 36 numbers, and goes through the daemon's parser and
 pipeline with a network that never saw the person. Before the first row the pad rests for two seconds.
+`--rest` makes it a pad that rests far from 0.
 """
 
 import csv
@@ -14,6 +15,7 @@ from itertools import cycle, groupby, islice
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from touchd.daemon.config import SceneSettings, SensorSettings, Settings
 from touchd.daemon.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
@@ -61,21 +63,25 @@ class Stream:
     touched_s: tuple[float, float] | None
 
 
-def read(folder: Path) -> Iterator[Stream]:
-    """Yield the streams of gestures that touchd has a name for; raises RecordingError without the file."""
+def read(folder: Path, rest_counts: int = 0) -> Iterator[Stream]:
+    """Yield the streams of gestures that touchd has a name for; raises RecordingError without the file.
+
+    rest_counts: by how much more the pad reads, in the mean; cells differ by half of it up or down.
+    """
     path = find(folder, FILE, "name its folder: --third-study")
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
         for (_, participant, gesture), group in groupby(
             csv.DictReader(file), lambda row: (row["stream"], row["participant"], row["gesture"])
         ):
             if gesture in NAMES:
-                yield _stream(participant, NAMES[gesture], list(group))
+                yield _stream(participant, NAMES[gesture], list(group), rest_counts)
 
 
-def _stream(participant: str, gesture: str, rows: Sequence[dict[str, str]]) -> Stream:
+def _stream(participant: str, gesture: str, rows: Sequence[dict[str, str]], rest_counts: int) -> Stream:
+    rest = np.rint(rest_counts * np.random.default_rng(0).uniform(0.5, 1.5, PAD.cells)).astype(int)
+    names = [f"c{number}" for number in range(1, PAD.cells + 1)]
     cells = [
-        ",".join(value for name, value in row.items() if name[0] == "c" and name[1:].isdigit())
-        for row in rows
+        ",".join(str(int(row[name]) + more) for name, more in zip(names, rest, strict=True)) for row in rows
     ]
     first_ms = float(rows[0]["ms"])
     at_s = [REST_S + (float(row["ms"]) - first_ms) / 1000 for row in rows]
@@ -137,12 +143,12 @@ def _told(events: Sequence[Event], touches: set[int]) -> list[str]:
     return [answer.gesture for answer in answers if answer.told and answer.gesture != UNCERTAIN]
 
 
-def measure(folder: Path, models: dict[str, Classifier] | Classifier) -> StreamScore:
+def measure(folder: Path, models: dict[str, Classifier] | Classifier, rest_counts: int = 0) -> StreamScore:
     """Play every stream with the model of its person, and score them together."""
     return score(
         [
             (stream, play(stream, models if isinstance(models, Classifier) else models[stream.participant]))
-            for stream in read(folder)
+            for stream in read(folder, rest_counts)
         ]
     )
 
@@ -164,9 +170,13 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--model", type=Path, help="an ONNX file; without it, networks that never saw the person"
     )
+    parser.add_argument(
+        "--rest", type=int, default=0, metavar="COUNTS", help="how far from 0 the pad rests (%(default)s)"
+    )
     chosen = parser.parse_args(arguments)
     # Not what the log says of each pad.
     logging.disable()
-    result = measure(chosen.third_study, Classifier.load(chosen.model) if chosen.model else held_out())
+    models = Classifier.load(chosen.model) if chosen.model else held_out()
+    result = measure(chosen.third_study, models, chosen.rest)
     sys.stdout.write(f"{msgspec.json.encode(result).decode()}\n")
     return 0
