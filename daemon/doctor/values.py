@@ -12,6 +12,7 @@ from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.monitor import TaxelFaults
 from touchd.drivers.pad.pace import steps_ms
+from touchd.model.classifier import KNOWN_REST_COUNTS
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
@@ -37,10 +38,14 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
     if level.mean() > WRONG_WAY_COUNTS:
         other = str(not settings.sensor.described.invert).lower()
         return Check("rest", "to do", f"{found}: upside down", f"set sensor.invert: {other}", figures)
-    if level.max() > LOADED_COUNTS:
-        where = _places(level > LOADED_COUNTS)
+    # A pad that rests high does so all over, and differs from taxel to taxel.
+    lies = level > LOADED_COUNTS + 2 * np.median(level)
+    if lies.any():
+        where = _places(lies)
         advice = "take it off; if nothing does, look for a short there"
         return Check("rest", "to do", f"{found}: something lies on {where}", advice, figures)
+    if level.mean() > KNOWN_REST_COUNTS:
+        found += "; what a touch adds to that is recognised"
     return Check("rest", "ok", found, "", figures)
 
 

@@ -66,6 +66,15 @@ def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
     assert "something lies on row 2 column 3" in check_rest(sample(counts), SETTINGS).found
 
 
+def test_a_pad_that_rests_high_is_distinguished_from_a_loaded_one() -> None:
+    rest = np.random.default_rng(1).uniform(60, 180, (8, 8)).astype(np.uint16)
+    high = check_rest(sample(resting() + rest), SETTINGS)
+    assert high.verdict == "ok"
+    assert "what a touch adds to that is recognised" in high.found
+    rest[4, 5] = 600
+    assert "something lies on row 5 column 6" in check_rest(sample(resting() + rest), SETTINGS).found
+
+
 def test_a_touch_during_the_rest_check_is_reported() -> None:
     script = (("notouch", 3.0), ("rub", 2.0), ("notouch", 2.0))
     counts = np.concatenate([recording.counts for recording in simulate(script, seed=3)])
