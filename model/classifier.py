@@ -21,8 +21,8 @@ MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
 TRIAL_S = 10.0
 TRIAL_FRAMES = 54
-# The pads that the network learnt from rest at up to 8 counts in the mean.
-KNOWN_REST_COUNTS = 10.0
+# The pads that the network learnt from rest at up to 8 counts in the mean, and 28 in a taxel.
+KNOWN_REST_COUNTS, KNOWN_TAXEL_COUNTS = 10.0, 30.0
 
 # Every answer's event carries all of them; these limits bound its size.
 MOST_LABELS, LONGEST_LABEL = 12, 24
@@ -146,13 +146,16 @@ class Classifier:
 
 
 def as_known(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (T, 8, 8) counts as the network knows them: above rest, 64 counts, if the pad rests higher.
+    """Return (T, 8, 8) counts as the network knows them: above rest, 64 counts, where that is higher.
 
     Without this, a touch on a pad that rests at 60 counts is called constant, whatever it is.
     """
-    if rest.mean() <= KNOWN_REST_COUNTS:
+    is_higher = (rest > KNOWN_TAXEL_COUNTS) | (rest.mean() > KNOWN_REST_COUNTS)
+    if not is_higher.any():
         return frames
-    return (frames - rest.reshape(frames.shape[1:])).clip(0)
+    higher = (rest * is_higher).reshape(frames.shape[1:])
+    above: NDArray[np.float32] = np.maximum(frames - higher, 0)
+    return above
 
 
 def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:

@@ -21,7 +21,7 @@ from touchd.drivers.recording import (
     realign,
     set_up,
 )
-from touchd.model.classifier import KNOWN_REST_COUNTS, LONGEST_LABEL, MOST_LABELS, as_known
+from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, as_known
 
 # The first answer needs 54 frames.
 SHORTEST_FRAMES = 54
@@ -75,10 +75,8 @@ def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
     any_rest = next(iter(rests.values()))
     known = []
     for each in recordings:
-        rest = rests.get(set_up(each), any_rest)
-        is_high = rest.mean() > KNOWN_REST_COUNTS
-        counts = as_known(each.counts.astype(np.float32), rest) if is_high else each.counts
-        known.append(replace(each, counts=counts))
+        seen = as_known(each.counts.astype(np.float32), rests.get(set_up(each), any_rest))
+        known.append(each if np.array_equal(seen, each.counts) else replace(each, counts=seen))
     return known
 
 

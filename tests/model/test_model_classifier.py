@@ -18,6 +18,7 @@ from touchd.model.classifier import (
     ModelError,
     ModelInputError,
     ModelMetadata,
+    as_known,
     digest_file,
 )
 from touchd.model.settings import LENGTHS
@@ -275,3 +276,15 @@ class TestOtherModels:
         proto = self.tiny()
         proto.graph.node[0].op_type = "Telepathy"
         assert "ONNX Runtime refuses the file" in refusal(self.saved(proto))
+
+
+def test_the_network_sees_only_what_touches_add_where_a_pad_rests_high() -> None:
+    frames = np.full((5, 8, 8), 90, np.float32)
+    low, one, high = np.full((3, 64), 4, np.float32)
+    one[10], high[:] = 70, 40
+    high[20] = 95
+    assert as_known(frames, low) is frames
+    seen = as_known(frames, one)
+    assert np.unique(seen).tolist() == [20, 90]
+    assert (seen[:, 1, 2] == 20).all()
+    assert np.unique(as_known(frames, high)).tolist() == [0, 50]
