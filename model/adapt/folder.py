@@ -75,8 +75,9 @@ def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
     any_rest = next(iter(rests.values()))
     known = []
     for each in recordings:
-        seen = as_known(each.counts.astype(np.float32), rests.get(set_up(each), any_rest))
-        known.append(each if np.array_equal(seen, each.counts) else replace(each, counts=seen))
+        counts = each.counts.astype(np.float32)
+        seen = as_known(counts, rests.get(set_up(each), any_rest))
+        known.append(each if seen is counts else replace(each, counts=seen))
     return known
 
 

@@ -91,7 +91,7 @@ def children(pid: int) -> list[int]:
     """Return the processes that a process started, from whichever thread."""
     found: list[int] = []
     for each in Path(f"/proc/{pid}/task").glob("*/children"):
-        # A thread may end meanwhile.
+        # A thread may end while its list is read.
         with suppress(FileNotFoundError, ProcessLookupError):
             found += map(int, each.read_text().split())
     return found

@@ -126,7 +126,7 @@ def test_the_shipped_model_names_every_part_of_the_demo(
 
 @needs_haart
 def test_simulated_hands_move_as_haarts_do(tmp_path: Path) -> None:
-    haart = read_recordings(recordings_of("training.csv.gz", BARE, tmp_path))
+    haart = read_recordings(recordings_of("training.csv", BARE, tmp_path))
     at_rest = {(r.participant, r.substrate): r for r in haart if r.gesture == "notouch"}
     for gesture in TOUCHES:
         real = [r for r in haart if r.gesture == gesture and (r.participant, r.substrate) in at_rest]

@@ -212,7 +212,7 @@ def test_a_wire_that_breaks_for_good_is_logged_again(caplog: pytest.LogCaptureFi
 
 @needs_haart
 def test_ten_minutes_of_real_touches_have_no_finding(tmp_path: Path) -> None:
-    path = recordings_of("testWITHLABELS.csv.gz", "T9,", tmp_path)
+    path = recordings_of("testWITHLABELS.csv", "T9,", tmp_path)
     recordings = [realign(recording) for recording in read_recordings(path)]
     counts = splice(recordings).counts
     assert len(counts) > 10 * 60 * RATE_HZ

@@ -84,7 +84,7 @@ def measures(counts: Counts, rest: NDArray[np.float64]) -> tuple[float, float, f
 
 @pytest.fixture(scope="module")
 def haart(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
-    return read_recordings(recordings_of("training.csv.gz", BARE, tmp_path_factory.mktemp("haart")))
+    return read_recordings(recordings_of("training.csv", BARE, tmp_path_factory.mktemp("haart")))
 
 
 @needs_haart

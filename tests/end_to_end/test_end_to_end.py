@@ -137,7 +137,7 @@ def four_seconds_of(recording: Recording) -> Recording:
 def test_each_gestures_real_recording_is_one_touch(
     run: Callable[..., list[Event]], classifier: Classifier, tmp_path: Path
 ) -> None:
-    path = recordings_of("training.csv.gz", "P4,none,none,", tmp_path)
+    path = recordings_of("training.csv", "P4,none,none,", tmp_path)
     recordings = [four_seconds_of(realign(recording)) for recording in read_recordings(path)]
     assert sorted(recording.gesture for recording in recordings) == sorted(classifier.labels)
     stream = with_quiet(recordings, [recording for recording in recordings if recording.gesture == "notouch"])

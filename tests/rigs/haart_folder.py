@@ -6,6 +6,7 @@ import re
 from functools import cache
 from itertools import groupby
 from pathlib import Path
+from typing import IO, cast
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ BARE = "[^,]*,[^,]*,none,"
 @cache
 def haart_test_without_counts() -> list[Recording]:
     """HAART's test recordings with zeros for counts; parsing the counts takes seconds."""
-    with gzip.open(Path(str(HAART)) / f"{haart.TEST_FILE}.gz", "rt") as file:
+    with _opened(HAART, haart.TEST_FILE) as file:
         next(file)
         frames = [(keys, len(list(rows))) for keys, rows in groupby(row.split(",", 4)[:4] for row in file)]
     return [
@@ -43,9 +44,9 @@ def haart_test_without_counts() -> list[Recording]:
 def recordings_of(name: str, keys: str, folder: Path, study: str | None = HAART) -> Path:
     """Copy the rows of a study's file that match these keys; touchd would parse all to find them."""
     wanted = re.compile(keys).match
-    with gzip.open(Path(str(study)) / name, "rt") as file:
+    with _opened(study, name) as file:
         header = next(line for line in file if not line.startswith("#"))
-        copy = folder / name.removesuffix(".gz")
+        copy = folder / name
         copy.write_text(header + "".join(row for row in file if wanted(row)))
     return copy
 
@@ -53,3 +54,9 @@ def recordings_of(name: str, keys: str, folder: Path, study: str | None = HAART)
 def one_person(name: str, person: str, folder: Path, study: str | None = HAART) -> list[Recording]:
     """Read one person's recordings."""
     return read_recordings(recordings_of(name, f"{person},", folder, study))
+
+
+def _opened(study: str | None, name: str) -> IO[str]:
+    """Open a study's file, compressed or not."""
+    path = haart.find(Path(str(study)), name)
+    return cast(IO[str], gzip.open(path, "rt")) if path.suffix == ".gz" else path.open()

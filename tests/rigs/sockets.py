@@ -25,7 +25,7 @@ def sockets(pid: int) -> list[tuple[str, str, str]]:
     """Return protocol, local address and state, as proc(5) writes them, of a process's network sockets."""
     links = []
     for link in Path(f"/proc/{pid}/fd").iterdir():
-        # Closed meanwhile.
+        # The process may close it after it was listed.
         with suppress(FileNotFoundError):
             links.append(link.readlink().name)
     inodes = {name[len("socket:[") : -1] for name in links if name.startswith("socket:[")}

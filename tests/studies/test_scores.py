@@ -102,7 +102,7 @@ def on(person: str) -> pytest.MarkDecorator:
 @on("T9")
 def test_the_test_participants_score_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     if person:
-        published_recordings = one_person(f"{haart.TEST_FILE}.gz", person, tmp_path)
+        published_recordings = one_person(haart.TEST_FILE, person, tmp_path)
     else:
         published_recordings = haart.read_test(Path(str(HAART)))
     recordings = haart.realigned(published_recordings)
@@ -129,7 +129,7 @@ def test_the_held_out_participants_score_as_published(scores: Scores) -> None:
 @on("R14")
 def test_the_second_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     if person:
-        stored_recordings = one_person(f"{second_study.FILES[0]}.gz", person, tmp_path, SECOND_STUDY)
+        stored_recordings = one_person(second_study.FILES[0], person, tmp_path, SECOND_STUDY)
     else:
         stored_recordings = second_study.read(Path(str(SECOND_STUDY)))
     recordings = second_study.scored(stored_recordings)
@@ -149,7 +149,7 @@ def test_the_second_study_scores_as_published(scores: Scores, person: str | None
 def test_the_third_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     folder = Path(str(THIRD_STUDY))
     if person:
-        recordings_of(f"{third_study.FILE}.gz", f"[^,]*,{person},", tmp_path, THIRD_STUDY)
+        recordings_of(third_study.FILE, f"[^,]*,{person},", tmp_path, THIRD_STUDY)
         folder = tmp_path
     recordings = third_study.read(folder)
     assert {each.participant for each in recordings} == ({person} if person else set(THIRD_STUDY_PEOPLE))

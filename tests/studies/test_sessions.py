@@ -102,7 +102,7 @@ def test_a_breathing_robots_answers_are_as_measured(
     people: tuple[str, ...], touches: int, split: float, final: float, tmp_path: Path
 ) -> None:
     moving = f"({'|'.join(people)}),dynamic,"
-    recordings = read_recordings(recordings_of("robot-pad.csv.gz", moving, tmp_path, SECOND_STUDY))
+    recordings = read_recordings(recordings_of("robot-pad.csv", moving, tmp_path, SECOND_STUDY))
     never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R03-R04-R06-L1-S01-S06-S11-S15.onnx"
     result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
     assert result.n == touches

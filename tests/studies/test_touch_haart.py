@@ -28,7 +28,7 @@ def committed() -> TouchReport:
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
     folder = tmp_path_factory.mktemp("haart")
-    return haart.realigned(one_person(f"{haart.TRAINING_FILE}.gz", SAMPLE, folder))
+    return haart.realigned(one_person(haart.TRAINING_FILE, SAMPLE, folder))
 
 
 @pytest.mark.parametrize("splice", ["as recorded", "rest levelled"])
