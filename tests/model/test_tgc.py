@@ -8,7 +8,6 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
-# The first export of a process takes long to import its machinery.
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
@@ -159,11 +158,14 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+# An export takes 12 s of processor time; test_adapt.py compares the shipped file with PyTorch.
+@pytest.mark.slow
 def test_the_exported_file_names_itself_and_no_folder(exported: Path) -> None:
     assert Classifier.load(exported).metadata == metadata()
     assert str(Path(__file__).parents[2]).encode() not in exported.read_bytes()
 
 
+@pytest.mark.slow
 @torch.no_grad()
 @pytest.mark.parametrize("frames", [1, 2, 9, 27, 54, 67, 81, 108, 144, 216, 432])
 def test_the_exported_file_answers_as_pytorch_does_in_float64(exported: Path, frames: int) -> None:

@@ -254,7 +254,12 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "system",
-    [pytest.param(each, marks=[pytest.mark.slow] * isinstance(each, DeepSystem)) for each in TRAINED],
+    [
+        pytest.param(
+            each, marks=[pytest.mark.slow] * (isinstance(each, DeepSystem) or each.key == "balli-forest")
+        )
+        for each in TRAINED
+    ],
     ids=lambda system: system.key,
 )
 def test_settings_are_chosen_without_the_test_file(system: System) -> None:
@@ -265,7 +270,7 @@ def test_settings_are_chosen_without_the_test_file(system: System) -> None:
 
 @pytest.mark.parametrize(
     "system",
-    [pytest.param(each, marks=[pytest.mark.slow] * (each.key == "hughes-cnn")) for each in TRAINED],
+    [pytest.param(each, marks=[pytest.mark.slow] * isinstance(each, DeepSystem)) for each in TRAINED],
     ids=lambda system: system.key,
 )
 def test_a_system_learns_reproducibly(system: System) -> None:

@@ -37,6 +37,7 @@ def test_times_are_compared_with_the_shipped_window() -> None:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_ours_and_a_small_network_of_the_papers_are_timed(tmp_path: Path) -> None:
     small = PaperSettings("public", frames=144, blocks=1, width=8, heads=2)
