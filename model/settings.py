@@ -24,6 +24,8 @@ class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     A noisy pad's light touches hardly show in a single frame. 0: the stem sees single frames alone.
     """
+    knee_counts: float = 4.0
+    """Counts below are taken about linearly, above logarithmically. Below lies what differs among pads."""
 
 
 class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -76,5 +78,11 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     """The same for falling pressure: silicone creeps back."""
     coarse: float = 0.5
     """Share of those windows whose pad also has fewer taxels, 4 to 7 a side, interpolated to 8."""
+    quiet: float = 0.0
+    """Share of a fabric pad's windows that are changed to what a pad without noise would have read."""
+    quiet_counts: float = 8.0
+    """The most that is taken off their counts, as noise."""
+    quiet_frames: int = 8
+    """The most frames over which they are averaged."""
     mix: float = 0.0
     """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""

@@ -17,10 +17,8 @@ from touchd.model.settings import NetworkSettings
 VARIANCE_FLOOR = 1e-5
 # A distance at which even the least of the attention's slopes leaves no weight.
 FAR_FRAMES = 1e6
-KNEE_COUNTS = 4.0
-"""Counts below are taken about linearly, above logarithmically: idle taxels read a few counts of noise."""
-# Of log(1 + counts / KNEE_COUNTS) and of its change between frames, over the HAART training recordings.
-LEVEL_MEAN = 0.69
+# Of log(4 + counts) and of its change between frames, over the HAART training recordings.
+LEVEL_MEAN = math.log(4.0) + 0.69
 LEVEL_SPREAD = 0.61
 CHANGE_SPREAD = 0.21
 
@@ -46,9 +44,11 @@ class FrameStem(nn.Module):
     plane_weights: Tensor
     taps: Tensor
 
-    def __init__(self, stem_width: int, width: int, dropout: float, smooth_frames: int) -> None:
+    def __init__(self, settings: NetworkSettings) -> None:
         super().__init__()
-        weights = _planes(smooth_frames)
+        stem_width, width = settings.stem_width, settings.width
+        self.knee_counts = settings.knee_counts
+        weights = _planes(settings.smooth_frames)
         planes, frames = weights.shape
         self.past = frames - 1
         self.register_buffer("plane_weights", weights, persistent=False)
@@ -63,7 +63,7 @@ class FrameStem(nn.Module):
         )
         self.embed = nn.Linear(2 * stem_width * (ROWS // 4) * (COLUMNS // 4), width)
         self.norm = nn.LayerNorm(width)
-        self.dropout = FeatureDropout(dropout)
+        self.dropout = FeatureDropout(settings.dropout)
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) counts."""
@@ -72,8 +72,7 @@ class FrameStem(nn.Module):
 
     def level(self, counts: Tensor) -> Tensor:
         """Return counts on the scale on which the network sees them, less the recordings' mean."""
-        # log(1 + counts / KNEE_COUNTS) - LEVEL_MEAN, with an operator less.
-        return torch.log(counts + KNEE_COUNTS) - (math.log(KNEE_COUNTS) + LEVEL_MEAN)
+        return torch.log(counts + self.knee_counts) - LEVEL_MEAN
 
     def embed_level(self, level: Tensor, last: Tensor) -> Tensor:
         """Return (B, T, width) from (B, T, 8, 8) levels and those before them, (B, past, 8, 8).
@@ -175,7 +174,7 @@ class TGC(nn.Module):
     def __init__(self, settings: NetworkSettings, classes: int) -> None:
         super().__init__()
         self.settings = settings
-        self.stem = FrameStem(settings.stem_width, settings.width, settings.dropout, settings.smooth_frames)
+        self.stem = FrameStem(settings)
         self.motion = nn.Sequential(
             *(GatedConvolution(settings.width, dilation, settings.dropout) for dilation in settings.dilations)
         )

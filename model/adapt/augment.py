@@ -66,6 +66,25 @@ def _creep(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> T
     return torch.stack(followed, dim=1)
 
 
+def as_quiet_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+    """Return (B, T, 8, 8) counts, some windows as a pad without noise would have read them."""
+    if not settings.quiet:
+        return counts
+    quiet = counts.clone()
+    for i in (torch.rand(len(counts), generator=rng) < settings.quiet).nonzero().flatten().tolist():
+        noise, rounds = torch.rand(2, generator=rng).tolist()
+        frames = int(torch.randint(settings.quiet_frames, (1,), generator=rng)) + 1
+        x = _mean_of_last(counts[i], frames) - noise * settings.quiet_counts
+        quiet[i] = (x.round() if rounds < 0.5 else x).clamp_min(0.0)
+    return quiet
+
+
+def _mean_of_last(x: Tensor, frames: int) -> Tensor:
+    """Return the mean of each of (T, 8, 8) and the frames before it; the first stands for those before."""
+    longer = torch.cat([x[:1].expand(frames - 1, -1, -1), x])
+    return longer.unfold(0, frames, 1).mean(dim=-1)
+
+
 def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) float counts with the hand's and the pad's properties varied per window."""
     B = len(counts)

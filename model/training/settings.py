@@ -33,6 +33,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Of the exponential moving average of the weights, which is the network that is kept."""
     averaged_epochs: tuple[int, ...] = ()
     """Epochs after which the average is saved; the network is the mean of these (Izmailov et al. 2018)."""
+    begins_share: float = 0.0
+    """Share of the weights that it begins with in the network that is kept (Wortsman et al. 2022)."""
     balance_people: bool = False
     """Whether every study, and each of its people, is drawn equally often."""
     bfloat16: bool = False

@@ -13,10 +13,10 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
-from touchd.model.adapt.augment import as_another_pad, begin_from_rest, crop, vary
+from touchd.model.adapt.augment import as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
 from touchd.model.adapt.origin import code_version, data_hash
 from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
-from touchd.model.tgc import KNEE_COUNTS, TGC
+from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint, haart
 from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError
@@ -59,6 +59,7 @@ class Training:
             self._at_lengths = torch.compile(self.network.at_lengths, dynamic=False)
         self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
         self.set_aside: list[dict[str, Tensor]] = []
+        self.begun_with: dict[str, Tensor] = {}
         self.epoch = 0
 
     @property
@@ -76,6 +77,7 @@ class Training:
             windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
             soft = self.soft[chosen]
             windows[~soft] = as_another_pad(windows[~soft], settings.augmentation, self.rng)
+            windows[~soft] = as_quiet_pad(windows[~soft], settings.augmentation, self.rng)
             windows = vary(windows, settings.augmentation, self.rng)
             targets = functional.one_hot(self.classes[chosen], len(self.labels)).float()
             windows, targets, soft = self._mix(windows, targets, soft)
@@ -126,8 +128,8 @@ class Training:
         share = 0.5 * torch.rand(B, generator=self.rng)
         share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
         other = torch.randperm(B, generator=self.rng)
-        part = share[:, None, None, None]
-        mixed = (windows + KNEE_COUNTS) ** (1.0 - part) * (windows[other] + KNEE_COUNTS) ** part - KNEE_COUNTS
+        part, knee = share[:, None, None, None], self.settings.network.knee_counts
+        mixed = (windows + knee) ** (1.0 - part) * (windows[other] + knee) ** part - knee
         blended = targets * (1.0 - share[:, None]) + targets[other] * share[:, None]
         return mixed, blended, soft | (soft[other] & (share > 0))
 
@@ -163,13 +165,17 @@ class Training:
             "rng": self.rng.get_state(),
             "torch_rng": torch.get_rng_state(),
             "set_aside": self.set_aside,
+            "begun_with": self.begun_with,
         }
         kept = self.set_aside or [self.average.state_dict()]
+        network = {name: torch.stack([each[name] for each in kept]).mean(dim=0).cpu() for name in kept[0]}
+        for name, weights in self.begun_with.items():
+            network[name] = torch.lerp(network[name], weights, self.settings.begins_share)
         return Checkpoint(
             settings=self.settings,
             labels=self.labels,
             epoch=self.epoch,
-            network={name: torch.stack([each[name] for each in kept]).mean(dim=0).cpu() for name in kept[0]},
+            network=network,
             training=training,
             code_version=code_version(*(Path(__file__).with_name(name) for name in SOURCES)),
             data_sha256=self.data_sha256,
@@ -186,6 +192,7 @@ class Training:
             raise CheckpointError(f"{self.settings.begins_from} may have learnt from {', '.join(seen)}")
         for network in (self.network, self.average):
             network.load_state_dict(earlier.network)
+        self.begun_with = earlier.network
 
     def resume(self, saved: Checkpoint) -> None:
         """Resume from `saved`; raises CheckpointError when it is of another training."""
@@ -196,6 +203,7 @@ class Training:
         for name in STATES:
             getattr(self, name).load_state_dict(saved.training[name])
         self.set_aside = saved.training["set_aside"]
+        self.begun_with = saved.training["begun_with"]
         self.rng.set_state(saved.training["rng"])
         torch.set_rng_state(saved.training["torch_rng"])
         self.epoch = saved.epoch

@@ -8,7 +8,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from touchd.model.adapt.augment import as_another_pad, crop, vary
+from touchd.model.adapt.augment import as_another_pad, as_quiet_pad, crop, vary
 from touchd.model.settings import AugmentationSettings
 from touchd.model.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
 from touchd.model.studies.checks.hard_cases import checkerboard, hand
@@ -124,3 +124,17 @@ def test_the_share_of_other_pads_is_as_configured() -> None:
     read = as_another_pad(PATS.repeat(20, 1, 1, 1), some, torch.Generator().manual_seed(0))
     changed = (read != PATS[:1]).flatten(1).any(dim=1).float().mean()
     assert 0.2 < float(changed) < 0.3
+
+
+QUIET = msgspec.structs.replace(OFF, quiet=1.0, quiet_counts=8.0, quiet_frames=8)
+
+
+def test_a_quiet_pad_reads_less_noise_and_the_same_touch() -> None:
+    rng = torch.Generator().manual_seed(0)
+    noisy = PATS + torch.randn(PATS.shape, generator=rng).abs()
+    read = as_quiet_pad(noisy, QUIET, rng)
+    resting = torch.arange(108) % 27 > 18
+    assert float(read[:, resting].std()) < 0.5 * float(noisy[:, resting].std())
+    assert float(read.min()) >= 0.0
+    assert float((read[:, 7] - PATS[:, 7]).abs().max()) < 10.0
+    assert as_quiet_pad(noisy, OFF, rng) is noisy

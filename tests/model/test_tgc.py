@@ -21,7 +21,15 @@ from touchd.model.training.export import CalibratedTGC, export  # noqa: E402
 from touchd.model.training.stepwise import MEMORY_FRAMES, initial_state, step  # noqa: E402
 
 SMALL = NetworkSettings(
-    stem_width=4, width=16, dilations=(1, 2), blocks=1, heads=2, feed_forward=24, dense=12, smooth_frames=2
+    stem_width=4,
+    width=16,
+    dilations=(1, 2),
+    blocks=1,
+    heads=2,
+    feed_forward=24,
+    dense=12,
+    smooth_frames=2,
+    knee_counts=6.0,
 )
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 TEMPERATURES = {54: 1.5, 81: 1.2, 144: 0.6}
@@ -110,6 +118,17 @@ def test_attention_forgets_only_negligible_frames(monkeypatch: pytest.MonkeyPatc
     unbounded = step(network, frames, initial_state(network))[1]
     answers = [step(network, batch(hand(1)).float(), state)[0] for state in (kept, unbounded)]
     assert (answers[0] - answers[1]).abs().max().item() <= 1e-6
+
+
+def test_counts_below_the_knee_hardly_matter() -> None:
+    low, high = (
+        random_network(msgspec.structs.replace(SMALL, knee_counts=knee)).stem.level(
+            torch.tensor([0.0, 2.0, 500.0])
+        )
+        for knee in (1.0, 16.0)
+    )
+    assert float(high[1] - high[0]) < 0.2 < 1.0 < float(low[1] - low[0])
+    assert float(high[2]) == pytest.approx(float(low[2]), abs=0.05)
 
 
 def test_dropout_drops_whole_features_and_keeps_the_mean() -> None:

@@ -1,5 +1,6 @@
 """Training: reproducible by seed, resumable to the same weights; checkpoints carry their origin."""
 
+import itertools
 import os
 import zipfile
 from importlib import metadata
@@ -19,8 +20,9 @@ from touchd.model.adapt.schedule import learning_rate_at
 from touchd.model.settings import NetworkSettings
 from touchd.model.training import checkpoint
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError, save
-from touchd.model.training.recipe import FIRST_RECIPE, final_jobs, fold_jobs, read_recipe
+from touchd.model.training.recipe import EARLIER_RECIPES, SHIPPED_RECIPE, final_jobs, fold_jobs, read_recipe
 from touchd.model.training.settings import TrainSettings
+from touchd.model.training.studies import study_of
 from touchd.model.training.train import CHECKPOINT_NAME, Training, train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -78,6 +80,28 @@ def test_a_training_begins_with_the_weights_that_it_names(
     assert same(train(recordings(), still, tmp_path / "second", DEVICE), finished[0])
 
 
+def test_the_kept_network_holds_a_share_of_the_weights_that_it_begins_with(
+    finished: tuple[Checkpoint, Path], tmp_path: Path
+) -> None:
+    save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
+
+    def kept(share: float, epochs_before: int = 0) -> Checkpoint:
+        settings = msgspec.structs.replace(SETTINGS, begins_from="first", begins_share=share)
+        folder = tmp_path / f"{share}-{epochs_before}"
+        if epochs_before:
+            interrupted = Training(recordings(), settings, DEVICE)
+            interrupted.begin_with(finished[0])
+            interrupted.run_epoch()
+            save(interrupted.snapshot(), folder / CHECKPOINT_NAME)
+        return train(recordings(), settings, folder, DEVICE)
+
+    none, half = kept(0.0), kept(0.5)
+    assert not same(none, finished[0])
+    for name, weights in half.network.items():
+        torch.testing.assert_close(weights, (none.network[name] + finished[0].network[name]) / 2)
+    assert same(kept(0.5, epochs_before=1), half)
+
+
 def test_a_first_stage_that_saw_held_out_people_is_refused(
     finished: tuple[Checkpoint, Path], tmp_path: Path
 ) -> None:
@@ -87,12 +111,14 @@ def test_a_first_stage_that_saw_held_out_people_is_refused(
         train(recordings(), second, tmp_path / "second", DEVICE)
 
 
-def test_the_first_stage_holds_out_the_same_people() -> None:
-    recipe, first = read_recipe(), read_recipe(FIRST_RECIPE)
-    names = [job.name for job in (*final_jobs(first), *fold_jobs(first))]
-    assert list(recipe.begins_from) == names
-    for fold, earlier in zip(recipe.folds, first.folds, strict=True):
-        assert {name for name in fold if name[0] != "S"} == {*earlier}
+def test_each_stage_holds_out_the_same_people() -> None:
+    stages = [read_recipe(path) for path in (*EARLIER_RECIPES, SHIPPED_RECIPE)]
+    for first, second in itertools.pairwise(stages):
+        names = [job.name for job in (*final_jobs(first)[:1], *fold_jobs(first))]
+        assert list(second.begins_from) == names
+        studies = first.settings.studies
+        for fold, earlier in zip(second.folds, first.folds, strict=True):
+            assert {name for name in fold if study_of(name) in studies} == {*earlier}
 
 
 def test_a_study_without_tickle_does_not_teach_against_it() -> None:
