@@ -16,8 +16,6 @@ from touchd.model.training.settings import TrainSettings
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Recipe of the network from HAART alone, for the comparison with the paper."""
-EARLIER_RECIPES = tuple(Path(__file__).parent / f"touchd-{number}.yaml" for number in (3, 4))
-"""Recipes of the first and second stage; the networks of each stage begin with those of the one before."""
 FABRIC_RECIPE = Path(__file__).parent / "fabric.yaml"
 """Recipe of the network from the two fabric studies alone, for the figure of a pad never met."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
