@@ -1,6 +1,12 @@
-"""Augmentation: varies pace, hand, place, pressure, pad, noise and framing of a touch."""
+"""Augmentation: varies pace, hand, place, pressure, pad, noise and framing of a touch.
+
+Every function takes and returns a batch on one device. None waits for a result: on a GPU a training step is
+recorded once and replayed.
+"""
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -9,54 +15,87 @@ from torch.nn import functional
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 from touchd.model.settings import AugmentationSettings
 
+COARSE_SIDES = range(4, ROWS)
 
-def crop(recording: Tensor, length: int, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
-    """Return (length, 8, 8) float counts from a random place in (T, 8, 8), at a random pace and framing."""
-    frames = recording
-    if _chance(settings.published_framing, rng):
-        rows = recording.reshape(-1, COLUMNS)[ROWS - 2 : -2]
-        frames = rows.reshape(-1, ROWS, COLUMNS)
-    if not _chance(settings.change_pace, rng):
-        first = int(torch.randint(len(frames) - length + 1, (1,), generator=rng))
-        return frames[first : first + length].float()
-    pace = 1.0 + settings.pace * (2.0 * torch.rand(1, generator=rng).item() - 1.0)
-    slack = max(0.0, len(frames) - 1 - (length - 1) * pace)
-    places = slack * torch.rand(1, generator=rng) + pace * torch.arange(length)
-    below = places.long().clamp_max(len(frames) - 2)
-    part = (places - below)[:, None, None]
-    return frames[below].float() * (1.0 - part) + frames[below + 1].float() * part
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Recordings' frames, one after the other: rows (F * 8, 8) float32, starts and lengths (R,) in frames."""
+
+    rows: Tensor
+    starts: Tensor
+    lengths: Tensor
+
+    @classmethod
+    def of(cls, recordings: Sequence[Tensor], device: str = "cpu") -> "Frames":
+        """Join recordings (T, 8, 8)."""
+        lengths = torch.tensor([len(recording) for recording in recordings])
+        rows = torch.cat([recording.reshape(-1, COLUMNS) for recording in recordings]).float()
+        return cls(rows.to(device), (lengths.cumsum(0) - lengths).to(device), lengths.to(device))
+
+
+def crop(
+    frames: Frames, chosen: Tensor, length: int, settings: AugmentationSettings, rng: torch.Generator
+) -> Tensor:
+    """Return (B, length, 8, 8) float counts from random places in the recordings `chosen` (B,).
+
+    Each at a random pace and framing; a recording must be longer than a window, at its pace.
+    """
+    B, device = len(chosen), chosen.device
+    # A published scan begins two rows early, so that it is cut short by as much.
+    published = _chosen(B, settings.published_framing, rng).long()
+    count = (frames.lengths[chosen][:, None] - published).float()
+    pace = 1.0 + settings.pace * (2.0 * _uniform(rng, B, 1) - 1.0)
+    place = _uniform(rng, B, 1)
+    ticks = torch.arange(length, device=device)
+    whole = torch.minimum((place * (count - length + 1)).floor(), count - length) + ticks
+    paced = place * (count - 1 - (length - 1) * pace).clamp_min(0.0) + pace * ticks
+    places = torch.where(_chosen(B, settings.change_pace, rng), paced, whole)
+    below = torch.minimum(places.floor(), count - 2)
+    part = (places - below)[:, :, None, None]
+    first = (frames.starts[chosen][:, None] + below.long()) * ROWS + published * (ROWS - 2)
+    rows = first[:, :, None] + torch.arange(ROWS, device=device)
+    return torch.lerp(frames.rows[rows], frames.rows[rows + ROWS], part)
 
 
 def begin_from_rest(
-    window: Tensor, rest: Tensor, settings: AugmentationSettings, rng: torch.Generator
+    windows: Tensor, rest: Tensor, settings: AugmentationSettings, rng: torch.Generator
 ) -> Tensor:
-    """Return a window (T, 8, 8) that rises from rest (T, 8, 8), as a touch does when a hand comes down."""
-    if not _chance(settings.onset, rng):
-        return window
-    wait, rise = torch.rand(2, generator=rng).tolist()
+    """Return windows (B, T, 8, 8), some of which rise from rest (B, T, 8, 8), as when a hand comes down."""
+    B, T = windows.shape[:2]
+    wait, rise = _uniform(rng, 2, B, 1)
     rise_frames = 1.0 + rise * (settings.onset_frames - 1.0)
-    contact = ((torch.arange(len(window)) - wait * settings.onset_wait_frames) / rise_frames).clamp(0.0, 1.0)
-    return torch.lerp(rest, window, contact[:, None, None])
+    ticks = torch.arange(T, device=windows.device)
+    contact = ((ticks - wait * settings.onset_wait_frames) / rise_frames).clamp(0.0, 1.0)
+    contact = torch.where(_chosen(B, settings.onset, rng), contact, 1.0)
+    return torch.lerp(rest, windows, contact[:, :, None, None])
 
 
 def as_another_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) counts, some windows as a softer, coarser pad would have read them."""
-    these = torch.rand(len(counts), generator=rng) < settings.another_pad
-    if not these.any():
+    if not settings.another_pad:
         return counts
-    x = _creep(counts[these], settings, rng)
-    for i in (torch.rand(len(x), generator=rng) < settings.coarse).nonzero().flatten().tolist():
-        side = int(torch.randint(4, ROWS, (1,), generator=rng))
-        fewer = functional.adaptive_avg_pool2d(x[i], side)
-        x[i] = functional.interpolate(fewer[:, None], (ROWS, COLUMNS), mode="bilinear")[:, 0]
-    changed = counts.clone()
-    changed[these] = x
-    return changed
+    B, T = counts.shape[:2]
+    followed = _creep(counts, settings, rng)
+    fewer = _coarse(counts.device)[torch.randint(len(COARSE_SIDES), (B,), generator=rng, device=rng.device)]
+    blurred = (followed.reshape(B, T, -1) @ fewer).reshape(counts.shape)
+    read = torch.where(_chosen4(B, settings.coarse, rng), blurred, followed)
+    return torch.where(_chosen4(B, settings.another_pad, rng), read, counts)
+
+
+def _coarse(device: torch.device) -> Tensor:
+    """Return (sides, 64, 64): how a pad with fewer taxels, interpolated to 8x8, reads each taxel."""
+    taxels = torch.eye(ROWS * COLUMNS, device=device).reshape(-1, 1, ROWS, COLUMNS)
+    pads = [
+        functional.interpolate(functional.adaptive_avg_pool2d(taxels, side), (ROWS, COLUMNS), mode="bilinear")
+        for side in COARSE_SIDES
+    ]
+    return torch.stack(pads).reshape(len(COARSE_SIDES), ROWS * COLUMNS, ROWS * COLUMNS)
 
 
 def _creep(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) followed by one pole, whose time constant differs for rise and fall."""
-    rise_s, fall_s = torch.rand(2, len(x), 1, 1, generator=rng) ** 2
+    rise_s, fall_s = _uniform(rng, 2, len(x), 1, 1) ** 2
     rise = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.rise_s * rise_s + 1e-3))
     fall = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.fall_s * fall_s + 1e-3))
     followed = [x[:, 0]]
@@ -70,82 +109,89 @@ def as_quiet_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Gene
     """Return (B, T, 8, 8) counts, some windows as a pad without noise would have read them."""
     if not settings.quiet:
         return counts
-    quiet = counts.clone()
-    for i in (torch.rand(len(counts), generator=rng) < settings.quiet).nonzero().flatten().tolist():
-        noise, rounds = torch.rand(2, generator=rng).tolist()
-        frames = int(torch.randint(settings.quiet_frames, (1,), generator=rng)) + 1
-        x = _mean_of_last(counts[i], frames) - noise * settings.quiet_counts
-        quiet[i] = (x.round() if rounds < 0.5 else x).clamp_min(0.0)
-    return quiet
+    B = len(counts)
+    spans = torch.randint(1, settings.quiet_frames + 1, (B,), generator=rng, device=rng.device)
+    x = _mean_of_last(counts, spans, settings.quiet_frames)
+    x = x - settings.quiet_counts * _uniform(rng, B, 1, 1, 1)
+    x = torch.where(_chosen4(B, 0.5, rng), x.round(), x).clamp_min(0.0)
+    return torch.where(_chosen4(B, settings.quiet, rng), x, counts)
 
 
-def _mean_of_last(x: Tensor, frames: int) -> Tensor:
-    """Return the mean of each of (T, 8, 8) and the frames before it; the first stands for those before."""
-    longer = torch.cat([x[:1].expand(frames - 1, -1, -1), x])
-    return longer.unfold(0, frames, 1).mean(dim=-1)
+def _mean_of_last(x: Tensor, spans: Tensor, longest: int) -> Tensor:
+    """Return the means of each of (B, T, 8, 8) and the frames before it, of `spans` (B,) frames.
+
+    The first frame stands for those before it.
+    """
+    B, T = x.shape[:2]
+    earlier = x[:, :1].expand(-1, longest - 1, -1, -1)
+    sums = torch.cat([torch.zeros_like(x[:, :1]), earlier, x], dim=1).cumsum(1)
+    windows = torch.arange(B, device=x.device)[:, None]
+    ends = torch.arange(longest, longest + T, device=x.device)
+    before = ends - spans[:, None]
+    means: Tensor = (sums[:, longest:] - sums[windows, before]) / spans[:, None, None, None]
+    return means
 
 
 def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) float counts with the hand's and the pad's properties varied per window."""
-    B = len(counts)
+    B, T = counts.shape[:2]
 
     def normal(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=rng)
+        return torch.randn(*shape, generator=rng, device=rng.device)
+
+    def uniform() -> Tensor:
+        return _uniform(rng, B, 1, 1, 1)
 
     def chosen(probability: float) -> Tensor:
-        return (torch.rand(B, 1, 1, 1, generator=rng) < probability).float()
+        return _chosen4(B, probability, rng).float()
 
     x = counts / MAX_COUNT
     x = x.clamp_min(1e-6) ** torch.exp(settings.gamma * normal(B, 1, 1, 1))
     x = x * torch.exp(settings.gain * normal(B, 1, 1, 1) + settings.taxel_gain * normal(B, 1, ROWS, COLUMNS))
     x = x * MAX_COUNT * torch.exp(settings.gain_field * _smooth(B, rng))
-    x = _shift(_turn(x, settings.turn, rng), settings.shift, rng)
+    x = _turn_and_shift(x, settings, rng)
     if settings.warp:
         x = _warp(x, settings.warp, rng)
     x = x + chosen(settings.rest) * _rest(B, settings.rest_counts, rng)
-    x = x + chosen(settings.sway) * _sway(B, x.shape[1], settings.sway_counts, rng)
-    x = x + chosen(settings.hum) * _hum(B, x.shape[1], settings.hum_counts, rng)
+    x = x + chosen(settings.sway) * _sway(B, T, settings.sway_counts, rng)
+    x = x + chosen(settings.hum) * _hum(B, T, settings.hum_counts, rng)
     x = x.clamp_min(0.0)
-    dead = torch.rand(B, 1, ROWS, 1, generator=rng).argsort(dim=2) == 0
+    rows = torch.arange(ROWS, device=x.device)[:, None]
+    dead = rows == torch.randint(ROWS, (B, 1, 1, 1), generator=rng, device=rng.device)
     x = x * (1.0 - chosen(settings.dead_row) * dead)
-    x = x + chosen(settings.offset) * settings.offset_counts * torch.rand(B, 1, 1, 1, generator=rng)
-    x = x + settings.noise_counts * torch.rand(B, 1, 1, 1, generator=rng) * normal(*x.shape)
-    lines = (normal(B, x.shape[1], ROWS, 1), normal(B, x.shape[1], 1, COLUMNS))
-    line = torch.where(torch.rand(B, 1, 1, 1, generator=rng) < 0.5, *lines)
-    depth = settings.line_noise_counts * torch.rand(B, 1, 1, 1, generator=rng)
-    x = x + chosen(settings.line_noise) * depth * line
+    x = x + chosen(settings.offset) * settings.offset_counts * uniform()
+    x = x + settings.noise_counts * uniform() * normal(*x.shape)
+    lines = (normal(B, T, ROWS, 1), normal(B, T, 1, COLUMNS))
+    line = torch.where(_chosen4(B, 0.5, rng), *lines)
+    x = x + chosen(settings.line_noise) * settings.line_noise_counts * uniform() * line
     return x.clamp(0.0, MAX_COUNT)
 
 
-def _turn(x: Tensor, probability: float, rng: torch.Generator) -> Tensor:
-    """Turn and mirror some windows by one of the grid's eight symmetries."""
-    symmetry = torch.randint(8, (len(x),), generator=rng)
-    symmetry = symmetry * (torch.rand(len(x), generator=rng) < probability)
-    turned = x.clone()
-    for s in range(1, 8):
-        these = symmetry == s
-        rotated = torch.rot90(x[these], s % 4, dims=(2, 3))
-        turned[these] = rotated.flip(3) if s >= 4 else rotated
-    return turned
+def _turn_and_shift(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+    """Turn and mirror some windows by one of the grid's eight symmetries, and move them by up to one taxel.
 
+    Where a window is moved, its edge is repeated.
+    """
+    B, T = x.shape[:2]
+    grid = torch.arange(ROWS * COLUMNS, device=x.device).reshape(ROWS, COLUMNS)
+    quarters = [torch.rot90(grid, turn) for turn in range(4)]
+    symmetries = torch.stack([*quarters, *(turned.flip(1) for turned in quarters)]).flatten(1)
+    symmetry = torch.randint(len(symmetries), (B,), generator=rng, device=rng.device)
+    turned = symmetries[symmetry * _chosen(B, settings.turn, rng)[:, 0]]
 
-def _shift(x: Tensor, probability: float, rng: torch.Generator) -> Tensor:
-    """Move each window by up to one taxel along each axis, repeating the edge."""
-    B = len(x)
-    for axis, size in ((2, ROWS), (3, COLUMNS)):
-        step = torch.randint(-1, 2, (B,), generator=rng)
-        step = step * (torch.rand(B, generator=rng) < probability)
-        moved = x.clone()
-        for direction in (-1, 1):
-            source = (torch.arange(size) + direction).clamp(0, size - 1)
-            moved[step == direction] = x[step == direction].index_select(axis, source)
-        x = moved
-    return x
+    def moved(size: int) -> Tensor:
+        step = torch.randint(-1, 2, (B, 1), generator=rng, device=rng.device)
+        places = torch.arange(size, device=x.device) + step * _chosen(B, settings.shift, rng)
+        return places.clamp(0, size - 1)
+
+    place = moved(ROWS)[:, :, None] * COLUMNS + moved(COLUMNS)[:, None, :]
+    source = turned.gather(1, place.flatten(1))
+    return x.flatten(2).gather(2, source[:, None].expand(-1, T, -1)).reshape(x.shape)
 
 
 def _warp(x: Tensor, spread: float, rng: torch.Generator) -> Tensor:
     """Displace what each taxel of (B, T, 8, 8) sees by a smooth field, repeating the edge."""
-    theta = torch.eye(2, 3).expand(len(x), -1, -1)
+    theta = torch.eye(2, 3, device=x.device).expand(len(x), -1, -1)
     places = functional.affine_grid(theta, [len(x), 1, ROWS, COLUMNS], align_corners=True)
     moved = torch.stack([_smooth(len(x), rng), _smooth(len(x), rng)], dim=-1).squeeze(1)  # (B, 8, 8, 2)
     places = places + spread * moved * 2.0 / (ROWS - 1)
@@ -155,17 +201,17 @@ def _warp(x: Tensor, spread: float, rng: torch.Generator) -> Tensor:
 
 def _rest(B: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return offsets (B, 1, 8, 8) of up to `counts`: a smooth field, and some single taxels."""
-    single = torch.randn(B, 1, ROWS, COLUMNS, generator=rng)
-    single = single * (torch.rand(B, 1, ROWS, COLUMNS, generator=rng) < 0.2)
-    depth = torch.rand(B, 1, 1, 1, generator=rng) * counts
+    single = torch.randn(B, 1, ROWS, COLUMNS, generator=rng, device=rng.device)
+    single = single * (_uniform(rng, B, 1, ROWS, COLUMNS) < 0.2)
+    depth = _uniform(rng, B, 1, 1, 1) * counts
     offsets: Tensor = (depth * (_smooth(B, rng) + single)).clamp(-counts, counts)
     return offsets
 
 
 def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) of slow movement: breathing and a drift of up to 1 count a second."""
-    seconds = (torch.arange(T) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
-    rate, phase, depth, drift = torch.rand(4, B, 1, 1, 1, generator=rng)
+    seconds = _seconds(T, rng)
+    rate, phase, depth, drift = _uniform(rng, 4, B, 1, 1, 1)
     breath = depth * counts * torch.sin(2.0 * math.pi * ((0.2 + 0.8 * rate) * seconds + phase))
     sway: Tensor = breath * _smooth(B, rng) + (2.0 * drift - 1.0) * seconds * _smooth(B, rng)
     return sway
@@ -173,17 +219,32 @@ def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
 
 def _hum(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 1, 1) of a tone that all taxels share."""
-    seconds = (torch.arange(T) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
-    rate, phase, depth = torch.rand(3, B, 1, 1, 1, generator=rng)
-    tone: Tensor = depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * seconds + phase))
+    rate, phase, depth = _uniform(rng, 3, B, 1, 1, 1)
+    tone: Tensor = (
+        depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * _seconds(T, rng) + phase))
+    )
     return tone
+
+
+def _seconds(T: int, rng: torch.Generator) -> Tensor:
+    return (torch.arange(T, device=rng.device) / FRAME_RATE_HZ).reshape(1, T, 1, 1)
 
 
 def _smooth(B: int, rng: torch.Generator) -> Tensor:
     """Return random fields (B, 1, 8, 8), about standard normal, that vary smoothly over the pad."""
-    coarse = torch.randn(B, 1, 3, 3, generator=rng)
+    coarse = torch.randn(B, 1, 3, 3, generator=rng, device=rng.device)
     return functional.interpolate(coarse, (ROWS, COLUMNS), mode="bicubic", align_corners=True)
 
 
-def _chance(probability: float, rng: torch.Generator) -> bool:
-    return bool(torch.rand(1, generator=rng).item() < probability)
+def _uniform(rng: torch.Generator, *shape: int) -> Tensor:
+    return torch.rand(*shape, generator=rng, device=rng.device)
+
+
+def _chosen(B: int, probability: float, rng: torch.Generator) -> Tensor:
+    """Return (B, 1) bool, true with a probability."""
+    return _uniform(rng, B, 1) < probability
+
+
+def _chosen4(B: int, probability: float, rng: torch.Generator) -> Tensor:
+    """Return (B, 1, 1, 1) bool, true with a probability."""
+    return _uniform(rng, B, 1, 1, 1) < probability

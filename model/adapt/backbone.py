@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
-from touchd.model.adapt.augment import begin_from_rest, crop, vary
+from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
 from touchd.model.settings import LENGTHS, AugmentationSettings
 from touchd.model.tgc import TGC
 
@@ -69,17 +69,18 @@ def crops(
     counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
     resting = _resting(recordings)
     length = LEARNT_LENGTHS[-1]
+    frames = Frames.of([_filled(each, length + 1) for each in counts])
     values = []
     shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
     for i, recording in enumerate(shown):
         own = settings
         if len(counts[i]) <= length:
             own = msgspec.structs.replace(settings, **AS_IT_IS)
-        windows = torch.stack([crop(_filled(counts[i], length), length, own, rng) for _ in range(each)])
+        windows = crop(frames, torch.full((each,), i), length, own, rng)
         if rests := resting.get(recording.participant, resting.get(None, [])):
-            rest = counts[rests[int(torch.randint(len(rests), (1,), generator=rng))]]
-            still = crop(_filled(rest, length + 1), length, msgspec.structs.replace(own, **AS_IT_IS), rng)
-            windows = torch.stack([begin_from_rest(window, still, own, rng) for window in windows])
+            chosen = torch.tensor(rests)[torch.randint(len(rests), (each,), generator=rng)]
+            still = crop(frames, chosen, length, msgspec.structs.replace(own, **AS_IT_IS), rng)
+            windows = begin_from_rest(windows, still, own, rng)
         values.append(backbone.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
     lengths = torch.tensor([len(frames) for frames in counts])
     within = lengths[:, None] >= torch.tensor(LEARNT_LENGTHS)

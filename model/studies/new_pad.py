@@ -25,7 +25,7 @@ from touchd.model.studies.marked import fill, table
 from touchd.model.studies.results import STORED
 from touchd.model.training import checkpoint, haart, metrics, third_study
 from touchd.model.training.calibrate import IMPOSSIBLE
-from touchd.model.training.recipe import FABRIC_RECIPE, final_jobs, fold_jobs, read_recipe
+from touchd.model.training.recipe import fold_jobs, read_recipe, study_jobs
 from touchd.model.training.ship import remember
 from touchd.model.training.studies import MISSING, Folders
 from touchd.model.training.train import CHECKPOINT_NAME
@@ -100,7 +100,7 @@ def people_on_a_new_pad(
     folders: Folders, runs: Path, settings: AdaptSettings
 ) -> tuple[tuple[float, ...], list[Learnt]]:
     """Return what the fabric network reaches on the new pad, as it is and adapted to some of its people."""
-    saved = checkpoint.load(runs / final_jobs(read_recipe(FABRIC_RECIPE))[0].name / CHECKPOINT_NAME)
+    saved = checkpoint.load(runs / study_jobs(read_recipe())[0].name / CHECKPOINT_NAME)
     remembered = remember(saved, folders)
     pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remembered)
     recordings = folders.to_train_on(("third",))

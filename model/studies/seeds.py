@@ -16,7 +16,7 @@ from touchd.model.training import haart
 from touchd.model.training.calibrate import accuracies, ask, ask_left_out
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.recipe import Job, Recipe, final_jobs, fold_jobs, read_recipe
-from touchd.model.training.ship import trained
+from touchd.model.training.ship import finished, train_recipe
 from touchd.model.training.studies import Folders
 
 SEEDS = (0, 1, 2)
@@ -30,11 +30,11 @@ def main(arguments: Sequence[str]) -> int:
     options = parser.parse_args(arguments)
     recipe, folders = read_recipe(), Folders(options.haart, options.second_study, options.third_study)
     recipes = [msgspec.structs.replace(recipe, seeds=(seed,)) for seed in SEEDS]
+    for each in recipes:
+        train_recipe(each, folders, options.runs, options.threads)
 
     def networks(jobs: Callable[[Recipe], list[Job]]) -> list[list[Checkpoint]]:
-        return [
-            [trained(job, folders, options.runs, options.threads) for job in jobs(each)] for each in recipes
-        ]
+        return [[finished(job, options.runs) for job in jobs(each)] for each in recipes]
 
     shipped, held_out = networks(final_jobs), networks(fold_jobs)
     test = haart.realigned(haart.read_test(folders.haart))

@@ -25,15 +25,15 @@ class CheckpointError(TouchdError):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """One training's state after `epoch` epochs.
+    """One training's state after `step` steps.
 
     network: the averaged weights, the ones to use.
-    training: raw weights, optimizer and random states, to resume.
+    training: raw weights, optimizer and random states, to resume; empty in a file to use.
     """
 
     settings: TrainSettings
     labels: tuple[str, ...]
-    epoch: int
+    step: int
     network: dict[str, Tensor]
     training: dict[str, Any]
     code_version: str

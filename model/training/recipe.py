@@ -11,13 +11,11 @@ import msgspec
 import yaml
 
 from touchd.drivers.errors import TouchdError
-from touchd.model.training.settings import TrainSettings
+from touchd.model.training.settings import Study, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Recipe of the network from HAART alone, for the comparison with the paper."""
-FABRIC_RECIPE = Path(__file__).parent / "fabric.yaml"
-"""Recipe of the network from the two fabric studies alone, for the figure of a pad never met."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
 """Recipe of the network from HAART alone with wide augmentation, for the figure across studies."""
 MAX_BYTES = 64 * 1024
@@ -36,8 +34,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds: tuple[int, ...]
     """Seeds of the networks on all training participants; the first network ships."""
     settings: TrainSettings
-    begins_from: tuple[str, ...] = ()
-    """Finished trainings whose weights the networks begin with: of the shipped network, then one a fold."""
+    left_out_study: Study | None = None
+    """A study that one network leaves out whole, for the figure of a pad never met."""
 
 
 @dataclass(frozen=True)
@@ -67,19 +65,32 @@ def fold_name(left_out: tuple[str, ...]) -> str:
 
 def final_jobs(recipe: Recipe) -> list[Job]:
     """Return the networks on all training participants, one a seed, the shipped one first."""
-    return [_job(recipe, seed, ()) for seed in recipe.seeds]
+    return [_job(recipe, seed) for seed in recipe.seeds]
 
 
 def fold_jobs(recipe: Recipe) -> list[Job]:
     """Return the networks that hold participants out, one a fold."""
-    return [_job(recipe, recipe.seeds[0], fold) for fold in recipe.folds]
+    return [_job(recipe, recipe.seeds[0], left_out=fold) for fold in recipe.folds]
 
 
-def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...]) -> Job:
-    begins_from = ""
-    if recipe.begins_from:
-        begins_from = recipe.begins_from[recipe.folds.index(left_out) + 1 if left_out else 0]
+def study_jobs(recipe: Recipe) -> list[Job]:
+    """Return the network that leaves a study out, if there is one."""
+    left_out = recipe.left_out_study
+    return [_job(recipe, recipe.seeds[0], without=left_out)] if left_out else []
+
+
+def all_jobs(recipe: Recipe) -> list[Job]:
+    """Return all networks of a recipe."""
+    return [*final_jobs(recipe), *fold_jobs(recipe), *study_jobs(recipe)]
+
+
+def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...] = (), without: Study | None = None) -> Job:
     settings = msgspec.structs.replace(
-        recipe.settings, name=recipe.name, seed=seed, left_out=left_out, begins_from=begins_from
+        recipe.settings,
+        name=recipe.name,
+        seed=seed,
+        left_out=left_out,
+        studies=tuple(study for study in recipe.settings.studies if study != without),
     )
-    return Job(f"{recipe.name}-{fold_name(left_out)}-seed{seed}", settings)
+    learnt = f"without-{without}" if without else fold_name(left_out)
+    return Job(f"{recipe.name}-{learnt}-seed{seed}", settings)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import msgspec
+import torch
 
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Recording
@@ -18,43 +19,48 @@ from touchd.model.settings import LENGTHS, MAX_LENGTH
 from touchd.model.training import calibrate, checkpoint, haart
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.export import export
-from touchd.model.training.recipe import Job, Recipe, final_jobs, fold_jobs, fold_name
+from touchd.model.training.recipe import Job, Recipe, all_jobs, final_jobs, fold_jobs, fold_name, study_jobs
 from touchd.model.training.remember import save as save_remembered
 from touchd.model.training.remember import statistics
 from touchd.model.training.settings import Study
 from touchd.model.training.studies import Folders
-from touchd.model.training.train import CHECKPOINT_NAME, train_studies
-from touchd.model.training.weights import SEEDS_FOLDER, fold_path
+from touchd.model.training.train import CHECKPOINT_NAME, fastest_device, train
+from touchd.model.training.weights import FABRIC_MODEL, SEEDS_FOLDER, fold_path
 
 REMEMBERED_CROPS = 3
 """Of each recording."""
 
 
 def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
-    """Train every network of the recipe that is not finished in `runs` yet."""
-    for job in (*fold_jobs(recipe), *final_jobs(recipe)):
-        trained(job, folders, runs, threads)
+    """Train every network of the recipe that is not finished in `runs` yet.
+
+    On a GPU those that are equally far train side by side, on a processor each in turn.
+    """
+    torch.set_num_threads(threads)
+    device = fastest_device()
+    recordings = folders.to_train_on(recipe.settings.studies)
+    unfinished: dict[tuple[int, str], list[Job]] = {}
+    for job in all_jobs(recipe):
+        if (step := _steps_done(job, runs)) < job.settings.steps:
+            unfinished.setdefault((step, "" if device == "cuda" else job.name), []).append(job)
+    for jobs in unfinished.values():
+        train(recordings, jobs, runs, device)
 
 
-def trained(job: Job, folders: Folders, runs: Path, threads: int) -> Checkpoint:
-    """Return a job's network, trained unless it is finished in `runs`."""
+def _steps_done(job: Job, runs: Path) -> int:
     path = runs / job.name / CHECKPOINT_NAME
-    if path.exists():
-        saved = checkpoint.load(path)
-        if saved.settings == job.settings and saved.epoch == job.settings.epochs:
-            return saved
-    return train_studies(folders, job.settings, runs / job.name, threads)
+    return checkpoint.load(path).step if path.exists() else 0
 
 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
-    """Export the shipped network, one file a further seed and one file a fold; return the paths.
+    """Export the shipped network, one file a further seed, a fold and a study left out; return the paths.
 
     The shipped network's checkpoint and rehearsal statistics are written beside it, for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
     """
     scored = folders.to_score_on(recipe.settings.studies)
     learnt = {study: folders.to_train_on((study,)) for study in recipe.settings.studies}
-    folds = [_load(job, runs) for job in fold_jobs(recipe)]
+    folds = [finished(job, runs) for job in fold_jobs(recipe)]
     answers = [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds]
     written: list[Path] = []
     for fold, own in zip(folds, answers, strict=True):
@@ -65,8 +71,13 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         written.append(path)
     temperatures = _temperatures(answers)
     accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
+    for job in study_jobs(recipe):
+        saved = finished(job, runs)
+        path = weights / FABRIC_MODEL.name
+        _export(saved, f"{recipe.name}-fabric", learnt, temperatures, {}, path)
+        written.append(path)
     for job in final_jobs(recipe):
-        saved = _load(job, runs)
+        saved = finished(job, runs)
         shipped = job.settings.seed == recipe.seeds[0]
         further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
         path = weights / (SHIPPED_MODEL.name if shipped else further)
@@ -111,6 +122,7 @@ def _export(
     learnt_from = {
         study: sorted({each.participant for each in haart.without(recordings, saved.settings.left_out)})
         for study, recordings in learnt.items()
+        if study in saved.settings.studies
     }
     export_checkpoint(
         saved, path, name, temperatures, {"learnt_from": learnt_from}, {"left_out_accuracy": accuracies}
@@ -142,10 +154,11 @@ def export_checkpoint(
     export(saved.build(), metadata, path)
 
 
-def _load(job: Job, runs: Path) -> Checkpoint:
+def finished(job: Job, runs: Path) -> Checkpoint:
+    """Return a trained network; raises CheckpointError where its training has not ended."""
     saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
-    if saved.epoch < job.settings.epochs:
+    if saved.step < job.settings.steps:
         raise checkpoint.CheckpointError(
-            f"{runs / job.name}: stopped after epoch {saved.epoch}; run `train` again"
+            f"{runs / job.name}: stopped after step {saved.step}; run `train` again"
         )
     return saved

@@ -1,236 +1,349 @@
-"""Training: one command, resumable, deterministic for a seed."""
+"""Training: networks of one shape learn side by side, each from its own people; resumable.
 
-import copy
+A GPU trains several networks in hardly more time than one. So their weights are stacked, with the network as
+the first dimension, and one step of all is recorded as a CUDA graph.
+"""
+
+import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torch.func import functional_call, vmap
 from torch.nn import functional
 from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
-from touchd.model.adapt.augment import as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
+from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
 from touchd.model.adapt.origin import code_version, data_hash
 from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.tgc import TGC
-from touchd.model.training import checkpoint, haart
+from touchd.model.training import checkpoint
 from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError
+from touchd.model.training.recipe import Job
 from touchd.model.training.settings import TrainSettings
-from touchd.model.training.studies import MISSING, Folders, study_of
+from touchd.model.training.studies import MISSING, study_of
 
 CHECKPOINT_NAME = "checkpoint.pt"
-STATES = ("network", "optimizer", "average")
 SOURCES = ("haart.py", "settings.py", "train.py")
+SAVED_EVERY_S = 60.0
+# PyTorch asks for some steps before one is recorded (CUDA semantics, "CUDA graphs").
+STEPS_BEFORE_GRAPH = 3
+MOMENTS = ("exp_avg", "exp_avg_sq")
+Weights = dict[str, Tensor]
+"""By name, (N, ...) of N networks."""
+Ask = Callable[[Weights, Tensor], Tensor]
+"""From weights and windows (N, B, T, 8, 8) to logits (N, B, lengths, classes)."""
+
+
+class AtLengths(nn.Module):
+    """The network as training calls it: logits at several lengths of a window."""
+
+    def __init__(self, network: TGC, lengths: tuple[int, ...]) -> None:
+        super().__init__()
+        self.network = network
+        self.lengths = lengths
+
+    def forward(self, windows: Tensor) -> Tensor:
+        return self.network.at_lengths(windows, self.lengths)
 
 
 class Training:
-    """One network in training: weights, their moving average, optimizer and random states."""
+    """N networks in training: weights, their moving averages, optimizer.
 
-    def __init__(self, recordings: Sequence[Recording], settings: TrainSettings, device: str) -> None:
-        self.settings = settings
+    settings: one a network; they differ in name, seed and whom they learn from.
+    """
+
+    def __init__(
+        self, recordings: Sequence[Recording], settings: Sequence[TrainSettings], device: str
+    ) -> None:
+        if len({_shared(each) for each in settings}) != 1:
+            raise ValueError("only networks of one shape and schedule train side by side")
+        self.recordings = recordings
+        self.each = tuple(settings)
+        self.settings = settings[0]
         self.device = device
-        self.data_sha256 = data_hash(recordings)
         self.labels = tuple(sorted({recording.gesture for recording in recordings}))
-        self.counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
-        self.classes = torch.tensor([self.labels.index(recording.gesture) for recording in recordings])
-        self.participants = [recording.participant for recording in recordings]
-        people = Counter(self.participants)
-        in_study = Counter(study_of(participant) for participant in people)
-        self.weights = torch.tensor(
-            [1.0 / people[participant] / in_study[study_of(participant)] for participant in self.participants]
+        self.frames = Frames.of(
+            [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings], device
         )
-        self.soft = torch.tensor([study_of(each) == "third" for each in self.participants])
-        self.resting: dict[str, list[int]] = {participant: [] for participant in people}
-        for i, recording in enumerate(recordings):
+        self.classes = torch.tensor(
+            [self.labels.index(recording.gesture) for recording in recordings], device=device
+        )
+        self.missing = torch.tensor([label in MISSING["third"] for label in self.labels], device=device)
+        soft = [study_of(recording.participant) == "third" for recording in recordings]
+        self.soft = torch.tensor(soft, device=device)
+        self.drawn = torch.stack([self._drawn(own) for own in settings]).to(device)
+        self.rests, self.rest_counts = (table.to(device) for table in self._rests())
+
+        networks = []
+        for own in settings:
+            torch.manual_seed(own.seed)
+            networks.append(dict(TGC(own.network, len(self.labels)).named_parameters(prefix="network")))
+        self.weights = {
+            name: torch.stack([network[name].detach() for network in networks]).to(device).requires_grad_()
+            for name in networks[0]
+        }
+        self.average = {name: weights.detach().clone() for name, weights in self.weights.items()}
+        base = AtLengths(TGC(self.settings.network, len(self.labels)), self.settings.lengths).to(device)
+        self._ask = at_once(base) if device == "cuda" else in_turn(base)
+        self._bfloat16 = self.settings.bfloat16 and computes_bfloat16(device)
+        self.rate = torch.zeros((), device=device)
+        self.follow = torch.zeros((), device=device)
+        self.loss = torch.zeros(len(settings), device=device)
+        self.optimizer = torch.optim.AdamW(
+            self.weights.values(),
+            lr=self.rate,
+            weight_decay=self.settings.weight_decay,
+            capturable=device == "cuda",
+        )
+        # Dropout draws from the device's own generator, so that everything else does too.
+        self.rng = torch.cuda.default_generators[0] if device == "cuda" else torch.default_generator
+        torch.manual_seed(self.settings.seed)
+        self.step = 0
+        self._steps_here = 0
+        self._graph: torch.cuda.CUDAGraph | None = None
+
+    def _drawn(self, own: TrainSettings) -> Tensor:
+        """Return (R,), the cumulative probability with which a network's windows are cut from a recording."""
+        learnt = [self._learns(own, recording) for recording in self.recordings]
+        recorded = Counter(
+            recording.participant for recording, known in zip(self.recordings, learnt, strict=True) if known
+        )
+        people = Counter(study_of(participant) for participant in recorded)
+        share = torch.tensor(
+            [
+                1.0 / recorded[each.participant] / people[study_of(each.participant)]
+                if known and own.balance_people
+                else float(known)
+                for each, known in zip(self.recordings, learnt, strict=True)
+            ],
+            dtype=torch.float64,
+        )
+        until = (share.cumsum(0) / share.sum()).float()
+        # Nothing is drawn after the last recording, whatever the rounding.
+        return torch.where(until >= until[-1], 2.0, until)
+
+    @staticmethod
+    def _learns(own: TrainSettings, recording: Recording) -> bool:
+        return recording.participant not in own.left_out and study_of(recording.participant) in own.studies
+
+    def _rests(self) -> tuple[Tensor, Tensor]:
+        """Return (R, most) and (R,): the recordings at rest of each one's participant; how many there are."""
+        resting: dict[str, list[int]] = {recording.participant: [] for recording in self.recordings}
+        for i, recording in enumerate(self.recordings):
             if recording.gesture == NO_TOUCH:
-                self.resting[recording.participant].append(i)
-        torch.manual_seed(settings.seed)
-        self.rng = torch.Generator().manual_seed(settings.seed)
-        self.network = TGC(settings.network, len(self.labels)).to(device)
-        self.average = copy.deepcopy(self.network)
-        self._bfloat16 = settings.bfloat16 and computes_bfloat16(device)
-        self._at_lengths: Callable[[Tensor, tuple[int, ...]], Tensor] = self.network.at_lengths
-        if settings.compiled:
-            self._at_lengths = torch.compile(self.network.at_lengths, dynamic=False)
-        self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=settings.weight_decay)
-        self.set_aside: list[dict[str, Tensor]] = []
-        self.begun_with: dict[str, Tensor] = {}
-        self.epoch = 0
+                resting[recording.participant].append(i)
+        own = [torch.tensor(resting[each.participant], dtype=torch.long) for each in self.recordings]
+        padded = nn.utils.rnn.pad_sequence(own, batch_first=True)
+        return functional.pad(padded, (0, 1)), torch.tensor([len(each) for each in own])
 
-    @property
-    def steps_per_epoch(self) -> int:
-        """How many batches of random crops make an epoch."""
-        return len(self.counts) * self.settings.crops_per_recording // self.settings.batch
+    def run(self, steps: int) -> None:
+        """Train all networks for so many steps."""
+        for _ in range(steps):
+            self.rate.fill_(learning_rate_at(self.step, self.settings.steps, self.settings.learning_rate))
+            # The average would remember the random start, so it follows fast at first.
+            self.follow.fill_(1.0 - min(self.settings.average_decay, (self.step + 1) / (self.step + 10)))
+            self._take_step()
+            self.step += 1
 
-    def run_epoch(self) -> float:
-        """Train one epoch; return the mean loss."""
-        settings = self.settings
-        order = self._order()
-        total = 0.0
-        for batch in range(self.steps_per_epoch):
-            chosen = order[batch * settings.batch : (batch + 1) * settings.batch]
-            windows = torch.stack([self._window(recording) for recording in chosen.tolist()])
-            soft = self.soft[chosen]
-            windows[~soft] = as_another_pad(windows[~soft], settings.augmentation, self.rng)
-            windows[~soft] = as_quiet_pad(windows[~soft], settings.augmentation, self.rng)
-            windows = vary(windows, settings.augmentation, self.rng)
-            targets = functional.one_hot(self.classes[chosen], len(self.labels)).float()
-            windows, targets, soft = self._mix(windows, targets, soft)
-            possible = self._possible(targets, soft)
-            step = self.epoch * self.steps_per_epoch + batch
-            total += self._step(
-                windows.to(self.device), targets.to(self.device), possible.to(self.device), step
-            )
-        self.epoch += 1
-        if self.epoch in settings.averaged_epochs:
-            self.set_aside.append(copy.deepcopy(self.average.state_dict()))
-        return total / self.steps_per_epoch
+    def _take_step(self) -> None:
+        if self.device != "cuda":
+            self._learn()
+        elif self._graph is not None:
+            self._graph.replay()
+        elif self._steps_here < STEPS_BEFORE_GRAPH:
+            beside = torch.cuda.Stream()  # type: ignore[no-untyped-call]
+            beside.wait_stream(torch.cuda.current_stream())
+            with torch.cuda.stream(beside):
+                self._learn()
+            torch.cuda.current_stream().wait_stream(beside)
+            self._steps_here += 1
+        else:
+            self._graph = torch.cuda.CUDAGraph()
+            with torch.cuda.graph(self._graph):
+                self._learn()
+            self._graph.replay()
 
-    def _order(self) -> Tensor:
-        """Return the indices of the recordings that an epoch's windows are cut from."""
-        passes, count = self.settings.crops_per_recording, len(self.counts)
-        if self.settings.balance_people:
-            return torch.multinomial(self.weights, passes * count, replacement=True, generator=self.rng)
-        return torch.cat([torch.randperm(count, generator=self.rng) for _ in range(passes)])
+    def _learn(self) -> None:
+        with torch.no_grad():
+            windows, targets, possible = self._windows()
+        with torch.autocast(self.device, torch.bfloat16, enabled=self._bfloat16, cache_enabled=False):
+            logits = self._ask(self.weights, windows).float()
+        logits = logits.masked_fill(~possible[:, :, None], IMPOSSIBLE)
+        even = possible / possible.sum(dim=-1, keepdim=True)
+        expected = torch.lerp(targets, even, self.settings.label_smoothing)
+        losses = -(expected[:, :, None] * functional.log_softmax(logits, dim=-1)).sum(dim=-1).mean(dim=(1, 2))
+        self.loss.copy_(losses.detach())
+        gradients = torch.autograd.grad(losses.sum(), list(self.weights.values()))
+        lengths = torch.stack([each.flatten(1).square().sum(dim=1) for each in gradients]).sum(dim=0).sqrt()
+        limit = (GRADIENT_LIMIT / (lengths + 1e-6)).clamp_max(1.0)
+        for weights, gradient in zip(self.weights.values(), gradients, strict=True):
+            weights.grad = gradient * limit.reshape(-1, *[1] * (gradient.dim() - 1))
+        self.optimizer.step()
+        with torch.no_grad():
+            for name, weights in self.weights.items():
+                self.average[name].lerp_(weights, self.follow)
 
-    def _window(self, recording: int) -> Tensor:
-        settings = self.settings
-        window = crop(self.counts[recording], settings.window, settings.augmentation, self.rng)
-        resting = self.resting[self.participants[recording]]
-        if not resting:
-            return window
-        rest = self.counts[resting[int(torch.randint(len(resting), (1,), generator=self.rng))]]
-        still = crop(rest, settings.window, settings.augmentation, self.rng)
-        return begin_from_rest(window, still, settings.augmentation, self.rng)
+    def _windows(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Return windows (N, B, T, 8, 8), targets and possible answers (N, B, classes)."""
+        settings, varied, rng = self.settings, self.settings.augmentation, self.rng
+        N, B = len(self.each), settings.batch
+        places = torch.rand(N, B, generator=rng, device=rng.device)
+        chosen = torch.searchsorted(self.drawn, places, right=True).flatten()
+        windows = crop(self.frames, chosen, settings.window, varied, rng)
+        counts = self.rest_counts[chosen]
+        rest = (torch.rand(N * B, generator=rng, device=rng.device) * counts).long()
+        still = crop(self.frames, self.rests[chosen, rest], settings.window, varied, rng)
+        risen = begin_from_rest(windows, still, varied, rng)
+        windows = torch.where((counts > 0)[:, None, None, None], risen, windows)
+        soft = self.soft[chosen]
+        fabric = as_quiet_pad(as_another_pad(windows, varied, rng), varied, rng)
+        windows = torch.where(soft[:, None, None, None], windows, fabric)
+        windows = vary(windows, varied, rng).reshape(N, B, *windows.shape[1:])
+        targets = functional.one_hot(self.classes[chosen], len(self.labels)).float().reshape(N, B, -1)
+        windows, targets, soft = self._mix(windows, targets, soft.reshape(N, B))
+        return windows, targets, self._possible(targets, soft)
+
+    def _mix(self, windows: Tensor, targets: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Blend some windows (N, B, T, 8, 8) with others, on the scale that the network sees.
+
+        soft: (N, B) bool, whether a window of the third study's pad takes part.
+        """
+        share, chance, order = torch.rand(3, *soft.shape, generator=self.rng, device=self.rng.device)
+        share = 0.5 * share * (chance < self.settings.augmentation.mix)
+        other = order.argsort(dim=1)
+        stack = torch.arange(len(windows), device=windows.device)[:, None]
+        knee = self.settings.network.knee_counts
+        levels = torch.log(windows + knee)
+        mixed = torch.exp(torch.lerp(levels, levels[stack, other], share[:, :, None, None, None])) - knee
+        blended = torch.lerp(targets, targets[stack, other], share[:, :, None])
+        return mixed, blended, soft | (soft[stack, other] & (share > 0))
 
     def _possible(self, targets: Tensor, soft: Tensor) -> Tensor:
-        """Return (B, classes) bool, the answers that the loss compares: the third study has no tickle.
+        """Return (N, B, classes) bool, the answers that the loss compares: the third study has no tickle.
 
         Without this, "tickle" would become evidence for the other studies' pad.
         """
-        possible = torch.ones_like(targets, dtype=torch.bool)
-        for gesture in {*MISSING["third"]} & {*self.labels}:
-            missing = self.labels.index(gesture)
-            possible[:, missing] = ~soft | (targets[:, missing] > 0)
+        possible: Tensor = ~(soft[..., None] & self.missing) | (targets > 0)
         return possible
 
-    def _mix(self, windows: Tensor, targets: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Blend some windows (B, T, 8, 8) with others, on the scale that the network sees.
+    def snapshots(self) -> list[Checkpoint]:
+        """Return each network's state as a checkpoint."""
+        return [self._snapshot(place, own) for place, own in enumerate(self.each)]
 
-        soft: (B,) bool, whether a window of the third study's pad takes part.
-        """
-        B = len(windows)
-        share = 0.5 * torch.rand(B, generator=self.rng)
-        share = share * (torch.rand(B, generator=self.rng) < self.settings.augmentation.mix)
-        other = torch.randperm(B, generator=self.rng)
-        part, knee = share[:, None, None, None], self.settings.network.knee_counts
-        mixed = (windows + knee) ** (1.0 - part) * (windows[other] + knee) ** part - knee
-        blended = targets * (1.0 - share[:, None]) + targets[other] * share[:, None]
-        return mixed, blended, soft | (soft[other] & (share > 0))
+    def _snapshot(self, place: int, own: TrainSettings) -> Checkpoint:
+        def of(stack: dict[str, Tensor]) -> dict[str, Tensor]:
+            return {
+                name.removeprefix("network."): values[place].detach().cpu().clone()
+                for name, values in stack.items()
+            }
 
-    def _step(self, windows: Tensor, targets: Tensor, possible: Tensor, step: int) -> float:
-        settings = self.settings
-        epochs = settings.rate_epochs or settings.epochs
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate_at(step, epochs * self.steps_per_epoch, settings.learning_rate)
-        self.network.train()
-        with torch.autocast(self.device, torch.bfloat16, enabled=self._bfloat16):
-            logits = self._at_lengths(windows, settings.lengths).float()
-        logits = logits.masked_fill(~possible[:, None], IMPOSSIBLE)
-        expected = torch.lerp(targets, possible / possible.sum(dim=1, keepdim=True), settings.label_smoothing)
-        loss = -(expected[:, None] * functional.log_softmax(logits, dim=-1)).sum(dim=-1).mean()
-        self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), GRADIENT_LIMIT)
-        self.optimizer.step()
-        self._follow(step)
-        return float(loss.item())
-
-    @torch.no_grad()
-    def _follow(self, step: int) -> None:
-        # The average would remember the random start, so it follows fast at first.
-        decay = min(self.settings.average_decay, (step + 1) / (step + 10))
-        for slow, fast in zip(self.average.parameters(), self.network.parameters(), strict=True):
-            slow.lerp_(fast, 1.0 - decay)
-
-    def snapshot(self) -> Checkpoint:
-        """Return the state as a checkpoint."""
-        training: dict[str, Any] = {
-            **{name: getattr(self, name).state_dict() for name in STATES},
-            "rng": self.rng.get_state(),
-            "torch_rng": torch.get_rng_state(),
-            "set_aside": self.set_aside,
-            "begun_with": self.begun_with,
-        }
-        kept = self.set_aside or [self.average.state_dict()]
-        network = {name: torch.stack([each[name] for each in kept]).mean(dim=0).cpu() for name in kept[0]}
-        for name, weights in self.begun_with.items():
-            network[name] = torch.lerp(network[name], weights, self.settings.begins_share)
         return Checkpoint(
-            settings=self.settings,
+            settings=own,
             labels=self.labels,
-            epoch=self.epoch,
-            network=network,
-            training=training,
+            step=self.step,
+            network=of(self.average),
+            training={
+                "weights": of(self.weights),
+                **{moment: of(self._moments(moment)) for moment in MOMENTS},
+                "rng": self.rng.get_state(),
+            },
             code_version=code_version(*(Path(__file__).with_name(name) for name in SOURCES)),
-            data_sha256=self.data_sha256,
+            data_sha256=self._data_hash(own),
         )
 
-    def begin_with(self, earlier: Checkpoint) -> None:
-        """Begin with the weights of an earlier training.
+    def _moments(self, moment: str) -> dict[str, Tensor]:
+        state = self.optimizer.state
+        return {
+            name: state[weights][moment] if weights in state else torch.zeros_like(weights)
+            for name, weights in self.weights.items()
+        }
 
-        Raises CheckpointError if it learnt from somebody whom this one holds out.
-        """
-        first = earlier.settings
-        left_out = {name for name in self.settings.left_out if study_of(name) in first.studies}
-        if seen := sorted(left_out - {*first.left_out}):
-            raise CheckpointError(f"{self.settings.begins_from} may have learnt from {', '.join(seen)}")
-        for network in (self.network, self.average):
-            network.load_state_dict(earlier.network)
-        self.begun_with = earlier.network
+    def _data_hash(self, own: TrainSettings) -> str:
+        return data_hash(recording for recording in self.recordings if self._learns(own, recording))
 
-    def resume(self, saved: Checkpoint) -> None:
-        """Resume from `saved`; raises CheckpointError when it is of another training."""
-        if saved.settings != self.settings or saved.data_sha256 != self.data_sha256:
-            raise CheckpointError(
-                "the checkpoint there was made with other settings or data; choose another folder"
-            )
-        for name in STATES:
-            getattr(self, name).load_state_dict(saved.training[name])
-        self.set_aside = saved.training["set_aside"]
-        self.begun_with = saved.training["begun_with"]
-        self.rng.set_state(saved.training["rng"])
-        torch.set_rng_state(saved.training["torch_rng"])
-        self.epoch = saved.epoch
+    def resume(self, saved: Sequence[Checkpoint]) -> None:
+        """Resume all networks from the same step; raises CheckpointError if one is of another training."""
+        for own, of in zip(self.each, saved, strict=True):
+            if of.settings != own or of.data_sha256 != self._data_hash(own) or of.step != saved[0].step:
+                raise CheckpointError(
+                    "the checkpoint there was made with other settings or data; choose another folder"
+                )
 
+        def stacked(states: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+            return {
+                name: torch.stack([state[name.removeprefix("network.")] for state in states]).to(self.device)
+                for name in self.weights
+            }
 
-def train(recordings: Sequence[Recording], settings: TrainSettings, folder: Path, device: str) -> Checkpoint:
-    """Train on realigned recordings; save each epoch in `folder`, resume from the last one."""
-    path = folder / CHECKPOINT_NAME
-    training = Training(recordings, settings, device)
-    if path.exists():
-        training.resume(checkpoint.load(path))
-    elif settings.begins_from:
-        training.begin_with(checkpoint.load(folder.parent / settings.begins_from / CHECKPOINT_NAME))
-    with tqdm(total=settings.epochs, initial=training.epoch, unit="epoch", desc=folder.name) as progress:
-        while training.epoch < settings.epochs:
-            loss = training.run_epoch()
-            checkpoint.save(training.snapshot(), path)
-            progress.set_postfix(loss=f"{loss:.3f}")
-            progress.update()
-    return training.snapshot()
+        weights = stacked([of.training["weights"] for of in saved])
+        average = stacked([of.network for of in saved])
+        moments = {moment: stacked([of.training[moment] for of in saved]) for moment in MOMENTS}
+        self.step = saved[0].step
+        steps_device = self.device if self.device == "cuda" else "cpu"
+        for name, own_weights in self.weights.items():
+            own_weights.data.copy_(weights[name])
+            self.average[name].copy_(average[name])
+            self.optimizer.state[own_weights] = {
+                "step": torch.tensor(float(self.step), device=steps_device),
+                **{moment: moments[moment][name] for moment in MOMENTS},
+            }
+        self.rng.set_state(saved[0].training["rng"])
 
 
-def train_studies(folders: Folders, settings: TrainSettings, folder: Path, threads: int) -> Checkpoint:
-    """Train on the people of the studies in `settings`, without those held out."""
-    torch.set_num_threads(threads)
-    recordings = haart.without(folders.to_train_on(settings.studies), settings.left_out)
-    return train(recordings, settings, folder, fastest_device())
+def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, device: str) -> list[Checkpoint]:
+    """Train networks side by side on whole scans; save them in `runs` once a minute, resume from there.
+
+    All must have been saved after the same step, or none.
+    """
+    training = Training(recordings, [job.settings for job in jobs], device)
+    paths = [runs / job.name / CHECKPOINT_NAME for job in jobs]
+    if paths[0].exists():
+        training.resume([checkpoint.load(path) for path in paths])
+    name = jobs[0].name if len(jobs) == 1 else f"{len(jobs)} networks"
+    steps = training.settings.steps
+    saved_at = time.monotonic()
+    with tqdm(total=steps, initial=training.step, unit="step", desc=name) as progress:
+        while training.step < steps:
+            training.run(min(20, steps - training.step))
+            progress.update(training.step - progress.n)
+            if training.step == steps or time.monotonic() - saved_at > SAVED_EVERY_S:
+                progress.set_postfix(loss=f"{float(training.loss.mean()):.3f}")
+                for snapshot, path in zip(training.snapshots(), paths, strict=True):
+                    checkpoint.save(snapshot, path)
+                saved_at = time.monotonic()
+    return training.snapshots()
+
+
+def at_once(network: nn.Module) -> Ask:
+    """Return what asks stacked networks in one pass, as suits a GPU."""
+
+    def ask(weights: Weights, windows: Tensor) -> Tensor:
+        return functional_call(network, weights, (windows,))  # type: ignore[no-any-return]
+
+    return vmap(ask, randomness="different")
+
+
+def in_turn(network: nn.Module) -> Ask:
+    """Return what asks stacked networks one after the other."""
+
+    def ask(weights: Weights, windows: Tensor) -> Tensor:
+        each = ({name: values[place] for name, values in weights.items()} for place in range(len(windows)))
+        pairs = zip(each, windows, strict=True)
+        return torch.stack([functional_call(network, own, (seen,)) for own, seen in pairs])
+
+    return ask
+
+
+def _shared(settings: TrainSettings) -> TrainSettings:
+    """Return the settings that networks side by side have in common."""
+    return msgspec.structs.replace(settings, name="", seed=0, left_out=(), studies=())
 
 
 def computes_bfloat16(device: str) -> bool:

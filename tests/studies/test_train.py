@@ -1,8 +1,8 @@
 """Training: reproducible by seed, resumable to the same weights; checkpoints carry their origin."""
 
-import itertools
 import os
 import zipfile
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
@@ -13,32 +13,26 @@ import pytest
 pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
+from torch import nn
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.adapt.origin import code_version, data_hash
 from touchd.model.adapt.schedule import learning_rate_at
 from touchd.model.settings import NetworkSettings
+from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError, save
-from touchd.model.training.recipe import SHIPPED_RECIPE, final_jobs, fold_jobs, read_recipe
+from touchd.model.training.recipe import Job, all_jobs, read_recipe, study_jobs
 from touchd.model.training.settings import TrainSettings
 from touchd.model.training.studies import study_of
-from touchd.model.training.train import CHECKPOINT_NAME, Training, train
+from touchd.model.training.train import CHECKPOINT_NAME, Ask, AtLengths, Training, at_once, in_turn, train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NETWORK = NetworkSettings(
     stem_width=2, width=8, dilations=(1,), blocks=1, heads=2, feed_forward=8, dense=8, dropout=0.1
 )
 SETTINGS = TrainSettings(
-    name="tiny",
-    seed=3,
-    epochs=3,
-    crops_per_recording=2,
-    batch=4,
-    window=12,
-    lengths=(4, 12),
-    learning_rate=1e-2,
-    network=NETWORK,
+    name="tiny", seed=3, steps=12, batch=4, window=12, lengths=(4, 12), learning_rate=1e-2, network=NETWORK
 )
 # Torch is deterministic within one machine only: equality is checked within one run.
 DEVICE = "cpu"
@@ -60,116 +54,85 @@ def same(one: Checkpoint, other: Checkpoint) -> bool:
     return all(torch.equal(one.network[name], other.network[name]) for name in one.network)
 
 
+def trained(settings: TrainSettings, runs: Path, data: list[Recording] | None = None) -> Checkpoint:
+    (network,) = train(data or recordings(), [Job("tiny", settings)], runs, DEVICE)
+    return network
+
+
+def another(**changed: object) -> TrainSettings:
+    return msgspec.structs.replace(SETTINGS, **changed)
+
+
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Checkpoint, Path]:
-    folder = tmp_path_factory.mktemp("finished")
-    return train(recordings(), SETTINGS, folder, DEVICE), folder / CHECKPOINT_NAME
+    runs = tmp_path_factory.mktemp("finished")
+    return trained(SETTINGS, runs), runs / "tiny" / CHECKPOINT_NAME
 
 
 def test_only_the_same_seed_gives_the_same_network(finished: tuple[Checkpoint, Path], tmp_path: Path) -> None:
-    assert same(train(recordings(), SETTINGS, tmp_path / "same", DEVICE), finished[0])
-    other = msgspec.structs.replace(SETTINGS, seed=4)
-    assert not same(train(recordings(), other, tmp_path / "other", DEVICE), finished[0])
+    assert same(trained(SETTINGS, tmp_path / "same"), finished[0])
+    assert not same(trained(another(seed=4), tmp_path / "other"), finished[0])
 
 
-def test_a_training_begins_with_the_weights_that_it_names(
-    finished: tuple[Checkpoint, Path], tmp_path: Path
-) -> None:
-    save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
-    still = msgspec.structs.replace(SETTINGS, learning_rate=0.0, weight_decay=0.0, begins_from="first")
-    assert same(train(recordings(), still, tmp_path / "second", DEVICE), finished[0])
+PEOPLE = ("P3", "P4", "S03")
+CALM = msgspec.structs.replace(NETWORK, dropout=0.0)
+SIDE_BY_SIDE = [
+    another(studies=("haart", "third"), left_out=("P4",)),
+    another(studies=("haart", "third"), seed=4),
+    another(studies=("haart",)),
+]
 
 
-def test_the_kept_network_holds_a_share_of_the_weights_that_it_begins_with(
-    finished: tuple[Checkpoint, Path], tmp_path: Path
-) -> None:
-    save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
-
-    def kept(share: float, epochs_before: int = 0) -> Checkpoint:
-        settings = msgspec.structs.replace(SETTINGS, begins_from="first", begins_share=share)
-        folder = tmp_path / f"{share}-{epochs_before}"
-        if epochs_before:
-            interrupted = Training(recordings(), settings, DEVICE)
-            interrupted.begin_with(finished[0])
-            interrupted.run_epoch()
-            save(interrupted.snapshot(), folder / CHECKPOINT_NAME)
-        return train(recordings(), settings, folder, DEVICE)
-
-    none, half = kept(0.0), kept(0.5)
-    assert not same(none, finished[0])
-    for name, weights in half.network.items():
-        torch.testing.assert_close(weights, (none.network[name] + finished[0].network[name]) / 2)
-    assert same(kept(0.5, epochs_before=1), half)
+def test_each_of_several_networks_learns_from_its_own_people() -> None:
+    data = recordings(PEOPLE)
+    training = Training(data, SIDE_BY_SIDE, DEVICE)
+    places = torch.rand(3, 500)
+    places[:, 0] = 1.0 - 2**-24
+    chosen = torch.searchsorted(training.drawn, places, right=True)
+    drawn = [{data[i].participant for i in own.tolist()} for own in chosen]
+    assert drawn == [{"P3", "S03"}, {"P3", "P4", "S03"}, {"P3", "P4"}]
 
 
-def test_a_first_stage_that_saw_held_out_people_is_refused(
-    finished: tuple[Checkpoint, Path], tmp_path: Path
-) -> None:
-    save(finished[0], tmp_path / "first" / CHECKPOINT_NAME)
-    second = msgspec.structs.replace(SETTINGS, left_out=("P5", "S03"), begins_from="first")
-    with pytest.raises(CheckpointError, match=r"may have learnt from P5$"):
-        train(recordings(), second, tmp_path / "second", DEVICE)
+@pytest.mark.parametrize("way", [at_once, in_turn])
+def test_a_network_side_by_side_answers_as_it_does_alone(way: Callable[[nn.Module], Ask]) -> None:
+    still = [msgspec.structs.replace(each, network=CALM) for each in SIDE_BY_SIDE]
+    training = Training(recordings(PEOPLE), still, DEVICE)
+    windows = torch.rand(3, 2, 12, 8, 8) * 100.0
+    together = way(AtLengths(TGC(CALM, 2), SETTINGS.lengths))(training.weights, windows)
+    for network, own, answers in zip(training.snapshots(), windows, together, strict=True):
+        torch.testing.assert_close(network.build().at_lengths(own, SETTINGS.lengths), answers)
 
 
-def test_each_stage_holds_out_the_same_people() -> None:
-    names = ("touchd-3.yaml", "touchd-4.yaml", SHIPPED_RECIPE.name)
-    stages = [read_recipe(SHIPPED_RECIPE.with_name(name)) for name in names]
-    for first, second in itertools.pairwise(stages):
-        jobs = (*final_jobs(first)[:1], *fold_jobs(first))
-        assert list(second.begins_from) == [job.name for job in jobs]
-        studies = first.settings.studies
-        for fold, earlier in zip(second.folds, first.folds, strict=True):
-            assert {name for name in fold if study_of(name) in studies} == {*earlier}
+def test_networks_of_different_shapes_do_not_train_side_by_side() -> None:
+    with pytest.raises(ValueError, match="one shape and schedule"):
+        Training(recordings(), [SETTINGS, another(steps=13)], DEVICE)
+
+
+def test_the_recipe_leaves_everybody_out_once_and_the_third_study_once() -> None:
+    recipe = read_recipe()
+    people = [name for fold in recipe.folds for name in fold]
+    assert len(people) == len({*people}) == 33
+    assert all({study_of(name) for name in fold} == {*recipe.settings.studies} for fold in recipe.folds)
+    (pad,) = study_jobs(recipe)
+    assert pad.settings.studies == ("haart", "second")
+    assert len({job.name for job in all_jobs(recipe)}) == len(recipe.seeds) + len(recipe.folds) + 1
 
 
 def test_a_study_without_tickle_does_not_teach_against_it() -> None:
-    training = Training([*recordings(), *recordings(("S03",))], SETTINGS, DEVICE)
-    training.labels = ("notouch", "rub", "tickle")
-    targets = torch.tensor([[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.5, 0.5]])
-    soft = torch.tensor([True, False, True])
-    assert training._possible(targets, soft)[:, 2].tolist() == [False, True, True]
+    training = Training(recordings(("P3", "S03")), [another(studies=("haart", "third"))], DEVICE)
+    training.missing = torch.tensor([False, False, True])
+    targets = torch.tensor([[[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.5, 0.5]]])
+    soft = torch.tensor([[True, False, True]])
+    assert training._possible(targets, soft)[0, :, 2].tolist() == [False, True, True]
 
 
 def test_studies_are_drawn_equally_often() -> None:
     people = (*(f"P{i}" for i in range(3, 9)), "S03", "S04")
-    training = Training(recordings(people), msgspec.structs.replace(SETTINGS, balance_people=True), DEVICE)
-    drawn = [training.participants[i][0] for _ in range(40) for i in training._order().tolist()]
-    assert 0.45 < drawn.count("S") / len(drawn) < 0.55
-
-
-def test_the_rate_may_end_above_zero() -> None:
-    training = Training(recordings(), msgspec.structs.replace(SETTINGS, rate_epochs=6), DEVICE)
-    while training.epoch < SETTINGS.epochs:
-        training.run_epoch()
-    (group,) = training.optimizer.param_groups
-    steps = SETTINGS.epochs * training.steps_per_epoch
-    assert group["lr"] == learning_rate_at(steps - 1, 2 * steps, SETTINGS.learning_rate)
-    assert group["lr"] > 0.4 * SETTINGS.learning_rate
-
-
-def test_the_network_averages_the_saved_epochs(tmp_path: Path) -> None:
-    training = Training(recordings(), msgspec.structs.replace(SETTINGS, averaged_epochs=(2, 3)), DEVICE)
-    training.run_epoch()
-    training.run_epoch()
-    save(training.snapshot(), tmp_path / CHECKPOINT_NAME)
-    second = {name: value.clone() for name, value in training.average.state_dict().items()}
-    resumed = Training(recordings(), training.settings, DEVICE)
-    resumed.resume(checkpoint.load(tmp_path / CHECKPOINT_NAME))
-    resumed.run_epoch()
-    third = resumed.average.state_dict()
-    for name, value in resumed.snapshot().network.items():
-        torch.testing.assert_close(value, (second[name] + third[name]) / 2)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_a_compiled_step_learns_the_same(tmp_path: Path) -> None:
-    # Compiled dropout draws other numbers.
-    plain = msgspec.structs.replace(SETTINGS, network=msgspec.structs.replace(NETWORK, dropout=0.0))
-    expected = train(recordings(), plain, tmp_path / "plain", DEVICE)
-    compiled = train(recordings(), msgspec.structs.replace(plain, compiled=True), tmp_path / "fast", DEVICE)
-    for name, value in expected.network.items():
-        torch.testing.assert_close(compiled.network[name], value, atol=2e-3, rtol=0.0)
+    balanced = another(balance_people=True, studies=("haart", "third"))
+    data = recordings(people)
+    (drawn,) = Training(data, [balanced], DEVICE).drawn
+    chosen = torch.searchsorted(drawn, torch.rand(4000), right=True).tolist()
+    assert 0.45 < sum(data[i].participant[0] == "S" for i in chosen) / 4000 < 0.55
 
 
 def test_a_checkpoint_with_a_removed_setting_is_readable(
@@ -189,38 +152,45 @@ def test_bfloat16_is_used_only_where_the_processor_has_it(
     instruction: str, dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("torch.cpu.get_capabilities", lambda: {instruction: True}, raising=False)
-    training = Training(recordings(), msgspec.structs.replace(SETTINGS, bfloat16=True), "cpu")
+    training = Training(recordings(), [another(bfloat16=True)], "cpu")
     seen: set[torch.dtype] = set()
-    training.network.stem.embed.register_forward_hook(lambda *given: seen.add(given[2].dtype))
-    training.run_epoch()
+    ask = training._ask
+
+    def watched(weights: dict[str, torch.Tensor], windows: torch.Tensor) -> torch.Tensor:
+        logits: torch.Tensor = ask(weights, windows)
+        seen.add(logits.dtype)
+        return logits
+
+    training._ask = watched
+    training.run(1)
     assert seen == {dtype}
 
 
-@pytest.mark.parametrize("epochs_before", [1, 2])
-def test_an_interrupted_training_ends_in_the_same_network(
-    finished: tuple[Checkpoint, Path], tmp_path: Path, epochs_before: int
-) -> None:
-    interrupted = Training(recordings(), SETTINGS, DEVICE)
-    for _ in range(epochs_before):
-        interrupted.run_epoch()
-    save(interrupted.snapshot(), tmp_path / CHECKPOINT_NAME)
+@pytest.mark.parametrize("steps_before", [1, 5])
+def test_interrupted_trainings_end_in_the_same_networks(tmp_path: Path, steps_before: int) -> None:
+    data = recordings(PEOPLE)
+    jobs = [Job(f"network{i}", each) for i, each in enumerate(SIDE_BY_SIDE)]
+    expected = train(data, jobs, tmp_path / "whole", DEVICE)
+    interrupted = Training(data, SIDE_BY_SIDE, DEVICE)
+    interrupted.run(steps_before)
+    for job, snapshot in zip(jobs, interrupted.snapshots(), strict=True):
+        save(snapshot, tmp_path / "cut" / job.name / CHECKPOINT_NAME)
     torch.manual_seed(99)
     torch.rand(5)
-    resumed = train(recordings(), SETTINGS, tmp_path, DEVICE)
-    assert resumed.epoch == SETTINGS.epochs
-    assert same(resumed, finished[0])
+    for resumed, whole in zip(train(data, jobs, tmp_path / "cut", DEVICE), expected, strict=True):
+        assert resumed.step == SETTINGS.steps
+        assert same(resumed, whole)
 
 
 def test_a_finished_training_is_not_trained_on(finished: tuple[Checkpoint, Path]) -> None:
     done, path = finished
     before = path.stat().st_mtime_ns
-    assert same(train(recordings(), SETTINGS, path.parent, DEVICE), done)
+    assert same(trained(SETTINGS, path.parents[1]), done)
     assert path.stat().st_mtime_ns == before
 
 
 def test_two_plainly_different_gestures_are_learnt(tmp_path: Path) -> None:
-    longer = msgspec.structs.replace(SETTINGS, epochs=16, average_decay=0.8)
-    network = train(recordings(), longer, tmp_path, DEVICE).build()
+    network = trained(another(steps=60, average_decay=0.8), tmp_path).build()
     unseen = recordings(("P9",), seed=7)
     with torch.no_grad():
         answers = [network(torch.from_numpy(each.counts.astype(np.float32))[None]) for each in unseen]
@@ -231,7 +201,7 @@ def test_a_checkpoint_carries_its_origin(finished: tuple[Checkpoint, Path]) -> N
     saved = checkpoint.load(finished[1])
     assert saved.settings == SETTINGS
     assert saved.labels == ("notouch", "rub")
-    assert saved.epoch == SETTINGS.epochs
+    assert saved.step == SETTINGS.steps
     assert saved.data_sha256 == data_hash(recordings())
     assert saved.code_version != code_version()
     assert saved.code_version.startswith(f"{metadata.version('touchd')}+")
@@ -240,7 +210,7 @@ def test_a_checkpoint_carries_its_origin(finished: tuple[Checkpoint, Path]) -> N
 def test_a_checkpoint_holds_the_averaged_network(finished: tuple[Checkpoint, Path]) -> None:
     saved = checkpoint.load(finished[1])
     assert same(saved, finished[0])
-    raw = saved.training["network"]
+    raw = saved.training["weights"]
     assert any(not torch.equal(raw[name], saved.network[name]) for name in raw)
     assert not saved.build().training
 
@@ -248,18 +218,18 @@ def test_a_checkpoint_holds_the_averaged_network(finished: tuple[Checkpoint, Pat
 @pytest.mark.parametrize(
     ("settings", "data"),
     [
-        (msgspec.structs.replace(SETTINGS, learning_rate=2e-3), recordings()),
-        (msgspec.structs.replace(SETTINGS, epochs=4), recordings()),
+        (another(learning_rate=2e-3), recordings()),
+        (another(steps=13), recordings()),
         (SETTINGS, recordings(seed=1)),
     ],
-    ids=["other rate", "other epochs", "other data"],
+    ids=["other rate", "other steps", "other data"],
 )
 def test_the_folder_of_another_training_is_refused(
     finished: tuple[Checkpoint, Path], settings: TrainSettings, data: list[Recording]
 ) -> None:
     before = finished[1].read_bytes()
     with pytest.raises(CheckpointError, match="made with other settings or data; choose another folder"):
-        train(data, settings, finished[1].parent, DEVICE)
+        trained(settings, finished[1].parents[1], data)
     assert finished[1].read_bytes() == before
 
 
