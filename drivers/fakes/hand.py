@@ -156,7 +156,7 @@ def tickle(rng: RandomState, time_s: Series) -> list[Patch]:
         force = np.maximum(
             0.0, np.sin(flutter + rng.uniform(-3.0, 3.0)) + 0.9 * wander(rng, time_s, 14.0) - 0.6
         )
-        tips.append(Patch(along + 0.4 * np.cos(flutter), across + 1.2 * place, 0.7, 15.0 * force))
+        tips.append(Patch(along + 0.4 * np.cos(flutter), across + 1.2 * place, 0.5, 24.0 * force))
     return [*tips, Patch(along, across, 2.0, 2.0 * (1.0 + 0.5 * wander(rng, time_s, 10.0)))]
 
 

@@ -92,21 +92,22 @@ def test_touches_of_the_second_study_stay_apart() -> None:
 
 @needs_second_study
 @pytest.mark.parametrize(
-    ("people", "touches", "split", "final"),
+    ("people", "touches", "missed", "split", "final"),
     [
-        (("R06",), 12, 8.3, 83.3),
-        pytest.param(("R02", "R04", "R06"), 36, 2.8, 80.6, marks=pytest.mark.slow),
+        (("R06",), 12, 0.0, 8.3, 75.0),
+        pytest.param(("R04", "R06"), 24, 4.2, 4.2, 62.5, marks=pytest.mark.slow),
     ],
 )
 def test_a_breathing_robots_answers_are_as_measured(
-    people: tuple[str, ...], touches: int, split: float, final: float, tmp_path: Path
+    people: tuple[str, ...], touches: int, missed: float, split: float, final: float, tmp_path: Path
 ) -> None:
     moving = f"({'|'.join(people)}),dynamic,"
     recordings = read_recordings(recordings_of("robot-pad.csv", moving, tmp_path, SECOND_STUDY))
-    never_met_them = SHIPPED_MODEL.parent / "left_out" / "P3-P6-R02-R03-R04-R06-L1-S01-S06-S11-S15.onnx"
+    never_met_them = SHIPPED_MODEL.parent / "left_out" / "P4-R04-R06-S03-S10.onnx"
     result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
     assert result.n == touches
-    assert (result.missed, result.merged, result.split, result.open, result.false) == (0, 0, split, 0, 0)
+    assert (result.missed, result.merged, result.split) == (missed, 0, split)
+    assert (result.open, result.false) == (0, 0)
     # Another processor's rounding may turn a single answer.
     assert result.final == pytest.approx(final, abs=100 / touches + 0.1)
 
