@@ -27,8 +27,8 @@ DEFAULT_PORT = "/dev/touchd-pad"
 
 MAX_PADS = 16
 FABRIC = "fabric-grid"
-# On a pad of a kind that the network never met, 43 % of the final answers to touches are right. A third has
-# this confidence; of these, 75 % are right (fabric.onnx on the third study's windows).
+# On a pad of a kind that the network never met, 47 % of the final answers to touches are right. A third has
+# this confidence; of these, 82 % are right (fabric.onnx on the third study's windows).
 FINAL_ABOVE_ON_ANOTHER_PAD = 0.6
 # What the machine lacks: descriptors or memory.
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
