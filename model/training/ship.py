@@ -48,8 +48,12 @@ def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> 
 
 
 def _steps_done(job: Job, runs: Path) -> int:
+    """Return how far a training is; 0 also for one with other settings, which `train` refuses to resume."""
     path = runs / job.name / CHECKPOINT_NAME
-    return checkpoint.load(path).step if path.exists() else 0
+    if not path.exists():
+        return 0
+    saved = checkpoint.load(path)
+    return saved.step if saved.settings == job.settings else 0
 
 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:

@@ -22,9 +22,11 @@ from touchd.model.settings import NetworkSettings
 from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError, save
-from touchd.model.training.recipe import Job, all_jobs, read_recipe, study_jobs
-from touchd.model.training.settings import TrainSettings
-from touchd.model.training.studies import study_of
+from touchd.model.training.recipe import Job, Recipe, all_jobs, read_recipe, study_jobs
+from touchd.model.training.settings import Study, TrainSettings
+from touchd.model.training.ship import finished as finished_training
+from touchd.model.training.ship import train_recipe
+from touchd.model.training.studies import Folders, study_of
 from touchd.model.training.train import CHECKPOINT_NAME, Ask, AtLengths, Training, at_once, in_turn, train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -180,6 +182,47 @@ def test_interrupted_trainings_end_in_the_same_networks(tmp_path: Path, steps_be
     for resumed, whole in zip(train(data, jobs, tmp_path / "cut", DEVICE), expected, strict=True):
         assert resumed.step == SETTINGS.steps
         assert same(resumed, whole)
+
+
+class MadeUp(Folders):
+    """Folders of all studies with made-up recordings."""
+
+    def to_train_on(self, studies: tuple[Study, ...]) -> list[Recording]:
+        return [
+            each for each in recordings(("P3", "P4", "R02", "S03")) if study_of(each.participant) in studies
+        ]
+
+
+RECIPE = Recipe(
+    name="tiny",
+    folds=(("P3",), ("P4",)),
+    seeds=(3, 4),
+    left_out_study="third",
+    settings=another(studies=("haart", "second", "third")),
+)
+
+
+def test_a_recipe_trains_each_of_its_networks_once(tmp_path: Path) -> None:
+    folders = MadeUp(tmp_path)
+    train_recipe(RECIPE, folders, tmp_path, threads=1)
+    networks = [finished_training(job, tmp_path) for job in all_jobs(RECIPE)]
+    assert [each.settings.left_out for each in networks] == [(), (), ("P3",), ("P4",), ()]
+    assert networks[-1].settings.studies == ("haart", "second")
+    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob(CHECKPOINT_NAME)}
+    train_recipe(RECIPE, folders, tmp_path, threads=1)
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    changed = msgspec.structs.replace(RECIPE, settings=another(weight_decay=0.5, studies=("haart",)))
+    with pytest.raises(CheckpointError, match="other settings or data"):
+        train_recipe(changed, folders, tmp_path, threads=1)
+
+
+def test_a_network_whose_training_has_not_ended_is_not_shipped(tmp_path: Path) -> None:
+    (job, *_) = all_jobs(RECIPE)
+    training = Training(MadeUp(tmp_path).to_train_on(job.settings.studies), [job.settings], DEVICE)
+    training.run(5)
+    save(training.snapshots()[0], tmp_path / job.name / CHECKPOINT_NAME)
+    with pytest.raises(CheckpointError, match="stopped after step 5; run `train` again"):
+        finished_training(job, tmp_path)
 
 
 def test_a_finished_training_is_not_trained_on(finished: tuple[Checkpoint, Path]) -> None:
