@@ -43,7 +43,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     """One network, adapted to `each` recordings a gesture of a person it never saw.
 
     before, after: macro accuracy on that person's other recordings over 144 frames; error: of calibration.
-    others: mean gain on the other people it never saw, on the same kind of pad.
+    others: mean gain on the other people it never saw, on the same kind of pad; None where there are none.
     """
 
     participant: str
@@ -52,7 +52,7 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     before: float
     after: float
     error: float
-    others: float
+    others: float | None
 
 
 class Measured(msgspec.Struct, frozen=True):
@@ -111,9 +111,15 @@ class PersonFold:
                     self.accuracy(head, theirs)[0] - was
                     for theirs, was in zip(others, others_before, strict=True)
                 ]
-                figures = {"before": before, "after": after, "error": error, "others": float(np.mean(gains))}
-                rounded = {figure: round(value, 4) for figure, value in figures.items()}
-                yield Trial(participant=name, draw=number, each=each, **rounded)
+                yield Trial(
+                    participant=name,
+                    draw=number,
+                    each=each,
+                    before=round(before, 4),
+                    after=round(after, 4),
+                    error=round(error, 4),
+                    others=round(float(np.mean(gains)), 4) if gains else None,
+                )
 
 
 def same_kind(one: str, other: str) -> bool:
@@ -168,8 +174,12 @@ def tables(measured: Measured) -> dict[str, str]:
             cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
             interval = mean_interval([_by_person(cell, lambda t: t.after - t.before)])
             assert interval is not None
-            before, after, others, error = (
-                _by_person(cell, attrgetter(name)).mean() for name in ("before", "after", "others", "error")
+            before, after, error = (
+                _by_person(cell, attrgetter(name)).mean() for name in ("before", "after", "error")
+            )
+            gains = [(trial.participant, trial.others) for trial in cell if trial.others is not None]
+            others = np.mean(
+                [np.mean([gain for who, gain in gains if who == name]) for name in {*dict(gains)}]
             )
             gained = f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}"
             shown = (f"{100 * before:.1f}", f"**{100 * after:.1f}**", gained, f"{100 * others:+.1f}")
