@@ -187,7 +187,7 @@ def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> Non
 
 def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> None:
     script = [("notouch", 3.0)]
-    for gesture in ("stroke", "rub", "scratch"):
+    for gesture in ("stroke", "rub", "scratch", "pat"):
         script += [(gesture, 3.0), ("notouch", 1.5)]
     counts = splice(simulate(script, 1)).counts
     differ = np.random.default_rng(0).uniform(0.5, 1.5, (8, 8))
@@ -199,7 +199,7 @@ def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> Non
         play(Stream(resting, ideal_clock_ms(len(resting)), ()), pipeline)
         return [event.gesture for event in predictions(emitted) if event.stage == "final"]
 
-    assert finals(40) == finals(300) == ["stroke", "rub", "scratch"]
+    assert finals(40) == finals(300) == ["stroke", "rub", "scratch", "pat"]
 
 
 def when_sure(
