@@ -16,7 +16,7 @@ from torch import Tensor  # noqa: E402
 from touchd.model.classifier import Classifier, ModelMetadata  # noqa: E402
 from touchd.model.settings import NetworkSettings  # noqa: E402
 from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
-from touchd.model.tgc import TGC, FeatureDropout  # noqa: E402
+from touchd.model.tgc import TGC, FeatureDropout, _convolve  # noqa: E402
 from touchd.model.training.export import CalibratedTGC, export  # noqa: E402
 from touchd.model.training.stepwise import MEMORY_FRAMES, initial_state, step  # noqa: E402
 
@@ -193,3 +193,18 @@ def test_the_exported_file_answers_as_pytorch_does_in_float64(exported: Path, fr
     for window in (hand(frames), checkerboard(frames), flat(3.0, frames)):
         expected = calibrated(batch(window))[0].numpy()
         assert np.abs(classifier.probabilities(window) - expected).max() <= 1e-4
+
+
+class OnGpu(Tensor):
+    """A tensor that says that it is on a GPU."""
+
+    is_cuda = True
+
+
+@pytest.mark.parametrize("size", [8, 4])
+def test_a_gpu_convolves_by_one_product_with_the_same_result(size: int) -> None:
+    images, weight, bias = torch.randn(3, 5, size, size), torch.randn(7, 5, 3, 3), torch.randn(7)
+    expected = torch.nn.functional.conv2d(images, weight, bias, padding=1)
+    product = _convolve(images.as_subclass(OnGpu), weight, bias)
+    assert isinstance(product, OnGpu)
+    torch.testing.assert_close(product.as_subclass(Tensor), expected, atol=1e-4, rtol=1e-4)
