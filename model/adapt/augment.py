@@ -39,7 +39,8 @@ def crop(
 ) -> Tensor:
     """Return (B, length, 8, 8) float counts from random places in the recordings `chosen` (B,).
 
-    Each at a random pace and framing; a recording must be longer than a window, at its pace.
+    Each at a random pace and framing. No recording may be shorter than a window; with a published framing, it
+    must be a frame longer.
     """
     B, device = len(chosen), chosen.device
     # A published scan begins two rows early, so that it is cut short by as much.
@@ -51,6 +52,8 @@ def crop(
     whole = torch.minimum((place * (count - length + 1)).floor(), count - length) + ticks
     paced = place * (count - 1 - (length - 1) * pace).clamp_min(0.0) + pace * ticks
     places = torch.where(_chosen(B, settings.change_pace, rng), paced, whole)
+    # Where a recording is shorter than a window at its pace, its last frame is repeated.
+    places = torch.minimum(places, count - 1)
     below = torch.minimum(places.floor(), count - 2)
     part = (places - below)[:, :, None, None]
     first = (frames.starts[chosen][:, None] + below.long()) * ROWS + published * (ROWS - 2)

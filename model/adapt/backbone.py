@@ -69,7 +69,7 @@ def crops(
     counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
     resting = _resting(recordings)
     length = LEARNT_LENGTHS[-1]
-    frames = Frames.of([_filled(each, length + 1) for each in counts])
+    frames = Frames.of([_filled(each, length) for each in counts])
     values = []
     shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
     for i, recording in enumerate(shown):

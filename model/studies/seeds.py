@@ -29,7 +29,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--threads", type=int, default=1, help="processor threads (1)")
     options = parser.parse_args(arguments)
     recipe, folders = read_recipe(), Folders(options.haart, options.second_study, options.third_study)
-    recipes = [msgspec.structs.replace(recipe, seeds=(seed,)) for seed in SEEDS]
+    recipes = [msgspec.structs.replace(recipe, seeds=(seed,), left_out_study=None) for seed in SEEDS]
     for each in recipes:
         train_recipe(each, folders, options.runs, options.threads)
 

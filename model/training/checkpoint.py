@@ -14,7 +14,7 @@ from touchd.drivers.whole_file import whole_file
 from touchd.model.tgc import TGC
 from touchd.model.training.settings import TrainSettings
 
-# The widest network's checkpoint takes 17 MB.
+# The widest network's checkpoint takes 14 MB.
 MAX_FILE_BYTES = 128 * 1024 * 1024
 ADVICE = "make one with `python -m touchd.model.studies train`"
 
@@ -68,6 +68,8 @@ def load(path: Path) -> Checkpoint:
         settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])
         # A checkpoint of an older version may hold settings that no longer exist.
         known = {name: value for name, value in settings.items() if name in TrainSettings.__struct_fields__}
+        # Those count in epochs.
+        stored.setdefault("step", stored.get("epoch"))
         found = {field.name: stored[field.name] for field in fields(Checkpoint)}
         found |= {"settings": msgspec.convert(known, TrainSettings), "labels": tuple(stored["labels"])}
         return Checkpoint(**found)

@@ -1,11 +1,12 @@
 """The recipe: which networks are trained, on whom, and in which order.
 
 For the shipped file: one network a seed, on all training participants. For unbiased figures on them: one
-network a fold, which never sees the fold's participants.
+network a fold, which never sees the fold's participants. For a pad never met: one without a study.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import yaml
@@ -34,7 +35,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seeds: tuple[int, ...]
     """Seeds of the networks on all training participants; the first network ships."""
     settings: TrainSettings
-    left_out_study: Study | None = None
+    left_out_study: Literal["third"] | None = None
     """A study that one network leaves out whole, for the figure of a pad never met."""
 
 

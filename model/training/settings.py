@@ -10,7 +10,7 @@ Study = Literal["haart", "second", "third"]
 
 
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that determines a training's result, apart from data and code."""
+    """Everything that determines a training's result, apart from data, code, and the networks beside it."""
 
     name: str = "touchd"
     seed: int = 0

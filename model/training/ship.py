@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import compress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -25,7 +26,7 @@ from touchd.model.training.remember import statistics
 from touchd.model.training.settings import Study
 from touchd.model.training.studies import Folders
 from touchd.model.training.train import CHECKPOINT_NAME, fastest_device, train
-from touchd.model.training.weights import FABRIC_MODEL, SEEDS_FOLDER, fold_path
+from touchd.model.training.weights import FABRIC_MODEL, LEFT_OUT_FOLDER, SEEDS_FOLDER, fold_path
 
 REMEMBERED_CROPS = 3
 """Of each recording."""
@@ -48,12 +49,18 @@ def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> 
 
 
 def _steps_done(job: Job, runs: Path) -> int:
-    """Return how far a training is; 0 also for one with other settings, which `train` refuses to resume."""
     path = runs / job.name / CHECKPOINT_NAME
-    if not path.exists():
-        return 0
-    saved = checkpoint.load(path)
-    return saved.step if saved.settings == job.settings else 0
+    return _saved(job, runs).step if path.exists() else 0
+
+
+def _saved(job: Job, runs: Path) -> Checkpoint:
+    """Return a job's checkpoint; raises CheckpointError where it was made with other settings."""
+    saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
+    if saved.settings != job.settings:
+        raise checkpoint.CheckpointError(
+            f"{runs / job.name}: made with other settings than the recipe's; choose another --runs"
+        )
+    return saved
 
 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
@@ -73,12 +80,16 @@ def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -
         temperatures = _temperatures([answer for answer in answers if answer is not own])
         _export(fold, name, learnt, temperatures, calibrate.accuracies(own), path)
         written.append(path)
+    for stale in {*(weights / LEFT_OUT_FOLDER).glob("*.onnx")} - {*written}:
+        stale.unlink()
     temperatures = _temperatures(answers)
     accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
     for job in study_jobs(recipe):
         saved = finished(job, runs)
         path = weights / FABRIC_MODEL.name
-        _export(saved, f"{recipe.name}-fabric", learnt, temperatures, {}, path)
+        met = [study in saved.settings.studies for study in scored]
+        known = _temperatures([list(compress(answer, met)) for answer in answers])
+        _export(saved, f"{recipe.name}-fabric", learnt, known, {}, path)
         written.append(path)
     for job in final_jobs(recipe):
         saved = finished(job, runs)
@@ -160,7 +171,7 @@ def export_checkpoint(
 
 def finished(job: Job, runs: Path) -> Checkpoint:
     """Return a trained network; raises CheckpointError where its training has not ended."""
-    saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
+    saved = _saved(job, runs)
     if saved.step < job.settings.steps:
         raise checkpoint.CheckpointError(
             f"{runs / job.name}: stopped after step {saved.step}; run `train` again"

@@ -64,6 +64,8 @@ class Training:
     ) -> None:
         if len({_shared(each) for each in settings}) != 1:
             raise ValueError("only networks of one shape and schedule train side by side")
+        if any(len(recording.counts) <= settings[0].window for recording in recordings):
+            raise ValueError(f"a recording is no longer than a window, {settings[0].window} frames")
         self.recordings = recordings
         self.each = tuple(settings)
         self.settings = settings[0]
@@ -294,7 +296,12 @@ class Training:
                 "step": torch.tensor(float(self.step), device=steps_device),
                 **{moment: moments[moment][name] for moment in MOMENTS},
             }
-        self.rng.set_state(saved[0].training["rng"])
+        try:
+            self.rng.set_state(saved[0].training["rng"])
+        except RuntimeError as error:
+            raise CheckpointError(
+                f"training cannot go on on this device ({self.device}), only on the kind on which it began"
+            ) from error
 
 
 def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, device: str) -> list[Checkpoint]:
@@ -304,7 +311,7 @@ def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, devi
     """
     training = Training(recordings, [job.settings for job in jobs], device)
     paths = [runs / job.name / CHECKPOINT_NAME for job in jobs]
-    if paths[0].exists():
+    if any(path.exists() for path in paths):
         training.resume([checkpoint.load(path) for path in paths])
     name = jobs[0].name if len(jobs) == 1 else f"{len(jobs)} networks"
     steps = training.settings.steps

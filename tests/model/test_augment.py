@@ -112,6 +112,17 @@ def test_a_crop_at_its_own_pace_is_a_part_of_its_recording() -> None:
         assert any(torch.equal(window, recording[start : start + 54]) for start in starts)
 
 
+@pytest.mark.parametrize("frames", [54, 55, 60])
+def test_a_crop_of_a_short_recording_stays_within_its_counts(frames: int) -> None:
+    own = AugmentationSettings(published_framing=0.0, change_pace=1.0, pace=0.25)
+    ramp = 100.0 + torch.arange(float(frames))[:, None, None].expand(-1, 8, 8)
+    windows = crop(
+        Frames.of([ramp]), torch.zeros(50, dtype=torch.long), 54, own, torch.Generator().manual_seed(0)
+    )
+    assert 100.0 <= float(windows.min()) <= float(windows.max()) <= 99.0 + frames
+    assert float(windows.diff(dim=1).min()) >= -1e-4
+
+
 def test_a_published_scan_begins_two_rows_early() -> None:
     own = AugmentationSettings(published_framing=1.0, change_pace=0.0)
     rows = torch.arange(55.0 * 8)[:, None].expand(-1, 8).reshape(55, 8, 8)

@@ -3,6 +3,7 @@
 import os
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from torch import nn
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.adapt.origin import code_version, data_hash
 from touchd.model.adapt.schedule import learning_rate_at
+from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import NetworkSettings
 from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
@@ -28,6 +30,7 @@ from touchd.model.training.ship import finished as finished_training
 from touchd.model.training.ship import train_recipe
 from touchd.model.training.studies import Folders, study_of
 from touchd.model.training.train import CHECKPOINT_NAME, Ask, AtLengths, Training, at_once, in_turn, train
+from touchd.model.training.weights import HAART_MODEL
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NETWORK = NetworkSettings(
@@ -211,9 +214,44 @@ def test_a_recipe_trains_each_of_its_networks_once(tmp_path: Path) -> None:
     times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob(CHECKPOINT_NAME)}
     train_recipe(RECIPE, folders, tmp_path, threads=1)
     assert {path: path.stat().st_mtime_ns for path in times} == times
-    changed = msgspec.structs.replace(RECIPE, settings=another(weight_decay=0.5, studies=("haart",)))
-    with pytest.raises(CheckpointError, match="other settings or data"):
+    changed = msgspec.structs.replace(
+        RECIPE, seeds=(7, *RECIPE.seeds), settings=another(weight_decay=0.5, studies=("haart",))
+    )
+    with pytest.raises(CheckpointError, match="made with other settings than the recipe's"):
         train_recipe(changed, folders, tmp_path, threads=1)
+    with pytest.raises(CheckpointError, match="made with other settings than the recipe's"):
+        finished_training(all_jobs(changed)[1], tmp_path)
+
+
+def test_networks_of_which_only_some_were_saved_do_not_resume(tmp_path: Path) -> None:
+    jobs = all_jobs(RECIPE)[:2]
+    data = MadeUp(tmp_path).to_train_on(RECIPE.settings.studies)
+    train(data, jobs[1:], tmp_path, DEVICE)
+    with pytest.raises(CheckpointError, match="there is no checkpoint"):
+        train(data, jobs, tmp_path, DEVICE)
+
+
+def test_a_training_of_another_device_is_refused_in_one_line(
+    finished: tuple[Checkpoint, Path], tmp_path: Path
+) -> None:
+    elsewhere = replace(
+        finished[0], training={**finished[0].training, "rng": torch.zeros(16, dtype=torch.uint8)}
+    )
+    save(elsewhere, tmp_path / "tiny" / CHECKPOINT_NAME)
+    with pytest.raises(CheckpointError, match="cannot go on on this device"):
+        trained(SETTINGS, tmp_path)
+
+
+def test_a_recording_as_short_as_a_window_is_not_trained_on() -> None:
+    (short, *others) = recordings()
+    cut = replace(short, counts=short.counts[:12], sensor_ms=short.sensor_ms[:12])
+    with pytest.raises(ValueError, match="no longer than a window"):
+        Training([cut, *others], [SETTINGS], DEVICE)
+
+
+@pytest.mark.parametrize("path", [SHIPPED_MODEL.with_suffix(".pt"), HAART_MODEL.with_suffix(".pt")], ids=str)
+def test_every_shipped_checkpoint_is_readable(path: Path) -> None:
+    assert checkpoint.load(path).build()
 
 
 def test_a_network_whose_training_has_not_ended_is_not_shipped(tmp_path: Path) -> None:
