@@ -88,7 +88,7 @@ TWO_TIPS = tuple(
     part._replace(along=0.0, radius=FINGERTIP.radius, share=share)
     for part, share in zip(FLAT_HAND, (0.0, 0.0, 1.0, 1.0, 0.0), strict=True)
 )
-HAND = Shape(FLAT_HAND, TWO_TIPS, landing=12.0, still=30.0, stroke=30.0, slow=2.0, fast=0.4, slip=2.0)
+HAND = Shape(FLAT_HAND, TWO_TIPS, landing=12.0, still=30.0, stroke=30.0, slow=3.0, fast=0.6, slip=2.0)
 FINGER = Shape(
     (FINGERTIP,), (FINGERTIP,), landing=25.0, still=60.0, stroke=45.0, slow=20.0, fast=3.0, slip=8.0
 )
