@@ -250,4 +250,4 @@ def _chosen(B: int, probability: float, rng: torch.Generator) -> Tensor:
 
 def _chosen4(B: int, probability: float, rng: torch.Generator) -> Tensor:
     """Return (B, 1, 1, 1) bool, true with a probability."""
-    return _uniform(rng, B, 1, 1, 1) < probability
+    return _chosen(B, probability, rng)[:, :, None, None]

@@ -68,6 +68,10 @@ class Training:
             raise ValueError(f"a recording is no longer than a window, {settings[0].window} frames")
         self.recordings = recordings
         self.each = tuple(settings)
+        self.data_sha256 = [
+            data_hash(recording for recording in recordings if self._learns(own, recording))
+            for own in settings
+        ]
         self.settings = settings[0]
         self.device = device
         self.labels = tuple(sorted({recording.gesture for recording in recordings}))
@@ -146,7 +150,7 @@ class Training:
         return functional.pad(padded, (0, 1)), torch.tensor([len(each) for each in own])
 
     def run(self, steps: int) -> None:
-        """Train all networks for so many steps."""
+        """Train all networks for a number of steps."""
         for _ in range(steps):
             self.rate.fill_(learning_rate_at(self.step, self.settings.steps, self.settings.learning_rate))
             # The average would remember the random start, so it follows fast at first.
@@ -257,7 +261,7 @@ class Training:
                 "rng": self.rng.get_state(),
             },
             code_version=code_version(*(Path(__file__).with_name(name) for name in SOURCES)),
-            data_sha256=self._data_hash(own),
+            data_sha256=self.data_sha256[place],
         )
 
     def _moments(self, moment: str) -> dict[str, Tensor]:
@@ -267,13 +271,10 @@ class Training:
             for name, weights in self.weights.items()
         }
 
-    def _data_hash(self, own: TrainSettings) -> str:
-        return data_hash(recording for recording in self.recordings if self._learns(own, recording))
-
     def resume(self, saved: Sequence[Checkpoint]) -> None:
         """Resume all networks from the same step; raises CheckpointError if one is of another training."""
-        for own, of in zip(self.each, saved, strict=True):
-            if of.settings != own or of.data_sha256 != self._data_hash(own) or of.step != saved[0].step:
+        for own, data_sha256, of in zip(self.each, self.data_sha256, saved, strict=True):
+            if of.settings != own or of.data_sha256 != data_sha256 or of.step != saved[0].step:
                 raise CheckpointError(
                     "the checkpoint there was made with other settings or data; choose another folder"
                 )
@@ -288,12 +289,11 @@ class Training:
         average = stacked([of.network for of in saved])
         moments = {moment: stacked([of.training[moment] for of in saved]) for moment in MOMENTS}
         self.step = saved[0].step
-        steps_device = self.device if self.device == "cuda" else "cpu"
         for name, own_weights in self.weights.items():
             own_weights.data.copy_(weights[name])
             self.average[name].copy_(average[name])
             self.optimizer.state[own_weights] = {
-                "step": torch.tensor(float(self.step), device=steps_device),
+                "step": torch.tensor(float(self.step), device=self.device),
                 **{moment: moments[moment][name] for moment in MOMENTS},
             }
         try:
