@@ -18,7 +18,7 @@ from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import listen
-from touchd.drivers.search.search import Finding, search
+from touchd.drivers.search.search import Chunk, Finding, search
 
 REST_S = 2.0
 PRESS_S = 40.0
@@ -48,7 +48,8 @@ def can_ask() -> bool:
 def find_with_a_hand(console: Console, opened: Line) -> Finding:
     """Ask for rest and for presses until the pad's description is proven, or for PRESS_S."""
     console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
-    chunks = listen(opened, REST_S)
+    # A pad that sends nothing while nobody presses it shows that from the first moment on.
+    chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
     console.print(
         "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
     )

@@ -47,6 +47,12 @@ BUSIER = 0.9
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 # Without this share of a number's own movement shared with the next, nothing is a grid.
 LEAST_LAG = 0.05
+# Bytes are signed if they then change by less than this share.
+SIGNED_SHARE = 0.5
+# A byte that wraps changes by more than this at once.
+WRAP = 192
+# Halves of a byte that mostly move the same way are two cells.
+SAME_WAY = 0.7
 KINDS: tuple[tuple[str, Order], ...] = (
     ("u8", "little"),
     *((kind, order) for kind in ("u16", "i16", "u12", "f32") for order in ORDERS),
@@ -319,6 +325,27 @@ def _headers(
                 # Zeros before bytes that count are the upper bytes of a counter.
                 yield first, header.rstrip(b"\0")[:LONGEST_HEADER]
             yield first, header[:LONGEST_HEADER]
+
+
+def unlike_bytes(values: Numbers) -> str:
+    """Say why (frames, cells) of a byte each are not readings of a byte each; "" if they may be."""
+    steps = np.diff(values, axis=0)
+    signed = np.diff((values + 128) % 256, axis=0)
+    if np.abs(signed).sum() < SIGNED_SHARE * np.abs(steps).sum():
+        return "its bytes seem to be signed; touchd reads unsigned bytes only: send 0 to 255"
+    # What wraps goes on before and after as if it had not.
+    before, jumps, after = steps[:-2], steps[1:-1], steps[2:]
+    jump = np.abs(jumps) > WRAP
+    wraps = jump & (before * jumps < 0) & (after * jumps < 0)
+    if jump.sum() >= LEAST_FRAMES and wraps.sum() > jump.sum() / 2:
+        return "its bytes seem to be the lower halves of larger numbers: send both bytes of a cell together"
+    upper, lower = np.divmod(values, 16)
+    moves = np.diff(upper, axis=0) * np.diff(lower, axis=0)
+    # At either end of the range a true reading's halves do move the same way.
+    inside = (np.minimum(upper[1:], upper[:-1]) > 0) & (np.maximum(upper[1:], upper[:-1]) < 15) & (moves != 0)
+    if inside.sum() >= LEAST_FRAMES and (moves[inside] > 0).mean() > SAME_WAY:
+        return "its bytes seem to hold two cells each: send a byte for each cell"
+    return ""
 
 
 def complete(described: PadFormat, data: bytes, times_s: Numbers) -> PadFormat:

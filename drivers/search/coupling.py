@@ -6,6 +6,7 @@ neighbours move together most, and it is a pad only if they do so far more than 
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +56,19 @@ SEAM_ROWS = 3
 MOSTLY_EQUAL = 0.95
 # Numbers that are unlike the cells are fewer than this share of what a hand moves.
 FEW_BEYOND = 0.2
+# Rows are of several kinds by turns if two of one turn miss so much less of what they could share than two of
+# different turns, or if a row shares so much more with the next of its kind than with the next one.
+ALTERNATES, SHARES_MORE = 0.5, 0.35
+MOST_KINDS = 4
+# A checksum differs from a sum by multiples of at least so many steps of a cell.
+LEAST_MODULUS = 16
 # A hand has to reach this share of the cells, and half of the rows and columns.
 REACHED = 0.3
+# It reaches a row if that moves by this share of the farthest; of the outer ones on a side, it may miss one.
+FAINT = 0.05
+MOST_MISSED = 1
+# Numbers that go below 0 by this share of what they go above it do both under a hand.
+BOTH_WAYS = 0.5
 # A later frame that resembles a frame by so much more than the next one does: frames of two kinds by turns.
 TURNS_SHARE = 0.8
 MOST_TURNS = 64
@@ -189,16 +201,16 @@ class Movement:
         across = below[:, stop - columns] - below[:, start]
         pairs = rows * (columns - 1) + columns * (rows - 1)
         together = along + across - pairs * self._chance
-        fitting = 1 - self._odd_in(start, rows, columns) / (rows * columns)
+        fitting = 1 - self.odd_in(start, rows, columns) / (rows * columns)
         return Fold(start, rows, columns, fitting * together / np.maximum(2 * self._total, 1e-9))
 
     def misfits(self, start: int, rows: int, columns: int) -> int:
         """Return how many numbers outside these cells look like cells, and how many inside do not."""
         stop = start + rows * columns
         outside = self._all_like_cells - int(self._like_cells[start:stop].sum())
-        return outside + self._odd_in(start, rows, columns)
+        return outside + self.odd_in(start, rows, columns)
 
-    def _odd_in(self, start: int, rows: int, columns: int) -> int:
+    def odd_in(self, start: int, rows: int, columns: int) -> int:
         """Return how many cells of a grid are hardly cells; a border that never changes may be."""
         if not self.odd.any():
             return 0
@@ -262,6 +274,9 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
     reached = movement.pressed.reshape(rows, columns)
     if reached.mean() < REACHED or min(reached.any(axis=0).mean(), reached.any(axis=1).mean()) < 0.5:
         return TOO_LITTLE
+    clearly = reached & (movement.farthest >= FAINT * movement.largest).reshape(rows, columns)
+    if max(_missed(clearly.any(axis=1)), _missed(clearly.any(axis=0))) > MOST_MISSED:
+        return TOO_LITTLE
     alive = movement.alive.reshape(rows, columns)
     edges = [alive[0].any(), alive[-1].any(), alive[:, 0].any(), alive[:, -1].any()]
     if any(edges) and not all(edges):
@@ -288,9 +303,16 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
         return "every other row seems to run backwards: print all rows in one direction"
     if _has_seam(together, cells) or _has_seam(together, cells.T):
         return "its parts move apart: two pads in one frame? press across the middle, too"
+    if _alternates(together, cells) or _alternates(together, cells.T):
+        return "its rows or columns are of several kinds by turns: print one number for each cell, of one pad"
     grid = numbers.reshape(-1, rows, columns)
     if _has_total(grid, movement.noise) or _has_total(grid.swapaxes(1, 2), movement.noise):
-        return "an outer row or column is a total or maximum of the others: print the cells alone"
+        return (
+            "an outer row or column is a total, a checksum or a maximum of the others: print the cells alone"
+        )
+    above, below = (np.maximum(sign * numbers - CONTACT_NOISES * movement.noise, 0).sum() for sign in (1, -1))
+    if below > BOTH_WAYS * above:
+        return "a hand moves its numbers up and down: print pressure, not how it changes"
     if _takes_turns(numbers):
         return "frames of several kinds come by turns: two pads on one line, or a part of a frame each"
     return ""
@@ -407,6 +429,18 @@ def _runs_to_and_fro(together: NDArray[np.float32], rows: int, columns: int) -> 
     return False
 
 
+def _missed(reached: NDArray[np.bool_]) -> int:
+    """Return how many rows in a line, from the first or the last one on, a hand did not reach."""
+    return int(max(reached.argmax(), reached[::-1].argmax()))
+
+
+def _shared(together: NDArray[np.float32], cells: NDArray[np.int_]) -> tuple[Numbers, Numbers]:
+    """Return how much each row moves together with each, of 1 at most, and how much it moves."""
+    shared = np.array([[together[one, other].sum() for other in cells] for one in cells], np.float64)
+    own = np.diagonal(shared)
+    return shared / np.sqrt(np.maximum(np.outer(own, own), 1e-9)), own
+
+
 def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
     """Whether one half repeats the other, or where equal parts meet, rows do not move together as others do.
 
@@ -414,8 +448,7 @@ def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
     """
     if len(cells) < 2 * SHORTEST_SIDE:
         return False
-    shared = np.array([[together[one, other].sum() for other in cells] for one in cells])
-    own = np.diagonal(shared)
+    share, own = _shared(together, cells)
     is_busy = own > BUSY_SHARE * own.mean()
     pairs = is_busy[:, None] & is_busy
     if np.diagonal(pairs, 1).sum() < 3:
@@ -424,9 +457,9 @@ def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
     if len(cells) % 2 == 0 and pairs[middle - 1, middle]:
         top, bottom = cells[:middle].ravel(), cells[middle:].ravel()
         repeated = together[top, bottom].sum() / np.sqrt(own[:middle].sum() * own[middle:].sum())
-        if repeated > np.diagonal(shared, 1).sum() / own.sum():
+        beside = sum(together[one, other].sum() for one, other in pairwise(cells))
+        if repeated > beside / own.sum():
             return True
-    share = shared / np.sqrt(np.maximum(np.outer(own, own), 1e-9))
     usual = [np.median(np.diagonal(share, far)[np.diagonal(pairs, far)]) for far in range(1, SEAM_ROWS + 1)]
     for parts in range(2, len(cells) // SHORTEST_SIDE + 1):
         if len(cells) % parts:
@@ -446,16 +479,62 @@ def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
     return False
 
 
+def _alternates(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
+    """Whether rows are of several kinds by turns, as a reading and its baseline, or the rows of two pads."""
+    share, own = _shared(together, cells)
+    is_busy = own > BUSY_SHARE * own.mean()
+    beside = np.diagonal(share, 1)
+    for kinds in range(2, MOST_KINDS + 1):
+        if len(cells) % kinds or len(cells) < kinds * SHORTEST_SIDE:
+            continue
+        if not is_busy.reshape(-1, kinds).any(axis=0).all():
+            return True
+        meets = np.arange(kinds - 1, len(beside), kinds)
+        within, across = np.delete(beside, meets), beside[meets]
+        is_less = (across < np.minimum(beside[meets - 1], beside[meets + 1])).all()
+        if is_less and 1 - within.mean() < ALTERNATES * (1 - across.mean()):
+            return True
+        if np.diagonal(share, kinds).mean() > beside.mean() + SHARES_MORE:
+            return True
+    return False
+
+
 def _has_total(grid: Numbers, noise: float) -> bool:
-    """Whether the first or last row of (frames, rows, columns) is the sum, mean or maximum of the others."""
-    for total, others in ((grid[:, 0], grid[:, 1:]), (grid[:, -1], grid[:, :-1])):
-        mean, highest = others.mean(axis=1), others.max(axis=1)
-        moves = mean - others.min(axis=1) > PRESSED_NOISES * noise
-        moves &= np.ptp(total, axis=0) > PRESSED_NOISES * noise
-        for made in (len(others[0]) * mean, mean, highest):
-            if moves.any() and (np.abs(total - made)[moves] <= noise).mean() > MOSTLY_EQUAL:
+    """Whether one of the two outer rows of (frames, rows, columns) is made of the others: their sum, mean or
+    maximum, or a checksum."""
+    for turned in (grid, grid[:, ::-1]):
+        for outer in (1, 2):
+            total, others = turned[:, -outer], turned[:, :-outer]
+            total_of, mean, highest = others.sum(axis=1), others.mean(axis=1), others.max(axis=1)
+            moves = mean - others.min(axis=1) > PRESSED_NOISES * noise
+            moves &= np.ptp(total, axis=0) > PRESSED_NOISES * noise
+            for made in (total_of, mean, highest):
+                if moves.any() and (np.abs(total - made)[moves] <= noise).mean() > MOSTLY_EQUAL:
+                    return True
+            if not (turned % 1).any() and _is_checksum(total, others):
                 return True
     return False
+
+
+def _is_checksum(total: Numbers, others: Numbers) -> bool:
+    """Whether a row of whole numbers is the sum of the others but for multiples of a number, or their XOR."""
+    unit = _usual_step(others)
+    for off in (others.sum(axis=1) - total, others.sum(axis=1) + total):
+        modulus = _usual_step(off)
+        steps = np.diff(off, axis=0)
+        if modulus >= LEAST_MODULUS * unit and (steps[steps != 0] % modulus == 0).mean() > MOSTLY_EQUAL:
+            return True
+    both = np.bitwise_xor.reduce(others.astype(np.int64), axis=1)
+    moves = np.diff(both, axis=0, prepend=both[:1]) != 0
+    made = (both, (both ^ both >> 8) & 0xFF)
+    return any(moves.any() and (total == each)[moves].mean() > MOSTLY_EQUAL for each in made)
+
+
+def _usual_step(numbers: Numbers) -> float:
+    """Return by how much whole numbers most often change, if they do; 0 if they never change."""
+    steps = np.abs(np.diff(numbers, axis=0))
+    sizes, times = np.unique(steps[steps > 0], return_counts=True)
+    return float(sizes[times.argmax()]) if len(sizes) else 0.0
 
 
 def _takes_turns(numbers: Numbers) -> bool:

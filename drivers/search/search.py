@@ -2,7 +2,6 @@
 
 import json
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from heapq import nsmallest
@@ -28,6 +27,8 @@ SLOWEST_HZ, FASTEST_HZ = 9.5, 525.0
 # Frames come evenly if no part of the time has fewer or more than its share by this factor.
 PARTS = 8
 UNEVEN = 3.0
+# A pad that sends nothing for so long sends only while it is pressed.
+LONGEST_PAUSE_S = 1.5
 FULL_SCALES = (1023, 4095, 65535)
 MOSTLY = 0.9
 NO_FRAMES_IN_TEXT = (
@@ -46,8 +47,6 @@ NEAR = 0.85
 
 # A press has to move a cell by as many counts of the model's scale: less is felt, but not recognised.
 LEAST_PRESS = 16.0
-# Bytes are signed if they then change by less than this share.
-SIGNED_SHARE = 0.5
 
 TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
@@ -56,8 +55,6 @@ PRESSED_LONG = (
     "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
     "go of the pad between presses"
 )
-# A cell without a number.
-DASHES = re.compile(rb"[0-9][ \t,;|]+-{2,}[ \t,;|]+[0-9]")
 # After one of these, contacts may still show what the movement does not.
 UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE, PRESSED_LONG)
 
@@ -136,8 +133,8 @@ def _searched(arrived: _Arrived, by_contact: bool) -> Finding:
 
     if not printed and binary.is_cobs(data):
         return nothing("COBS frames: send plain cells after a header of two bytes")
-    if printed and len(DASHES.findall(data)) >= text.LEAST_FRAMES:
-        return nothing("some cells are dashes: print a number for each cell")
+    if arrived.lines is not None and (wrong := text.unreadable(arrived.lines)):
+        return nothing(wrong)
     found = binary.guesses(data) if arrived.lines is None else text.guesses(arrived.lines, by_contact)
     paced = [each for each in found if SLOWEST_HZ <= len(each.values) / seconds <= FASTEST_HZ]
     ranked = nsmallest(MOST_RANKED, [each for each in paced if each.is_folded] or paced, key=_rank)
@@ -245,16 +242,16 @@ def _finished(guess: Guess) -> PadFormat:
         scale = next((each for each in FULL_SCALES if largest <= each), largest)
         scale = min(scale, top) if top else scale
     else:
-        scale = float(f"{math.ceil(largest * 1e3) / 1e3:.6g}") if largest > 0 else 1.0
+        # Of so many digits, rounded up.
+        step = 10.0 ** (math.floor(math.log10(largest)) - 3) if largest > 0 else 1.0
+        scale = float(f"{math.ceil(largest / step) * step:.6g}") if largest > 0 else 1.0
     return replace(described, full_scale=scale, invert=Movement(values, None).falls)
 
 
 def _unscaled(described: PadFormat, values: Numbers) -> str:
     """Say why values are not pressure on the description's scale."""
-    if described.framing == "binary" and described.cell == "u8":
-        signed = (values + 128) % 256 - 128
-        if np.abs(np.diff(signed, axis=0)).sum() < SIGNED_SHARE * np.abs(np.diff(values, axis=0)).sum():
-            return "its bytes seem to be signed; touchd reads unsigned bytes only: send 0 to 255"
+    if described.framing == "binary" and described.cell == "u8" and (wrong := binary.unlike_bytes(values)):
+        return wrong
     if described.framing == "binary" and described.cell in ("u16", "i16", "u12"):
         bits = values.astype(np.int64)
         changing = int(np.bitwise_or.reduce(bits, axis=None) ^ np.bitwise_and.reduce(bits, axis=None))
@@ -279,20 +276,27 @@ def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) ->
     expected = {
         layout.pressure(np.clip(values, 0, described.full_scale)).tobytes() for values in guess.values
     }
-    as_expected = 0
+    as_expected = delivered = held = 0
     first_s, last_s = chunks[0].host_s, chunks[-1].host_s
     came_s: list[float] = []
     for chunk in chunks:
-        before = parser.counts.frames + parser.counts.duplicates + parser.counts.bad_time
+        counts = parser.counts
+        before = counts.frames + counts.duplicates + counts.bad_time
+        delivered_before, held_before = counts.frames, counts.bad_time
         for frame in parser.feed(chunk.data, chunk.host_s):
             as_expected += frame.pressure.tobytes() in expected
-        after = parser.counts.frames + parser.counts.duplicates + parser.counts.bad_time
+        after = counts.frames + counts.duplicates + counts.bad_time
+        if chunk.host_s > (first_s + last_s) / 2:
+            delivered += counts.frames - delivered_before
+            held += counts.bad_time - held_before
         came_s += [chunk.host_s] * (after - before)
     if len(came_s) < text.LEAST_FRAMES:
         return "too few frames come"
     # A clock that is not one may hold frames back; what comes must be the cells that were found.
     if as_expected < MOSTLY * min(parser.counts.frames, len(guess.values)):
         return "other bytes look like the header of its frames"
+    if delivered < EXPLAINED * (delivered + held):
+        return "its first number is taken for a clock, but jumps: print it after the cells"
     refused = parser.counts.bad_framing + parser.counts.bad_checksum + parser.counts.bad_value
     share = len(came_s) / (len(came_s) + max(refused - 1, 0))
     if described.framing == "binary":
@@ -303,6 +307,8 @@ def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) ->
     rate_hz = len(came_s) / max(last_s - first_s, 1e-3)
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         return f"{rate_hz:.1f} frames/s; 10 to 500 are needed"
+    if max(np.diff([first_s, *came_s])) > LONGEST_PAUSE_S:
+        return "at times no frame comes: the pad has to send while nothing presses it, too"
     parts, _ = np.histogram(came_s, PARTS, (first_s, last_s))
     if parts.max() > UNEVEN * np.median(parts) or UNEVEN * parts.min() < np.median(parts):
         return "frames do not come at a steady rate"

@@ -1,5 +1,6 @@
 """What grids the numbers of a text may form."""
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -20,6 +21,17 @@ MOST_SKIP, MOST_TAIL = 8, 8
 CONTACT_SKIP, CONTACT_TAIL = 4, 2
 MOSTLY = 0.9
 MOST_ENDS = 3
+# What may follow a number directly, as a unit; 0x leads a number in hex.
+LETTERS = re.compile(
+    rb"(?<![\w.]) (?!0[xX]) [-+]? (?: \d+\.?\d* | \.\d+ ) (?: [eE][-+]?\d+ )? (\w*)", re.VERBOSE
+)
+DIGIT_LETTER = re.compile(rb"\d[A-Za-z_]")
+# Numbers of a line whose letters change.
+LEAST_CHANGING = 4
+# Numbers with a comma each, and something else between them.
+COMMAS = re.compile(rb"[-+]?\d+,\d+%?(?:[;\t ]+[-+]?\d+,\d+%?){3,}[;\t ]*")
+# Numbers with something else than a number between them.
+LEFT_OUT = re.compile(rb"\d[ \t,;|]+(?:-{2,}|\.{2,})[ \t,;|]+\d")
 NO_DIGITS = bytes(set(range(256)) - set(b"0123456789"))
 
 
@@ -57,6 +69,33 @@ def lines_of(data: bytes) -> list[Line]:
     return [Line(*numbers_in(line), line) for line in lines_in(text)][1:] if text else []
 
 
+def unreadable(lines: Sequence[Line]) -> str:
+    """Say why the numbers of these lines are not what they seem to be; "" if they may be."""
+    if sum(LEFT_OUT.search(line.text) is not None for line in lines) >= LEAST_FRAMES:
+        return "some cells are dashes or dots: print a number for each cell"
+    with_commas = sum(COMMAS.fullmatch(line.text.strip()) is not None for line in lines)
+    if with_commas >= max(LEAST_FRAMES, len(lines) / 2):
+        return "its numbers have commas for points: print points"
+    widths = Counter(len(line.numbers) for line in lines if len(line.numbers) >= LEAST_CHANGING)
+    width, most = widths.most_common(1)[0] if widths else (0, 0)
+    is_frame = most > len(lines) / 2
+    read = [line.text for line in lines if not is_frame or len(line.numbers) == width]
+    if not any(DIGIT_LETTER.search(line) for line in read):
+        return ""
+    changing: list[Counter[bytes]] = []
+    for line in read:
+        for number, letters in enumerate(LETTERS.findall(line)):
+            changing += [Counter() for _ in range(number + 1 - len(changing))]
+            changing[number][letters] += 1
+    often = (letters.total() - letters.most_common(1)[0][1] >= LEAST_FRAMES for letters in changing)
+    if sum(often) >= LEAST_CHANGING:
+        return (
+            "the letters behind its numbers change, as in hexadecimal or with several units: print plain "
+            "decimal numbers, or 0x before each"
+        )
+    return ""
+
+
 def guesses(lines: Sequence[Line], by_contact: bool = False) -> Iterator[Guess]:
     """Yield the grids that the numbers of a text may form."""
     weight: Counter[int] = Counter()
@@ -76,7 +115,7 @@ def guesses(lines: Sequence[Line], by_contact: bool = False) -> Iterator[Guess]:
 
 def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterator[Guess]:
     numbers = np.array(frames)
-    if len(numbers) < LEAST_FRAMES:
+    if len(numbers) < LEAST_FRAMES or not np.isfinite(numbers).all():
         return
     movement = Movement(numbers, by_contact=by_contact)
     width = numbers.shape[1]
@@ -95,6 +134,10 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
                 fold = movement.fold(skip, rows, columns)
                 beside = numbers[:, max(skip - columns, 0) : skip], numbers[:, width - tail :][:, :columns]
                 is_short = any(each.shape[1] == columns and _may_be_cells(each, values) for each in beside)
+                # A number among the cells that is none shifts one of them out.
+                next_to = numbers[:, max(skip - 1, 0) : skip], numbers[:, width - tail :][:, :1]
+                is_shifted = movement.odd_in(skip, rows, columns) > 0
+                is_short |= is_shifted and any(each.size and _may_be_cells(each, values) for each in next_to)
                 yield Guess(described, values, fold, misfits, is_cut, is_folded, is_short)
 
 
@@ -104,6 +147,8 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
         return
     frames, least_skip, end = found
     numbers = np.array(frames)
+    if not np.isfinite(numbers).all():
+        return
     whole = Movement(numbers.reshape(len(numbers), -1))
     flat = whole.moved.reshape(len(whole.moved), *numbers.shape[1:])
     total = float(np.square(flat).sum())

@@ -15,6 +15,7 @@ from touchd.drivers.search.search import Chunk, Finding, search
 
 RATE_HZ = 50
 Grid = NDArray[np.int_]
+RNG = np.random.default_rng(3)
 
 
 def found_in(printed: Callable[[int], str | bytes], frames: int = 5 * RATE_HZ) -> Finding:
@@ -47,6 +48,7 @@ TEXTS: dict[str, Callable[[Grid, int], str]] = {
     "signs": lambda v, n: " ".join(f"{x - 4:+d}" for x in v.ravel()) + "\r\n",
     "percent": lambda v, n: " ".join(f"{x / 10.23:.1f}%" for x in v.ravel()) + "\r\n",
     "exponents": lambda v, n: " ".join(f"{x * 1e-3:.4e}" for x in v.ravel()) + "\n",
+    "tiny exponents": lambda v, n: " ".join(f"{x * 1e-9:.3e}" for x in v.ravel()) + "\n",
     "total": lambda v, n: f"{line(v)},{v.sum()}\n",
     "a cell that fails": lambda v, n: (
         " ".join("NaN" if i == 33 else f"{x}" for i, x in enumerate(v.ravel())) + "\r\n"
@@ -98,6 +100,101 @@ def test_a_grid_that_is_not_the_pads_is_not_proposed(
     assert missing in finding.missing
 
 
+def in_hex(values: Grid) -> str:
+    return " ".join(f"{16 + each // 8:02x}" for each in values.ravel())
+
+
+def ohms(value: int) -> str:
+    return f"{1000 / (value + 1):.1f}k" if value < 1000 else f"{1e6 / (value + 1):.0f}"
+
+
+def summed(row: NDArray[np.int_], modulus: int) -> str:
+    return f"{line(row)};{row.sum() % modulus}\r\n"
+
+
+def xored(row: NDArray[np.int_]) -> str:
+    return f"{line(row)},{np.bitwise_xor.reduce(row)}\r\n"
+
+
+def beside(one: Grid, other: Grid) -> str:
+    """Print the cells of two grids by turns."""
+    return f"{line(np.stack([one, other], axis=-1))}\r\n"
+
+
+def untouched(rows: int, columns: int) -> Grid:
+    return RNG.integers(2, 5, (rows, columns))
+
+
+MISREAD: dict[str, tuple[Callable[[Grid, int], str], str]] = {
+    "two hexadecimal digits": (lambda v, n: f"{in_hex(v)}\r\n", "hexadecimal"),
+    "hexadecimal rows": (
+        lambda v, n: "".join(f"R{i}: {in_hex(r)}\n" for i, r in enumerate(v)),
+        "hexadecimal",
+    ),
+    "ohms and kilo-ohms": (lambda v, n: ",".join(map(ohms, (4 * v).ravel())) + "\r\n", "units"),
+    "decimal commas": (
+        lambda v, n: ";".join(f"{x / 100:.2f}".replace(".", ",") for x in v.ravel()) + "\n",
+        "commas",
+    ),
+    "a print that leaves out the middle": (
+        lambda v, n: "".join(f"[{line(r[:3], ' ')} ... {line(r[-3:], ' ')}]\n" for r in v[:6]) + "\n",
+        "dots",
+    ),
+    "raw and filtered": (lambda v, n: beside(v, v * 3 // 4), "kinds"),
+    "rows raw and filtered": (
+        lambda v, n: "".join(f"{line(r + 40)}\r\n{line(r // 2)}\r\n" for r in v) + "\r\n",
+        "kinds",
+    ),
+    "raw, baseline and difference": (
+        lambda v, n: f"{line(np.stack([v + 300, 0 * v + 303, v], axis=-1))}\r\n",
+        "kinds",
+    ),
+    "rows of two pads by turns": (
+        lambda v, n: "".join(f"L: {line(a)}\nR: {line(b)}\n" for a, b in zip(v, v[::-1], strict=True)) + "\n",
+        "",
+    ),
+    "a second pad that nobody touches": (lambda v, n: f"{line(v)},{line(untouched(8, 10))}\r\n", "press"),
+    "a second pad beside it": (lambda v, n: f"{table(np.hstack([v, untouched(8, 10)]))}\r\n", "press"),
+    "three rows without a wire": (lambda v, n: f"{table(v)}{table(untouched(3, 10))}\r\n", "press"),
+    "a sum of 8 bits a row": (lambda v, n: "".join(summed(r, 256) for r in v) + "\r\n", "checksum"),
+    "a sum of two digits a row": (lambda v, n: "".join(summed(r, 100) for r in v) + "\r\n", "checksum"),
+    "an XOR a row": (lambda v, n: "".join(map(xored, v)) + "\r\n", "checksum"),
+    "column sums, then row sums": (
+        lambda v, n: f"{line(v[:, :8])},{line(v[:, :8].sum(0))},{line(v[:, :8].sum(1))}\n",
+        "total",
+    ),
+    "a number that jumps first": (lambda v, n: f"{RNG.integers(300, 700)},{line(v)}\n", "clock"),
+}
+
+
+@pytest.mark.parametrize(("printed", "missing"), MISREAD.values(), ids=MISREAD)
+def test_numbers_that_are_not_a_pads_cells_are_refused_with_the_reason(
+    printed: Callable[[Grid, int], str], missing: str
+) -> None:
+    values = a_hand_on(8, 10)
+    finding = found_in(lambda number: printed(values[number], number))
+    assert finding.proposed is None
+    assert missing in finding.missing
+
+
+def test_changes_of_pressure_are_not_pressure() -> None:
+    values = a_hand_on(8, 10)
+    finding = found_in(lambda number: f"{line(values[number + 1] - values[number])}\n")
+    assert finding.proposed is None
+
+
+def test_a_pad_that_sends_only_while_it_is_pressed_is_refused() -> None:
+    values = a_hand_on(8, 10)
+    chunks = [
+        Chunk(f"{line(each)}\n".encode(), number / RATE_HZ)
+        for number, each in enumerate(values)
+        if number % 150 > 90 or number < 2
+    ]
+    finding = search(chunks)
+    assert finding.proposed is None
+    assert "while nothing presses it" in finding.missing
+
+
 def with_distances(data: bytes) -> bytes:
     """Return a frame in COBS: each zero is replaced by the distance to the next one."""
     return b"".join(bytes([len(part) + 1]) + part for part in data.split(b"\0")) + b"\0"
@@ -121,18 +218,29 @@ def split(values: Grid, at: int, mark: int = 0) -> bytes:
     return b"".join(bytes([each // at, mark + each % at]) for each in values.ravel().tolist())
 
 
-OTHER_CELLS: dict[str, Callable[[Grid], bytes]] = {
-    "seven bits a byte": lambda v: split(v, 128),
-    "six bits, marked": lambda v: split(v, 64, 64),
+def nibbles(values: Grid) -> bytes:
+    four_bits = values // 64
+    return (four_bits[:, ::2] << 4 | four_bits[:, 1::2]).astype("u1").tobytes()
+
+
+OTHER_CELLS: dict[str, tuple[Callable[[Grid], bytes], str]] = {
+    "seven bits a byte": (lambda v: split(v, 128), "bits"),
+    "six bits, marked": (lambda v: split(v, 64, 64), "bits"),
+    "four bits": (nibbles, "two cells"),
+    "lower bytes": (lambda v: (v & 0xFF).astype("u1").tobytes(), "lower halves"),
+    "lower bytes, then upper ones": (
+        lambda v: (v & 0xFF).astype("u1").tobytes() + (v >> 8).astype("u1").tobytes(),
+        "nothing but its cells",
+    ),
 }
 
 
-@pytest.mark.parametrize("cells", OTHER_CELLS.values(), ids=OTHER_CELLS)
-def test_cells_of_a_kind_that_is_not_read_are_refused(cells: Callable[[Grid], bytes]) -> None:
+@pytest.mark.parametrize(("cells", "missing"), OTHER_CELLS.values(), ids=OTHER_CELLS)
+def test_cells_of_a_kind_that_is_not_read_are_refused(cells: Callable[[Grid], bytes], missing: str) -> None:
     values = a_hand_on(8, 8)
     finding = found_in(lambda number: b"\xf0\xaa\x55" + cells(values[number]))
     assert finding.proposed is None
-    assert "bits" in finding.missing
+    assert missing in finding.missing
 
 
 def test_a_centre_of_pressure_after_the_cells_is_none() -> None:
@@ -207,9 +315,6 @@ def test_a_row_of_the_pad_that_nobody_reached_is_asked_for() -> None:
     finding = found_in(lambda number: f"{line(values[number])}\n")
     assert finding.proposed is None
     assert "press" in finding.missing or "equally" in finding.missing
-
-
-RNG = np.random.default_rng(3)
 
 
 def waves(number: int, channels: int, speed: float) -> NDArray[np.float64]:
