@@ -58,7 +58,7 @@ MOSTLY_EQUAL = 0.95
 FEW_BEYOND = 0.2
 # Rows are of several kinds by turns if two of one turn miss so much less of what they could share than two of
 # different turns, or if a row shares so much more with the next of its kind than with the next one.
-ALTERNATES, SHARES_MORE = 0.5, 0.35
+ALTERNATES, SHARES_MORE = 0.33, 0.45
 MOST_KINDS = 4
 # A checksum differs from a sum by multiples of at least so many steps of a cell.
 LEAST_MODULUS = 16
@@ -73,6 +73,7 @@ BOTH_WAYS = 0.5
 TURNS_SHARE = 0.8
 MOST_TURNS = 64
 NOT_TOGETHER = "neighbouring cells do not move together: press one place at a time while I listen"
+KINDS = "its rows or columns are of several kinds by turns: print one number for each cell, of one pad"
 TOO_LITTLE = (
     "a hand reached too little of the pad: press all over it while I listen, and print nothing but its cells"
 )
@@ -304,7 +305,7 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
     if _has_seam(together, cells) or _has_seam(together, cells.T):
         return "its parts move apart: two pads in one frame? press across the middle, too"
     if _alternates(together, cells) or _alternates(together, cells.T):
-        return "its rows or columns are of several kinds by turns: print one number for each cell, of one pad"
+        return KINDS
     grid = numbers.reshape(-1, rows, columns)
     if _has_total(grid, movement.noise) or _has_total(grid.swapaxes(1, 2), movement.noise):
         return (
@@ -505,10 +506,11 @@ def _has_total(grid: Numbers, noise: float) -> bool:
     for turned in (grid, grid[:, ::-1]):
         for outer in (1, 2):
             total, others = turned[:, -outer], turned[:, :-outer]
-            total_of, mean, highest = others.sum(axis=1), others.mean(axis=1), others.max(axis=1)
+            mean, highest = others.mean(axis=1), others.max(axis=1)
             moves = mean - others.min(axis=1) > PRESSED_NOISES * noise
             moves &= np.ptp(total, axis=0) > PRESSED_NOISES * noise
-            for made in (total_of, mean, highest):
+            # Row totals may come after column totals; means and maxima hardly come in pairs.
+            for made in (others.sum(axis=1), mean, highest)[: 3 if outer == 1 else 1]:
                 if moves.any() and (np.abs(total - made)[moves] <= noise).mean() > MOSTLY_EQUAL:
                     return True
             if not (turned % 1).any() and _is_checksum(total, others):

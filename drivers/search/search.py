@@ -17,7 +17,7 @@ from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import CELL_TOP, PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
-from touchd.drivers.search.coupling import NOT_TOGETHER, TOO_LITTLE, Movement, Numbers, objection
+from touchd.drivers.search.coupling import KINDS, NOT_TOGETHER, TOO_LITTLE, Movement, Numbers, objection
 from touchd.drivers.search.text import Guess
 
 # More bytes than a search looks at, and more than any pad sends in a second.
@@ -55,8 +55,9 @@ PRESSED_LONG = (
     "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
     "go of the pad between presses"
 )
-# After one of these, contacts may still show what the movement does not.
-UNSURE = (TIED, NOT_TOGETHER, TOO_LITTLE, PRESSED_LONG)
+# After one of these, contacts may still show what the movement does not; after any, a longer time may.
+BY_CONTACT = (TIED, NOT_TOGETHER, TOO_LITTLE, PRESSED_LONG)
+UNSURE = (*BY_CONTACT, KINDS)
 
 
 class Chunk(NamedTuple):
@@ -105,7 +106,7 @@ def search(chunks: Sequence[Chunk]) -> Finding:
         lines=text.lines_of(data) if _is_printed(data) else None,
     )
     finding = _searched(arrived, by_contact=False)
-    if finding.missing in UNSURE and arrived.lines is not None:
+    if finding.missing in BY_CONTACT and arrived.lines is not None:
         by_contact = _searched(arrived, by_contact=True)
         return finding if by_contact.proposed is None else by_contact
     return finding
