@@ -12,26 +12,20 @@ from typing import NamedTuple
 
 from touchd.drivers.errors import TouchdError, one_line
 
-# What the C library says.
 NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
 USERS_MISTAKE = 2
 OUR_MISTAKE = 1
 INTERRUPTED = 130
+# These run until a signal ends them; their exit code is then 0.
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
-"""Commands that run until a signal ends them; their exit code is then 0."""
 
 
 class Command(NamedTuple):
-    """A subcommand: `main(arguments)` of a module, imported only when it is called, returns the exit code."""
+    """A subcommand: `main(arguments)` of touchd.PLACE, imported only when called, returns the exit code."""
 
     name: str
     place: str
     help: str
-
-    @property
-    def module(self) -> str:
-        """The module's import name."""
-        return f"touchd.{self.place}"
 
 
 COMMANDS = (
@@ -65,10 +59,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = [word for word in given if word != "--debug"]
     ended = 0 if words[:1] and words[0] in UNTIL_ENDED else INTERRUPTED
     _prepare_streams()
-    # SIGTERM and SIGHUP raise KeyboardInterrupt, so that commands clean up.
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
     try:
         code = _run(words)
         sys.stdout.flush()
@@ -79,7 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         return 0
     except Exception as error:
-        if _was_interrupted(error):
+        # Compiled modules report a signal that comes while they are imported.
+        if isinstance(error.__cause__, KeyboardInterrupt):
             return ended
         if "--debug" in given:
             raise
@@ -101,10 +92,15 @@ def _run(words: Sequence[str]) -> int:
     if name not in commands:
         import difflib
 
-        near = difflib.get_close_matches(name.lower(), commands, n=1, cutoff=0.5)
+        near = difflib.get_close_matches(name.lower(), commands, n=1)
         advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
         raise UsageError(f"{name} is not a command; {advice}")
-    return int(importlib.import_module(commands[name].module).main(rest))
+    command = importlib.import_module(f"touchd.{commands[name].place}")
+    # Signals raise KeyboardInterrupt, so that commands clean up; during an import it could get lost.
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
+    return int(command.main(rest))
 
 
 def _prepare_streams() -> None:
@@ -117,11 +113,6 @@ def _prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
         if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _was_interrupted(error: BaseException | None) -> bool:
-    """Whether a signal caused an error: compiled modules report one that comes while they are imported."""
-    return error is not None and (isinstance(error, KeyboardInterrupt) or _was_interrupted(error.__cause__))
 
 
 def _discard_output() -> None:

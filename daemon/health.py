@@ -6,6 +6,7 @@ import os
 import socket
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 
 log = logging.getLogger(__name__)
 
@@ -37,10 +38,8 @@ class Notifier:
         """Send fields such as READY=1; a manager that does not take them is ignored."""
         if self._socket is not None:
             message = "\n".join(f"{name}={value}" for name, value in fields.items())
-            try:
+            with suppress(OSError):
                 self._socket.sendto(message.encode(), self._address)
-            except OSError:
-                return
 
     def close(self) -> None:
         if self._socket is not None:

@@ -8,6 +8,7 @@ Consecutive rows that share participant, substrate, cover and gesture are one re
 
 import csv
 import gzip
+import io
 import os
 import zlib
 from array import array
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts, Frame
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
+from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
 
 CELLS = ROWS * COLUMNS
 SUFFIXES = (".csv", ".csv.gz")
@@ -146,7 +147,7 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
     try:
         with (
             whole_file(path, replace=False, mode=PRIVATE_MODE) as partial,
-            _open_text(partial, "x") as file,
+            _new_text(partial) as file,
         ):
             for key, value in provenance.items():
                 file.write(f"# {key}: {' '.join(value.split())}\n")
@@ -256,20 +257,20 @@ def _keys(recording: Recording) -> Keys:
     return (*set_up(recording), recording.gesture)
 
 
-def _open_text(path: Path, mode: Literal["r", "x"]) -> IO[str]:
-    # Spreadsheets mark UTF-8 by three bytes at the beginning.
-    encoding = "utf-8-sig" if mode == "r" else "utf-8"
+def _new_text(path: Path) -> IO[str]:
     if path.suffix == ".gz":
-        return cast(IO[str], gzip.open(path, f"{mode}t", encoding=encoding, newline=""))
-    return path.open(mode, encoding=encoding, newline="")
+        return cast(IO[str], gzip.open(path, "xt", encoding="utf-8", newline=""))
+    return path.open("x", encoding="utf-8", newline="")
 
 
 @contextmanager
 def _lines_of(path: Path) -> Iterator[Iterator[str]]:
     """Yield the lines of a file; raises RecordingError if it turns out to be damaged."""
     try:
-        with _open_text(path, "r") as file:
-            yield _lines(path, file)
+        with open(path, "rb", opener=without_waiting) as file:
+            unpacked = cast(io.BufferedReader, gzip.GzipFile(fileobj=file) if path.suffix == ".gz" else file)
+            # Spreadsheets mark UTF-8 by three bytes at the beginning.
+            yield _lines(path, io.TextIOWrapper(unpacked, encoding="utf-8-sig", newline=""))
     except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as error:
         why = (error.strerror if isinstance(error, OSError) else None) or str(error)
         if isinstance(error, UnicodeDecodeError):
@@ -368,6 +369,8 @@ def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
             if extra:
                 raise RecordingError(f"{path}: column {extra[0]} is in the way; delete it")
         break
+    else:
+        raise RecordingError(f"{path}: holds no rows")
     raise RecordingError(
         f"{path}: no known layout (expected participant, substrate, cover, gesture and {CELLS} cells)"
     )

@@ -24,6 +24,7 @@ from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
+from touchd.drivers.whole_file import without_waiting
 
 KEEPALIVE_S = 10
 CONNECT_S = 3.0
@@ -217,7 +218,7 @@ def _pressure(frame: Frame) -> bytes:
 
 def _read_password(file: str) -> str:
     try:
-        with written_out(file).open(encoding="utf-8") as opened:
+        with open(written_out(file), encoding="utf-8", opener=without_waiting) as opened:
             password = opened.read(MAX_PASSWORD_BYTES).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise BridgeError(

@@ -28,7 +28,7 @@ def main(arguments: Sequence[str]) -> int:
     whole = argparse.ArgumentParser(prog=PROGRAM)
     commands = whole.add_subparsers()
     for command in COMMANDS:
-        own: argparse.ArgumentParser = importlib.import_module(command.module).parser()
+        own: argparse.ArgumentParser = importlib.import_module(f"touchd.{command.place}").parser()
         commands.add_parser(command.name, parents=[own], add_help=False, help=command.help)
     sys.stdout.write(f"{shtab.complete(whole, shell)}\n")
     return 0

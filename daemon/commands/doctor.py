@@ -10,6 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.settings import parsed
 from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.hand import can_ask
@@ -42,7 +43,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Show a line for each check; returns 0 when there is nothing to do, else 1."""
-    options = parser().parse_args(arguments)
+    options = parsed(parser(), arguments)
     settings = settings_of(options).settings
     talk = Console(stderr=True, width=text_width(), highlight=False)
     console = Console(width=text_width(), highlight=False, quiet=options.json)

@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from numpy.random import RandomState
 
 from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.settings import parsed
 from touchd.daemon.config import Settings
 from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
 from touchd.daemon.playback.rig import encoder_for
@@ -53,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Be a pad until Ctrl-C or SIGTERM; returns 0."""
-    options = parser().parse_args(arguments)
+    options = parsed(parser(), arguments)
     rng = RandomState()
     hand = SimulatedHand(repeated(options.gestures, options.every, rng))
     encode = encoder_for(settings_of(options).settings.sensor)

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 
 import msgspec
 
-from touchd.daemon.commands.settings import Found, add_config, find_settings
+from touchd.daemon.commands.settings import Found, add_config, find_settings, parsed
 from touchd.daemon.config import ConfigError, Settings, config_errors, only_pad
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
@@ -91,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Run the daemon until Ctrl-C or SIGTERM, or until the reader of its output is gone; returns 0."""
-    options = parser().parse_args(arguments)
+    options = parsed(parser(), arguments)
     is_terminal = sys.stdout.isatty()
     if options.view and not is_terminal:
         parser().error("--view needs a terminal")

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +11,6 @@ from touchd.drivers.errors import written_out
 
 NAME = "touchd.yaml"
 SERVICE_FOLDER = Path("/etc/touchd")
-WHERE = f"{NAME} here, in ~/.config/touchd, in {SERVICE_FOLDER}"
 
 
 class Found(NamedTuple):
@@ -29,8 +29,17 @@ class Found(NamedTuple):
 
 
 def add_config(parser: argparse.ArgumentParser, what: str = "settings") -> None:
-    found = f"{what}; without it, the first {WHERE}; defaults without any"
-    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=found)
+    found = f"the first {NAME} here, in ~/.config/touchd, in {SERVICE_FOLDER}; defaults without any"
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=f"{what}; without it, {found}")
+
+
+def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> argparse.Namespace:
+    """Parse the arguments of a command that takes no words: a stray one is mostly the configuration."""
+    options, stray = parser.parse_known_args(arguments)
+    if stray:
+        advice = "" if stray[0].startswith("-") else f"; a configuration follows -c, as in -c {stray[0]}"
+        parser.error(f"unrecognized arguments: {' '.join(stray)}{advice}")
+    return options
 
 
 def find_settings(given: Path | None) -> Found:

@@ -10,6 +10,7 @@ import msgspec
 from touchd.daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
 from touchd.daemon.journal import MAX_LINE_BYTES, JournalError
 from touchd.drivers.errors import os_errors_as
+from touchd.drivers.whole_file import without_waiting
 
 # Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
 TAIL_BYTES = 4_000_000
@@ -54,7 +55,7 @@ def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event],
     events: list[Event] = []
     wrong: list[EventError] = []
     reading = os_errors_as(JournalError, f"journal {path}: cannot be read", "check the path")
-    with reading, path.open("rb") as file:
+    with reading, open(path, "rb", opener=without_waiting) as file:
         if last_bytes is not None and os.fstat(file.fileno()).st_size > last_bytes:
             file.seek(-last_bytes, os.SEEK_END)
             file.readline()

@@ -31,8 +31,8 @@ YAML_PROBLEMS = {
     "'\\t'": "indent with spaces, not with tabs",
     "found '<block mapping start>'": INDENTED,
     "found '<block sequence start>'": INDENTED,
-    "mapping values are not allowed here": "a colon where none can stand: does a line above lack ': ' after "
-    "its name, or a text with a colon its quotes?",
+    "mapping values are not allowed here": "a colon where none can stand: is this line indented too far, "
+    "does a line above lack ': ' after its name, or a text with a colon its quotes?",
     "found unexpected end of stream": "a quote is opened above and not closed",
 }
 
@@ -74,16 +74,18 @@ def explain(error: str, struct: type[msgspec.Struct]) -> str:
 
 
 def _unknown(wrong: str, path: str, struct: type[msgspec.Struct]) -> str:
-    """Report an unknown setting, with a similar one."""
+    """Report an unknown setting, with a similar one or those that there are."""
     if wrong == "token":
         # A token must not get into this file by way of a similar setting.
         return f"{path}.token: unknown setting; write the token into a file and set robot.token_file"
     known = [name for name, _ in _settings(struct)]
     name = ".".join(filter(None, [_without_items(path), wrong]))
-    elsewhere = sorted((at for at in known if at.rpartition(".")[2] == wrong), key=len)
-    near = elsewhere or difflib.get_close_matches(name, known, n=1, cutoff=0.75)
-    advice = f"; did you mean {near[0]}?" if near else ""
-    return f"{'.'.join(filter(None, [path, wrong]))}: unknown setting{advice}"
+    elsewhere = sorted((at for at in known if at.rpartition(".")[2] == wrong), key=lambda at: at.count("."))
+    others = [at for at in known if at != _without_items(path)]
+    near = elsewhere or difflib.get_close_matches(name, others, n=1, cutoff=0.75)
+    beside = ", ".join(at.rpartition(".")[2] for at in known if at.rpartition(".")[0] == _without_items(path))
+    advice = f"did you mean {near[0]}?" if near else f"there are {beside}"
+    return f"{'.'.join(filter(None, [path, wrong]))}: unknown setting; {advice}"
 
 
 def _without_items(path: str) -> str:

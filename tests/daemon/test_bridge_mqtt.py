@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import select
 import socket
 import subprocess
@@ -216,6 +217,12 @@ def test_a_refusal_is_logged_once_and_a_corrected_password_used(
 def test_a_password_file_that_cannot_be_read_is_refused(port: int) -> None:
     with pytest.raises(BridgeError, match=r"mqtt\.password_file: /nowhere cannot be read"):
         made(port, user="robot", password_file="/nowhere")
+
+
+def test_a_password_file_that_is_a_pipe_does_not_block(port: int, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "password")
+    with pytest.raises(BridgeError, match="is empty"):
+        made(port, user="robot", password_file=str(tmp_path / "password"))
 
 
 def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -80,6 +81,37 @@ def test_ctrl_c_ends_a_daemon_and_cuts_others_short(
     assert capfd.readouterr().err == ""
 
 
+CTRL_C = "os.kill(os.getpid(), signal.SIGINT)"
+
+
+@pytest.mark.parametrize(
+    "imported",
+    [
+        # As onnxruntime, which loses what a signal raises while it is imported, and crashes when it is used.
+        f"try:\n    {CTRL_C}\nexcept BaseException:\n    pass\n",
+        f"import atexit\natexit.register(lambda: {CTRL_C})\nraise KeyboardInterrupt\n",
+    ],
+    ids=["during the imports", "at the end"],
+)
+def test_ctrl_c_at_any_moment_leaves_no_trace(tmp_path: Path, imported: str) -> None:
+    (tmp_path / "numpy.py").write_text(f"import os, signal\n{imported}")
+    done = ran([*TOUCHD, "classify"], env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    assert done.returncode == -signal.SIGINT
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("command", ["classify", "convert --out x.csv", "plot"])
+def test_a_pipe_or_device_is_refused_instead_of_read_for_ever(
+    tmp_path: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe")
+    assert "pipe: " in refusal(*command.split(), "pipe")
+    assert "/dev/zero: cannot be read" in refusal(*command.split(), "/dev/zero")
+    os.mkfifo("pipe.csv.gz")
+    assert "pipe.csv.gz: holds no rows" in refusal(*command.split(), "pipe.csv.gz")
+
+
 def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
     program = "from daemon import cli; cli.main(['--version']); print('\u201chi\u201d')"
     shown = ran([sys.executable, "-c", program], env={**os.environ, "PYTHONIOENCODING": "ascii"})
@@ -106,6 +138,10 @@ def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message
     [
         ("run --view", "--view needs a terminal"),
         ("run --view --json", "not allowed with"),
+        ("run lab.yaml", "unrecognized arguments: lab.yaml; a configuration follows -c, as in -c lab.yaml"),
+        ("run --vew", "unrecognized arguments: --vew\n"),
+        ("doctor lab.yaml", "as in -c lab.yaml"),
+        ("fake-pad lab.yaml", "as in -c lab.yaml"),
         ("replay --speed abc", "'abc' is not a number from "),
         ("doctor --seconds x", "'x' is not a number from "),
         ("doctor --seconds 0", "'0' is not a number from "),

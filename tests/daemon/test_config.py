@@ -104,6 +104,8 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor:\n\tport: x", "line 2, column 1: indent with spaces, not with tabs"),
         ("sensor: {format: {framing: txt}}", "sensor.format.framing: 'txt' is not one of text, binary"),
         ("rows: 10", "rows: unknown setting; did you mean sensor.rows?"),
+        ("port: /dev/x", "port: unknown setting; did you mean sensor.port?"),
+        ("robot: {ip: 10.0.0.5}", "robot.ip: unknown setting; there are url, "),
         ("scene: {zzz: 1}", "scene.zzz: unknown setting"),
         ("sensor: {'a`b': 1}", "sensor.a`b: unknown setting"),
         ("sensor: {baud: fast}", "sensor.baud: a whole number expected, not text"),

@@ -126,7 +126,8 @@ def test_a_file_that_a_spreadsheet_saved_is_read(pad: Path, old: str, new: str) 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no known layout"),
+        ("", "holds no rows"),
+        ("# a note\n", "holds no rows"),
         ("a,b,c\n1,2,3\n", "no known layout"),
         ("participant,substrate,cover,gesture,cell1,cell2\n1,a,b,pat,3,4\n", "no known layout"),
         (f"{TEST_HEADER},more\n", "column more is in the way"),

@@ -12,7 +12,7 @@ from touchd.model.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
-MODULES = {command.name: command.module for command in COMMANDS}
+MODULES = {command.name: f"touchd.{command.place}" for command in COMMANDS}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 
 
