@@ -47,6 +47,8 @@ WIRE_COUNTS = 25.0
 # touch.
 COMMON_COUNTS = 8.0
 COMMON_SHARE = 0.25
+# A supply that steps lifts nearly all taxels by at least this share of the highest, as no hand does.
+EVEN_SHARE = 0.5
 # Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without the
 # rule, one more false touch in ten minutes on the robot.
 RESTLESS_FACTOR = 1.5
@@ -137,14 +139,14 @@ class MeasuringRest:
 class Quiet:
     """Nothing touches the pad.
 
-    frames: for how long, without those in maybe. peak: the highest contact since then. sunken_frames: for how
-    long the pad has read less than at rest. unsteady_index: the last frame in which it did, or in which rest
-    was calibrated.
+    frames: for how long, without those in maybe. peak: the highest contact since then. shifted_frames: for
+    how long the pad has read less than at rest, or evenly more. unsteady_index: the last frame in which it
+    did, or in which rest was calibrated.
     """
 
     frames: int = 0
     peak: float = 0.0
-    sunken_frames: int = 0
+    shifted_frames: int = 0
     unsteady_index: int = -SECOND_FRAMES
 
 
@@ -271,7 +273,7 @@ class TouchTracker:
     def _calibrate(self, quiet: Quiet, frames: int = CALIBRATION_FRAMES) -> None:
         """Take the last frames as rest, and be quiet."""
         self.baseline.calibrate(self._recent.last(frames))
-        quiet.sunken_frames, quiet.unsteady_index = 0, self._index
+        quiet.shifted_frames, quiet.unsteady_index = 0, self._index
         self._state = quiet
 
     # Quiet.
@@ -281,8 +283,11 @@ class TouchTracker:
         smooth = self._smooth()
         rise = smooth - self.baseline.counts
         contact = beyond_one_wire(self._above(rise))
+        lifted = np.sort(rise)
+        is_in_common = lifted[TAXELS // 2] >= COMMON_SHARE * lifted[-1] and lifted[-1] <= COMMON_COUNTS
+        is_even = lifted[TAXELS // 16] >= EVEN_SHARE * lifted[-1] > 0
         if contact >= self._onset_counts:
-            if not is_in_common(rise):
+            if not (is_even or is_in_common):
                 self._state = Maybe(quiet, self._index, self._index, smooth)
                 return self._weigh(self._state)
             contact = 0.0
@@ -292,17 +297,17 @@ class TouchTracker:
             self._restless = quiet.peak
         quiet.frames += 1
         self.baseline.track(self._recent.last(1)[0])
-        self._follow_rest(quiet, sunken=beyond_one_wire(self._above(-rise)))
+        self._follow_rest(quiet, beyond_one_wire(self._above(rise if is_even else -rise)))
         return self._ask_at_rest(quiet)
 
-    def _follow_rest(self, quiet: Quiet, sunken: float) -> None:
-        """Calibrate a pad that reads less than at rest, and learn how much it sways."""
-        is_sunken = sunken >= self._settings.onset_threshold
-        quiet.sunken_frames = quiet.sunken_frames + 1 if is_sunken else 0
-        if is_sunken:
+    def _follow_rest(self, quiet: Quiet, shifted: float) -> None:
+        """Calibrate a pad that reads less than at rest, or evenly more, and learn how much it sways."""
+        is_shifted = shifted >= self._settings.onset_threshold
+        quiet.shifted_frames = quiet.shifted_frames + 1 if is_shifted else 0
+        if is_shifted:
             quiet.unsteady_index = self._index
-        if quiet.sunken_frames >= CALIBRATION_FRAMES:
-            # Pressure does not go below rest: it was calibrated under a hand or an object that is now gone.
+        if quiet.shifted_frames >= CALIBRATION_FRAMES:
+            # Pressure does not go below rest: that was calibrated under a hand or an object, now gone.
             self._calibrate(quiet)
         elif self._is_time_to_check and self._index - quiet.unsteady_index >= SECOND_FRAMES:
             older, newer = self._recent.halves()
@@ -469,12 +474,6 @@ class TouchTracker:
         is_time = self._index % CHECK_FRAMES == 0 and len(self._recent) >= LOOK_FRAMES
         if is_time and self._loose_wire.look(self._recent.last(LOOK_FRAMES)):
             self._network.forget_answers()
-
-
-def is_in_common(rise: Taxels) -> bool:
-    """Whether all taxels are above rest by a similar amount, as no hand lifts them."""
-    lifted = np.sort(rise)
-    return bool(lifted[TAXELS // 2] >= COMMON_SHARE * lifted[-1] and lifted[-1] <= COMMON_COUNTS)
 
 
 def beyond_one_wire(above: Taxels) -> float:

@@ -116,11 +116,30 @@ def drift(counts_a_second: float) -> Scans:
         [fold(10.0, 3.0), 10.0, fold(10.0, 3.0)],
         [drift(0.2)],
         [drift(1.0)],
+        [nothing(10.0) + 40.0, 10.0],
     ],
-    ids=["rest", "loose wire", "broken scan", "jittery taxel", "shifted rest", "slow drift", "drift"],
+    ids=[
+        "rest",
+        "loose wire",
+        "broken scan",
+        "jittery taxel",
+        "shifted rest",
+        "slow drift",
+        "drift",
+        "supply step",
+    ],
 )
 def test_a_pad_that_nobody_touches_reports_no_touch(pad: TrackedPad, scans: list[Scans | float]) -> None:
     assert pad.feel(*scans) == []
+
+
+def test_a_touch_after_a_supply_step_is_noticed_and_ends(pad: TrackedPad) -> None:
+    pad.feel(nothing(2.0) + 40.0)
+    began = pad.index
+    assert pad.feel(palm(1.0) + 40.0, nothing(2.0) + 40.0) == [
+        Onset(began),
+        Release(began, began + 53, "released"),
+    ]
 
 
 def test_a_firm_finger_on_one_row_is_a_touch(pad: TrackedPad) -> None:
