@@ -14,7 +14,7 @@ from rich.console import Console
 from touchd.daemon.events import Event
 from touchd.daemon.journal import JournalError
 from touchd.daemon.kept.touches import read_events
-from touchd.drivers.errors import TouchdError
+from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
 
@@ -46,17 +46,15 @@ def main(arguments: Sequence[str]) -> int:
     if out.suffix == ".mcap":
         # Fail before the work if it is not installed.
         import touchd.daemon.convert.mcap  # noqa: F401
-    try:
-        with (
-            Console(stderr=True).status(f"reading {file}"),
-            whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
-        ):
-            if file.name.endswith(SUFFIXES):
-                _convert_recording(file, partial)
-            else:
+    with (
+        Console(stderr=True).status(f"reading {file}"),
+        os_errors_as(ConvertError, f"{out}: cannot be written", "give another --out"),
+    ):
+        if file.name.endswith(SUFFIXES):
+            _convert_recording(file, out)
+        else:
+            with whole_file(out, replace=False, mode=PRIVATE_MODE) as partial:
                 _convert_journal(file, partial)
-    except OSError as error:
-        raise ConvertError(f"{out}: {error.strerror}; give another --out") from error
     sys.stdout.write(f"{out}\n")
     return 0
 
@@ -69,7 +67,10 @@ def _convert_recording(file: Path, out: Path) -> None:
         return
     from touchd.daemon.convert import mcap
 
-    with out.open("xb") as target:
+    with (
+        whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
+        partial.open("xb") as target,
+    ):
         mcap.write_recordings(recordings, target)
 
 

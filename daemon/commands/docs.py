@@ -1,6 +1,7 @@
 """`touchd docs`: prints a page of the documentation."""
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,8 @@ from rich.markdown import Markdown
 
 from touchd.daemon.terminal.width import text_width
 
+# Pictures, and the marks around tables: a terminal shows neither.
+NOT_FOR_TERMINALS = re.compile(r"^(?:!\[.*\]\(.*\)|<!--.*-->)\n\n?", re.MULTILINE)
 PAGES = {page.stem: page for page in sorted((Path(__file__).parents[2] / "docs").glob("*.md"))}
 
 
@@ -30,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
         return 0
     text = PAGES[page].read_text(encoding="utf-8")
     if sys.stdout.isatty():
-        Console(width=text_width()).print(Markdown(text))
+        Console(width=text_width()).print(Markdown(NOT_FOR_TERMINALS.sub("", text)))
     else:
         sys.stdout.write(text)
     return 0

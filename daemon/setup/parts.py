@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import typing
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,10 +12,10 @@ import numpy as np
 from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import MAX_REASON_BYTES, UNCERTAIN, Event, RobotAction, RobotEvent, timestamp
-from touchd.daemon.journal import Journal, JournalSink
+from touchd.daemon.journal import Journal, JournalError, JournalSink
 from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.sinks import RobotSink, Sink
-from touchd.drivers.errors import one_line
+from touchd.drivers.errors import one_line, os_errors_as
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.monitor import PadMonitor
 from touchd.drivers.pad.port import SensorError, check_port
@@ -122,7 +121,7 @@ def keep_touches(settings: Settings) -> TouchSink | None:
 def _make_state_folder(settings: JournalSettings) -> None:
     """Make the default state folder when it is missing, but not the folder of a configured path."""
     if settings.path is None:
-        with suppress(OSError):
+        with os_errors_as(JournalError, f"journal {settings.file}: cannot be written", "set journal: null"):
             settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rigs.expectations import DEMO
 from rigs.made_events import PREDICTION
+from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from touchd.daemon.cli import main
 from touchd.daemon.events import TouchBegan, decode, encode, epoch_s
@@ -147,3 +148,19 @@ def test_an_impossible_conversion_is_refused_in_one_line(
     assert main(["convert", str(journal.parent / file), "-o", str(journal.parent / out)]) == 2
     assert said in capsys.readouterr().err
     assert {path: path.read_bytes() for path in journal.parent.iterdir()} == before
+
+
+FILL = """
+import os, sys
+from touchd.daemon.cli import main
+from touchd.daemon.playback.stream import DEMO_RECORDING
+os.chdir(sys.argv[1])
+assert main(["convert", str(DEMO_RECORDING), "-o", "mine.csv"]) == 2
+assert os.listdir() == []
+"""
+
+
+@needs_small_disk
+def test_a_recording_converted_on_a_full_disk_names_the_file_asked_for(tmp_path: Path) -> None:
+    (told,) = log_on_small_disk(tmp_path, 40, FILL)
+    assert told == "touchd: mine.csv: cannot be written (No space left on device)"

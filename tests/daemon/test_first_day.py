@@ -26,6 +26,7 @@ from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, Sen
 from touchd.daemon.doctor.line import check_rate
 from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.events import Prediction, TouchEnded, encode
+from touchd.daemon.journal import JournalError
 from touchd.daemon.live.address import qr_code, urls_of
 from touchd.daemon.setup.parts import check_pad, load_model, open_journal
 from touchd.daemon.sinks import RobotSink
@@ -141,6 +142,15 @@ def test_the_example_configuration_runs_without_the_service(
     assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes() == encode(PREDICTION) + b"\n"
 
 
+def test_a_state_folder_that_cannot_be_made_is_reported_with_its_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", "/proc/state")
+    with pytest.raises(JournalError, match=r"journal /proc/state/touchd/events.jsonl: .*; set journal: null"):
+        open_journal(JournalSettings())
+
+
 def test_the_service_keeps_its_journal_in_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd")
     assert JournalSettings().file == Path("/var/lib/touchd/events.jsonl")
@@ -211,6 +221,9 @@ def test_pages_are_listed_and_printed(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out == (ROOT / "docs/pads.md").read_text()
     with Terminal("docs", "pads") as terminal:
         assert "| preset |" not in terminal.until("full_scale")
+    with Terminal("docs", "live") as terminal:
+        # Nothing stands for a picture that a terminal cannot show.
+        assert "The demo on the live page" not in terminal.until("touchd demo --live")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
