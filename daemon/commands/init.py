@@ -13,10 +13,11 @@ from msgspec.structs import replace
 from rich.console import Console
 from serial.tools.list_ports import comports
 
-from touchd.daemon.config import DEFAULT_PORT, FABRIC, OVERRIDES, ConfigError, SensorSettings, load
+from touchd.daemon.config import DEFAULT_PORT, FABRIC, OVERRIDES, ConfigError, SensorSettings, Settings, load
 from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
+from touchd.daemon.setup.parts import check_pad
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
@@ -74,6 +75,8 @@ def main(arguments: Sequence[str]) -> int:
         )
     if options.robot not in (None, "none"):
         robot_urls(options.robot)
+    if options.port:
+        check_pad(Settings(sensor=SensorSettings(port=options.port)))
     file = shlex.quote(str(options.file))
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()

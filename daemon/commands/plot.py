@@ -40,9 +40,10 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     # Imported here because they need matplotlib.
     from touchd.daemon.plot import journal, recording
-    from touchd.daemon.plot.plot import PlotError, save
+    from touchd.daemon.plot.plot import PlotError, check_format, save
 
     path: Path = options.out or picture_of(options.files[0])
+    check_format(path)
     names = ", ".join(file.name for file in options.files)
     if all(file.is_dir() or file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options).settings

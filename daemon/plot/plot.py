@@ -53,10 +53,14 @@ def new_figure(height_inches: float, title: str) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format that the suffix names; raises PlotError."""
+def check_format(path: Path) -> None:
+    """Raise PlotError if the suffix names no format of pictures."""
     if path.suffix not in FORMATS:
         raise PlotError(f"{path}: unknown format; end the name of -o with {', '.join(FORMATS)}")
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the format that the suffix names; raises PlotError."""
     with os_errors_as(PlotError, f"{path}: cannot be written", "name another file with -o"):
         figure.savefig(path, dpi=DOTS_PER_INCH)
 

@@ -30,6 +30,7 @@ from touchd.daemon.events import SensorEvent, decode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.port import SensorError
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import Login, RobotError
 
@@ -103,6 +104,13 @@ def test_no_address_can_break_the_file() -> None:
         write("--robot", address)
     assert write("--port", address, "--baud", "9600") == 1
     assert load(FILE).sensor.port == address
+
+
+@pytest.mark.parametrize("port", [".", __file__, "tcp://10.0.0.5"])
+def test_what_is_not_a_port_is_refused_without_a_file(port: str) -> None:
+    with pytest.raises(SensorError, match=r"is not a serial port|not an address"):
+        write("--port", port)
+    assert not FILE.exists()
 
 
 def test_a_file_that_cannot_be_written_is_reported_at_once(capsys: pytest.CaptureFixture[str]) -> None:

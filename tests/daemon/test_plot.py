@@ -212,7 +212,7 @@ def test_a_recording_too_long_for_a_picture_is_refused() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["mine.csv.gz", "-o", "mine.csv"], "unknown format; end the name of -o with .png"),
+        (["nowhere.csv.gz", "-o", "mine.csv"], "unknown format; end the name of -o with .png"),
         (["mine.csv.gz", "-o", "nowhere/mine.png"], "nowhere/mine.png: cannot be written"),
         (["mine.csv.gz", "notes.txt"], "give one journal, or recordings only"),
         (["notes.txt"], "neither a journal of events nor"),
