@@ -11,6 +11,7 @@ from touchd.daemon.tracker.baseline import Baseline, LastSecond
 from touchd.daemon.tracker.network_check import PNoTouch
 from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.pad.grid import GridFrame
+from touchd.model.classifier import Classifier, as_known
 
 
 class TrackedPad(MadePad):
@@ -388,6 +389,17 @@ def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, netwo
 
 def test_slow_movement_of_a_body_begins_no_touch(seen: TrackedPad) -> None:
     assert seen.feel(breath(20.0, counts=2.3)) == []
+
+
+@pytest.mark.parametrize("lift_counts", [5.0, 20.0, 100.0])
+def test_a_pad_that_reads_evenly_more_begins_no_touch(classifier: Classifier, lift_counts: float) -> None:
+    def no_touch(window: NDArray[np.float32]) -> float:
+        seen = as_known(window, pad.tracker.baseline.counts)
+        return float(classifier.probabilities(seen)[classifier.labels.index("notouch")])
+
+    pad = TrackedPad(p_no_touch=no_touch)
+    assert pad.feel(3.0, nothing(8.0) + lift_counts) == []
+    assert pad.feel(palm(0.5, 60.0) + lift_counts) == [Onset(pad.index - 27)]
 
 
 def test_light_contact_needs_the_network_to_see_a_touch() -> None:
