@@ -471,7 +471,7 @@ class TouchTracker:
 
 
 def drift_of(rise: Taxels) -> float:
-    """Return the counts by which half of the taxels rose or more, which is no contact: a hand lifts some more.
+    """Return the counts by which half of the taxels rose or more: no contact, as a hand lifts some much more.
 
     Otherwise 8 instead of 1 of the third study's 17 recordings at rest begin a touch, if the pad rests high.
     """
