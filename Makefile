@@ -221,6 +221,6 @@ $(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing what development and training need (once; some minutes)"
 	@command -v nvidia-smi >/dev/null || $(PIP) -qq --retries 1 --timeout 10 --no-deps --constraint constraints.txt \
 	  --index-url $(TORCH_ON_CPU) torch 2>/dev/null || echo "$(TORCH_ON_CPU) gave no torch for this Python: installing the usual one, with CUDA"
-	@$(PIP) -q --constraint constraints.txt --editable '.[dev]'
+	@$(PIP) -qq --constraint constraints.txt --editable '.[dev]'
 	@mkdir -p $(VENV)/names && ln -sfn ../.. $(VENV)/names/touchd
 	@touch $(RUNTIME) $@
