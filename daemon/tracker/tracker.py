@@ -1,7 +1,8 @@
 """When a touch begins and ends.
 
-Contact is pressure above the baseline and above each taxel's noise floor, summed over the pad: a light stroke
-is hardly above noise in any one taxel, but in many at once. The tracker is in one of four states:
+Contact is pressure above the baseline, above what half of the taxels rise by and above each taxel's noise
+floor, summed over the pad: a light stroke is hardly above noise in any one taxel, but in many at once. The
+tracker is in one of four states:
 
 measuring rest: the first half second of frames without a gap becomes the baseline; then quiet.
 quiet: the baseline follows the pad. Contact leads to maybe; a touch that only the network sees, to touched.
@@ -42,7 +43,7 @@ CHECK_FRAMES = 6
 ONSET_COUNTS = 4.0
 # A loose wire lifts a row or column by up to this many counts in all, which do not count as contact.
 WIRE_COUNTS = 25.0
-# A pad that reads evenly more by this much is calibrated: the network would take it for a hand at rest.
+# A pad that has drifted by more is calibrated: the network would take its readings for a hand at rest.
 LIFTED_COUNTS = 10.0
 # Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without the
 # rule, one more false touch in ten minutes on the robot.

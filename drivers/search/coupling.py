@@ -60,7 +60,7 @@ FEW_BEYOND = 0.2
 # different turns, or if a row shares so much more with the next of its kind than with the next one.
 ALTERNATES, SHARES_MORE = 0.33, 0.45
 MOST_KINDS = 4
-# A checksum differs from a sum by multiples of at least so many steps of a cell.
+# A checksum is the cells' sum less multiples of a modulus, which has at least this many steps of a cell.
 LEAST_MODULUS = 16
 # A hand has to reach this share of the cells, and half of the rows and columns.
 REACHED = 0.3

@@ -243,7 +243,7 @@ def _finished(guess: Guess) -> PadFormat:
         scale = next((each for each in FULL_SCALES if largest <= each), largest)
         scale = min(scale, top) if top else scale
     else:
-        # Of so many digits, rounded up.
+        # Rounded up to four digits.
         step = 10.0 ** (math.floor(math.log10(largest)) - 3) if largest > 0 else 1.0
         scale = float(f"{math.ceil(largest / step) * step:.6g}") if largest > 0 else 1.0
     return replace(described, full_scale=scale, invert=Movement(values, None).falls)
