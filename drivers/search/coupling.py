@@ -302,9 +302,10 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
         return NOT_TOGETHER
     if _runs_to_and_fro(together, rows, columns):
         return "every other row seems to run backwards: print all rows in one direction"
-    if _has_seam(together, cells) or _has_seam(together, cells.T):
+    both = [(lines, *_shared(together, lines)) for lines in (cells, cells.T)]
+    if any(_has_seam(together, *each) for each in both):
         return "its parts move apart: two pads in one frame? press across the middle, too"
-    if _alternates(together, cells) or _alternates(together, cells.T):
+    if any(_alternates(share, own) for _, share, own in both):
         return KINDS
     grid = numbers.reshape(-1, rows, columns)
     if _has_total(grid, movement.noise) or _has_total(grid.swapaxes(1, 2), movement.noise):
@@ -436,20 +437,19 @@ def _missed(reached: NDArray[np.bool_]) -> int:
 
 
 def _shared(together: NDArray[np.float32], cells: NDArray[np.int_]) -> tuple[Numbers, Numbers]:
-    """Return how much each row moves together with each, of 1 at most, and how much it moves."""
+    """Return the share of movement that two rows have in common, (rows, rows), and each row's movement."""
     shared = np.array([[together[one, other].sum() for other in cells] for one in cells], np.float64)
     own = np.diagonal(shared)
     return shared / np.sqrt(np.maximum(np.outer(own, own), 1e-9)), own
 
 
-def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
+def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_], share: Numbers, own: Numbers) -> bool:
     """Whether one half repeats the other, or where equal parts meet, rows do not move together as others do.
 
-    Parts too short for a pad are not compared.
+    Parts too short for a pad are not compared. share, own: see `_shared`.
     """
     if len(cells) < 2 * SHORTEST_SIDE:
         return False
-    share, own = _shared(together, cells)
     is_busy = own > BUSY_SHARE * own.mean()
     pairs = is_busy[:, None] & is_busy
     if np.diagonal(pairs, 1).sum() < 3:
@@ -480,13 +480,12 @@ def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
     return False
 
 
-def _alternates(together: NDArray[np.float32], cells: NDArray[np.int_]) -> bool:
+def _alternates(share: Numbers, own: Numbers) -> bool:
     """Whether rows are of several kinds by turns, as a reading and its baseline, or the rows of two pads."""
-    share, own = _shared(together, cells)
     is_busy = own > BUSY_SHARE * own.mean()
     beside = np.diagonal(share, 1)
     for kinds in range(2, MOST_KINDS + 1):
-        if len(cells) % kinds or len(cells) < kinds * SHORTEST_SIDE:
+        if len(own) % kinds or len(own) < kinds * SHORTEST_SIDE:
             continue
         if not is_busy.reshape(-1, kinds).any(axis=0).all():
             return True
