@@ -302,10 +302,10 @@ def objection(numbers: Numbers, rows: int, columns: int, by_contact: bool = Fals
         return NOT_TOGETHER
     if _runs_to_and_fro(together, rows, columns):
         return "every other row seems to run backwards: print all rows in one direction"
-    both = [(lines, *_shared(together, lines)) for lines in (cells, cells.T)]
-    if any(_has_seam(together, *each) for each in both):
+    ways = [(lines, *_shared(together, lines)) for lines in (cells, cells.T)]
+    if any(_has_seam(together, *each) for each in ways):
         return "its parts move apart: two pads in one frame? press across the middle, too"
-    if any(_alternates(share, own) for _, share, own in both):
+    if any(_alternates(share, own) for _, share, own in ways):
         return KINDS
     grid = numbers.reshape(-1, rows, columns)
     if _has_total(grid, movement.noise) or _has_total(grid.swapaxes(1, 2), movement.noise):
