@@ -1,4 +1,4 @@
-"""The classifier as the daemon runs it: ONNX Runtime only, one thread, no state but what is handed in."""
+"""The classifier as the daemon runs it: ONNX Runtime on one thread; the caller keeps the state."""
 
 import hashlib
 import os
@@ -40,7 +40,7 @@ class ModelInputError(ValueError):
 
 
 class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
-    """What a model file says of itself, stored as JSON under the key "touchd" of its ONNX metadata."""
+    """A model file's description of itself: JSON under the key "touchd" of its ONNX metadata."""
 
     name: Name
     labels: Labels
@@ -56,24 +56,24 @@ class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
 
 
 State: TypeAlias = Mapping[str, NDArray[Any]]
-"""What the network keeps of a touch's frames so far: arrays by the name of the input that takes them.
+"""The network's state after a touch's frames so far: arrays by the name of the model input.
 
-A model file from before there was such a state has the frames themselves kept, as "counts".
+Older model files have no such inputs; for them the state is the frames themselves, as "counts".
 """
 
 
 @dataclass(frozen=True)
 class Classifier:
-    """Names a window of counts: (T, 8, 8) to probabilities (7,), any T from 1 to `metadata.max_length`."""
+    """Classifies a window: (T, 8, 8) counts to probabilities (7,), any T from 1 to `metadata.max_length`."""
 
     metadata: ModelMetadata
     session: onnxruntime.InferenceSession
     states: tuple[str, ...]
-    """Inputs that take the state; none in a file from before there was one."""
+    """Names of the state inputs; empty for an older model file."""
 
     @classmethod
     def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> "Classifier":
-        """Load a model file that an export wrote; raises ModelError when it does not fit."""
+        """Load an exported model file; raises ModelError if it is missing, damaged or not for this pad."""
         session = _open_session(path, threads)
         stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if stored is None:
@@ -113,10 +113,10 @@ class Classifier:
     def step(
         self, frames: NDArray[np.generic], state: State | None = None
     ) -> tuple[NDArray[np.float64], State]:
-        """Return probabilities (7,) over all frames of a touch up to now, and the state to go on from.
+        """Return probabilities (7,) over all frames of a touch so far, and the next state.
 
-        frames: the touch's next (T, 8, 8) counts; state: what the frames before left, None for the first. The
-        answer is that of `probabilities` over all of them, within rounding. Raises ModelInputError.
+        frames: the touch's next (T, 8, 8) counts; state: from the previous call, None at first. The result
+        equals `probabilities` of all the frames, up to rounding. Raises ModelInputError.
         """
         counts = self._checked(frames[np.newaxis])
         if not self.states:
@@ -146,9 +146,9 @@ class Classifier:
 
 
 def as_known(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return (T, 8, 8) counts as the network knows them: above rest, 64 counts, where that is higher.
+    """Subtract a pad's rest (64 counts) from (T, 8, 8) counts if it is higher than the network has learnt.
 
-    Without this, a touch on a pad that rests at 60 counts is called constant, whatever it is.
+    Without this, the network calls every touch on a pad that rests at 60 counts constant.
     """
     is_higher = (rest > KNOWN_TAXEL_COUNTS) | (rest.mean() > KNOWN_REST_COUNTS)
     if not is_higher.any():
@@ -166,7 +166,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options.log_severity_level = 3
     # Denormal floats take the processor tens of times longer and mean nothing here.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
-    # External weights would be looked for in the working folder; in this one there are none.
+    # By default external weights are loaded from the working folder; this path holds none.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -197,7 +197,7 @@ def digest_file(path: Path) -> Path:
 
 
 def _check_digest(path: Path, content: bytes) -> None:
-    """Raise ModelError if the file has a digest beside it which is not its own: a bit has flipped."""
+    """Raise ModelError if the content does not match the digest file beside it, as after a bit flip."""
     beside = digest_file(path)
     if not beside.exists():
         return
@@ -212,7 +212,7 @@ def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.Inferen
         )
     if metadata.framing != "live":
         raise ModelError(f"{path}: made for {metadata.framing} framing; a pad sends live frames")
-    # None for batch and frames, which the model must take any number of.
+    # None: the model must accept any batch size and any number of frames.
     inputs = [
         (entry.name, entry.type, [size if isinstance(size, int) else None for size in entry.shape])
         for entry in session.get_inputs()
@@ -228,7 +228,7 @@ def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.Inferen
 
 
 def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
-    """Ask about a pad at rest; raises ModelError unless probabilities come, within TRIAL_S."""
+    """Classify a pad at rest; raises ModelError unless this gives probabilities within TRIAL_S."""
     options = onnxruntime.RunOptions()
     # A loop in the graph may have no end.
     limit = threading.Timer(TRIAL_S, setattr, (options, "terminate", True))

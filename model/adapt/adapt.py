@@ -29,7 +29,7 @@ TEMPERATURE_SPREAD = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Pretrained:
-    """The network that adapting starts from: frozen backbone, head, metadata, and features of its people."""
+    """The network to adapt: frozen backbone, head, metadata, and its rehearsal statistics."""
 
     labels: tuple[str, ...]
     training: Mapping[str, Any]
@@ -41,7 +41,7 @@ class Pretrained:
 
     @classmethod
     def of(cls, model: Path, weights: Mapping[str, Tensor], remembered: Remembered) -> "Pretrained":
-        """Return the network of a model file; weights: those that the file was exported from."""
+        """Load the network of a model file. weights: those that the file was exported from."""
         metadata = Classifier.load(model).metadata
         network = TGC(msgspec.convert(metadata.training["network"], NetworkSettings), len(metadata.labels))
         network.load_state_dict(weights)
@@ -102,7 +102,7 @@ def adapt(
     """
     gestures = {recording.gesture for recording in material.recordings}
     known = pretrained.labels
-    # The daemon counts on "notouch".
+    # The daemon requires the label "notouch".
     labels = tuple(sorted(gestures | {NO_TOUCH} | set(known if keep_all else ())))
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))

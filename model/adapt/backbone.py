@@ -1,7 +1,7 @@
 """Cached features of the frozen backbone.
 
-Adapting changes only the head, the dense layers behind the summary of a touch. So each crop passes the
-backbone once, however many heads are trained on it.
+Adapting changes only the head: the dense layers after the touch's summary features. So each crop passes
+through the backbone once, however many heads are trained on it.
 """
 
 import copy
@@ -55,7 +55,7 @@ class WindowFeatures:
 
 
 def split(network: TGC) -> tuple[TGC, nn.Sequential]:
-    """Return the network without its head, which then gives summaries for logits, and the head."""
+    """Return the backbone, which outputs summaries instead of logits, and the head."""
     backbone = copy.deepcopy(network)
     backbone.dense = nn.Sequential()
     return backbone.eval().requires_grad_(False), copy.deepcopy(network.dense)
@@ -88,7 +88,7 @@ def crops(
 
 
 def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowFeatures]:
-    """Return, for each length that is answered, summaries of its windows one after the other, as HAART's."""
+    """Return the summaries of consecutive windows, cut as HAART's are, for each answered length."""
     found = {}
     for length in LENGTHS:
         cut = [
@@ -106,14 +106,14 @@ def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowF
 
 
 def _starts(frames: int, length: int) -> list[int]:
-    """Return where windows begin; of a realigned recording, one frame short, the last begins one early."""
+    """Return the windows' first frames; a realigned recording is one frame short, so its last is earlier."""
     if frames < length:
         return []
     return [min(window * length, frames - length) for window in range((frames + 1) // length)]
 
 
 def _resting(recordings: Sequence[Recording]) -> dict[str | None, list[int]]:
-    """Return the recordings at rest of each participant, and under None those of everybody."""
+    """Return each participant's recordings at rest, and everybody's under None."""
     resting: dict[str | None, list[int]] = {}
     for i, recording in enumerate(recordings):
         if recording.gesture == NO_TOUCH:

@@ -38,9 +38,9 @@ class ExtraError(TouchdError):
 
 
 def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
-    """Return every recording of the folder's files, in the order of their names: whole scans at 54 Hz.
+    """Return all recordings as whole scans at 54 Hz, in the order of the file names.
 
-    On a pad that rests high they are what the daemon shows the network: see `as_known`.
+    If the pad rests high, the rest is subtracted, as the daemon does for the network: see `as_known`.
     known: gestures of the model to adapt. keep_all: whether it keeps those without recordings.
     Raises ExtraError.
     """
@@ -67,7 +67,7 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
 
 
 def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return the recordings above the rest of their own set-up, or else of any."""
+    """Apply `as_known` with the rest of each recording's own set-up, or else of any other."""
     untouched = [recording for recording in recordings if recording.gesture == NO_TOUCH]
     rests = {set_up(each): np.median(each.counts, axis=0).astype(np.float32) for each in reversed(untouched)}
     if not rests:
@@ -102,7 +102,7 @@ def read_file(path: Path) -> list[Recording]:
 
 
 def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
-    """Return what is wrong with the names of gestures, also together with known ones; "" if nothing is."""
+    """Return what is wrong with gesture names, alone or beside the known ones; "" if nothing is."""
     for gesture in gestures:
         if gesture == RESERVED or not GESTURE.fullmatch(gesture):
             return (

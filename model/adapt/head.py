@@ -63,7 +63,7 @@ def fit(
 ) -> nn.Sequential:
     """Return a copy of `start` fine-tuned on `shown`.
 
-    labels: of the head's rows, each in `shown` or `rehearsed`. new: labels that the shipped network lacks.
+    labels: one per row of the head, each in `shown` or `rehearsed`. new: those the shipped network lacks.
     rehearsed: features of other people. Deterministic.
     """
     head = copy.deepcopy(start).train()

@@ -24,5 +24,5 @@ def check_output(output: Path) -> None:
 
 
 def model_name(output: Path) -> str:
-    """Return a model's name: its file's, in the characters that `Name` allows."""
+    """Return the model's name: its file's name, reduced to the characters that `Name` allows."""
     return re.sub(r"[^A-Za-z0-9_.+-]+", "-", output.stem)[:64]

@@ -20,10 +20,10 @@ ARRAYS = ("means", "directions", "rests")
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """A Gaussian for each study, gesture and length (N, L): what varies most, and each feature's rest.
+    """A Gaussian for each study, gesture and length (N, L): its principal axes and each feature's residual.
 
-    means, rests: (N, L, features). directions: (N, L, R, features), each as long as its standard
-    deviation. gestures: (N,) names.
+    means, rests: (N, L, features); rests are residual standard deviations. directions: (N, L, R, features),
+    each scaled by its standard deviation. gestures: (N,) names.
     """
 
     means: Tensor
@@ -32,7 +32,7 @@ class Remembered:
     gestures: tuple[str, ...]
 
     def samples(self, gestures: Collection[str], seed: int) -> CropFeatures:
-        """Return SAMPLES summaries of each study's Gaussian of these gestures."""
+        """Draw SAMPLES summaries from each study's Gaussian for each of these gestures."""
         rng = torch.Generator().manual_seed(seed)
         chosen = [i for i, gesture in enumerate(self.gestures) if gesture in gestures]
         N, L, R, F = self.directions[chosen].shape

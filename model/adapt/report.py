@@ -87,7 +87,7 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
 
 
 def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
-    """Yield before and after at each answer, a line a gesture; the interval is of the last one's."""
+    """Yield a table, a line per gesture: before and after at each answer, and the last answer's interval."""
     yield f"{'':<{NAME_WIDTH}}{'':>6}" + "".join(f"  {f'{at.frames / 54:.2f} s':>13}" for at in lengths)
     yield (
         f"{'gesture':<{NAME_WIDTH}}{'tried':>6}"
@@ -116,7 +116,7 @@ def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
 
 
 def _cells(row: Iterable[GestureFigures | LengthFigures | None]) -> str:
-    """Return before and after at each answer, "-" where there is none."""
+    """Return the accuracies before and after at each answer, "-" where one is missing."""
     pairs = [(None, None) if figures is None else (figures.before, figures.after) for figures in row]
     return "".join(f"  {_percent(before):>6} {_percent(after):>6}" for before, after in pairs)
 

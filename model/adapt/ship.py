@@ -71,7 +71,7 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
 
 
 def _grafted(adapted: Adapted, metadata: ModelMetadata) -> onnx.ModelProto:
-    """Return the shipped file with another head, other temperatures and metadata."""
+    """Return a copy of the shipped file with the adapted head, temperatures and metadata."""
     proto = onnx.load(SHIPPED_MODEL)
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     values = {f"network.dense.{name}": value for name, value in adapted.head.state_dict().items()}

@@ -1,6 +1,6 @@
 """Entry point of every study: `python -m touchd.model.studies NAME`, from the repository's root.
 
-A study that measures a page's table fills it in and keeps the figures in `stored`.
+A study that measures a table of a page fills that table in and keeps the figures in `stored`.
 """
 
 import importlib

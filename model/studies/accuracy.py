@@ -38,7 +38,7 @@ FINAL = LENGTHS[-1]
 COLOURS = ("#1f5fa8", "#5b9bd5", "#2a8a57", "#8fc4a5", "#7a3f98", "#b89cc9")
 DARK_PERCENT = 55
 LABEL_GAP = 1.7
-"""Between the labels of two lines, in percent."""
+"""Least distance between the labels of two lines, in percent."""
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -29,21 +29,21 @@ from touchd.model.training.train import CHECKPOINT_NAME
 from touchd.model.training.weights import fold_path
 
 SHOTS = (1, 2, 4)
-"""Recordings a gesture to adapt to. The recordings that no draw uses are evaluated."""
+"""How many recordings of each gesture to adapt to. Accuracy is measured on those that no draw uses."""
 DRAWS = 2
 FRAMES = 144
 PIECE_FRAMES = 189
 """The third study's recordings last 12 s, two a gesture and person; cut into pieces of 3.5 s."""
 FEW = ("L1", "L2", "S01", "S14")
-"""These made too few recordings."""
+"""People excluded because they made too few recordings."""
 FILE = STORED / "adapt.json"
 
 
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
     """One network, adapted to `each` recordings a gesture of a person it never saw.
 
-    before, after: macro accuracy on that person's other recordings over 144 frames; error: of calibration.
-    others: mean gain on the other people it never saw, on the same kind of pad; None where there are none.
+    before, after: macro accuracy on that person's other recordings over 144 frames. error: calibration error.
+    others: mean gain on the other people it never saw, on the same kind of pad; None if there are none.
     """
 
     participant: str
@@ -128,7 +128,7 @@ def same_kind(one: str, other: str) -> bool:
 
 
 def pieces(recordings: Iterable[Recording]) -> list[Recording]:
-    """Cut recordings into pieces of PIECE_FRAMES; a rest that is shorter is left out."""
+    """Cut recordings into pieces of PIECE_FRAMES; a shorter remainder is dropped."""
     return [
         replace(
             each,

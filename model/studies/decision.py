@@ -1,8 +1,8 @@
-"""When to tell the robot, and how often it is right: `python -m touchd.model.studies decision`.
+"""When to tell the robot, and how often the answer is right: `python -m touchd.model.studies decision`.
 
-Each touching recording stands between notouch of the same participant and condition, as in
-`touchd.model.studies.tracker.measure`. The daemon's tracker finds the touch, a network that never saw the
-person answers after each of its first 144 frames, and all settings of the daemon's decision are tried on
+Each gesture is spliced between notouch recordings of the same participant and condition, as in
+`touchd.model.studies.tracker.measure`. The daemon's tracker finds the touch, and a network that never saw
+the person answers after each of its first 144 frames. All settings of the daemon's decision are tried on
 these answers.
 """
 

@@ -23,7 +23,7 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def fill(page: Path, tables: Mapping[str, str]) -> None:
-    """Put each table into its place, and leave the rest of the page; raises PageError without a place."""
+    """Put each table into its place, and change nothing else; raises PageError if a place is missing."""
     text = page.read_text(encoding="utf-8")
     if homeless := tables.keys() - {name for _, name, _ in PLACE.findall(text)}:
         raise PageError(f"{page}: no place for the table {', '.join(sorted(homeless))}")

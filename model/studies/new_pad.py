@@ -33,7 +33,7 @@ from touchd.model.training.weights import FABRIC_MODEL, fold_path
 
 PEOPLE = (1, 3, 6, 9)
 DRAWS = 6
-"""Random choices of that many people; everybody else is scored."""
+"""Random draws for each number of people; everybody who is not drawn is scored."""
 NEW = ("poke", "tap")
 FRAMES = (54, 81, 144)
 FILE = STORED / "new_pad.json"
@@ -47,9 +47,9 @@ class Learnt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Added(msgspec.Struct, frozen=True, kw_only=True):
-    """One fold with the new gestures added: each length's share of right answers on people left out.
+    """Accuracy at one length on the people whom a fold holds out, after adding the new gestures.
 
-    new: of the new gestures, one value a gesture. third, fabric: macro accuracy of the known gestures.
+    new: of each new gesture. third, fabric: macro accuracy of the known gestures, before and after.
     """
 
     fold: tuple[str, ...]
@@ -60,7 +60,7 @@ class Added(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True):
-    """The stored figures. untaught: macro accuracy of the fabric network as it is, by length."""
+    """The stored figures. untaught: macro accuracy of the unadapted fabric network, by length."""
 
     settings: AdaptSettings
     untaught: tuple[float, ...]
@@ -69,7 +69,7 @@ class Measured(msgspec.Struct, frozen=True):
 
 
 class Scored:
-    """Windows of recordings as a backbone summarises them, and what they show."""
+    """A backbone's summaries of the recordings' windows, with the true gestures and people."""
 
     def __init__(
         self, pretrained: Pretrained, recordings: Sequence[Recording], labels: Sequence[str]
@@ -84,7 +84,7 @@ class Scored:
     def shares(
         self, head: nn.Sequential, frames: int, people: Sequence[str], missing: Sequence[str] = ()
     ) -> NDArray[np.float64]:
-        """Return each label's share of right answers (labels,), nan for one that these people never made.
+        """Return the accuracy for each label (labels,), nan for a gesture that these people never made.
 
         missing: labels that are not among the answers.
         """
@@ -99,7 +99,7 @@ class Scored:
 def people_on_a_new_pad(
     folders: Folders, runs: Path, settings: AdaptSettings
 ) -> tuple[tuple[float, ...], list[Learnt]]:
-    """Return what the fabric network reaches on the new pad, as it is and adapted to some of its people."""
+    """Return the fabric network's accuracy on the new pad, unadapted and adapted to some of its people."""
     saved = checkpoint.load(runs / study_jobs(read_recipe())[0].name / CHECKPOINT_NAME)
     remembered = remember(saved, folders)
     pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remembered)
@@ -126,7 +126,7 @@ def people_on_a_new_pad(
 
 
 def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Added]:
-    """Yield each fold's figures with tap and poke added from the people whom it learnt from."""
+    """Yield each fold's figures after adding tap and poke, recorded by the people it was trained on."""
     third = third_study.read(folders.third_study, NEW)
     fabric = folders.to_train_on(("haart", "second"))
     labels = tuple(sorted({*haart.GESTURES, *NEW}))

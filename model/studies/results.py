@@ -1,4 +1,4 @@
-"""A study's stored results: one JSON file, a line a cell, each cell with how it was made."""
+"""A study's stored results: one JSON file, a line per cell, each cell with its provenance."""
 
 import os
 import platform
@@ -42,7 +42,7 @@ class Results:
     def __init__(self, path: Path) -> None:
         """Open the file; it need not exist. Raises ResultsError."""
         self.path = path
-        # Taken now: the files may change while the process runs.
+        # Read at the start, because the files may change while the process runs.
         self.commit = commit()
         self._cells = _read(path)
 
@@ -55,7 +55,7 @@ class Results:
         return self._cells[key].values
 
     def cell(self, key: str) -> Cell:
-        """Return a cell with how it was made; raises KeyError if it does not exist."""
+        """Return a cell with its provenance; raises KeyError if it does not exist."""
         return self._cells[key]
 
     def find(self, prefix: str = "") -> list[str]:
@@ -85,14 +85,14 @@ def percent(shares: Sequence[float]) -> str:
 
 
 def command() -> str:
-    """Return this process's command line, with the last names of folders only."""
+    """Return this process's command line, with each path reduced to its last name."""
     program = Path(sys.argv[0])
     name = program.parent.name if program.name == "__main__.py" else program.name
     return " ".join([name, *(Path(word).name if "/" in word else word for word in sys.argv[1:])])
 
 
 def commit() -> str:
-    """Return the short hash of the code's commit, "+" after it if a source file differs; "" without git."""
+    """Return the commit's short hash, with "+" if a source file was changed since; "" without git."""
     root = Path(__file__).parents[2]
 
     def git(*words: str) -> str:

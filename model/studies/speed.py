@@ -1,6 +1,6 @@
-"""Time of one answer against its error, ours and others': `python -m touchd.model.studies speed`.
+"""Time and error of one answer, of our networks and others': `python -m touchd.model.studies speed`.
 
-All networks answer in turn in one run, each on one thread, so that other load on the machine affects them
+All networks answer by turns in one run, each on one thread, so that other load on the machine affects them
 equally. Other people's networks have random weights here, which does not change the time.
 """
 
@@ -198,7 +198,7 @@ def paper(title: str, settings: PaperSettings, folder: Path, error: float | None
 
 def export(network: nn.Module, frames: int, path: Path) -> None:
     """Write a network that answers at one length as an ONNX file: (1, frames, 8, 8) counts to answers."""
-    # The exporter warns of torchvision, which is not needed, and of an LSTM's weights, which are exported.
+    # Hide needless warnings: torchvision is missing but not used, and LSTM weights are exported all the same.
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -270,7 +270,7 @@ def draw(measured: Measured, path: Path) -> None:
 
 
 def _title(speed: Speed) -> str:
-    """Return what was asked, the window's length only if it is not that of the table."""
+    """Return what was asked, with the window's length only if it differs from the table's."""
     frames = () if speed.frames == TABLE_FRAMES else (f"{speed.frames} frames",)
     asked = () if speed.asked == WINDOW else (speed.asked,)
     return ", ".join((speed.network, *frames, *asked))

@@ -68,7 +68,7 @@ def load(path: Path) -> Checkpoint:
         settings = msgspec.json.decode(stored["settings"], type=dict[str, Any])
         # A checkpoint of an older version may hold settings that no longer exist.
         known = {name: value for name, value in settings.items() if name in TrainSettings.__struct_fields__}
-        # Those count in epochs.
+        # Older checkpoints count epochs, not steps.
         stored.setdefault("step", stored.get("epoch"))
         found = {field.name: stored[field.name] for field in fields(Checkpoint)}
         found |= {"settings": msgspec.convert(known, TrainSettings), "labels": tuple(stored["labels"])}

@@ -84,9 +84,9 @@ def check(path: Path, expected: Contents) -> Contents:
 def unpack(
     archive: Path, folder: Path, expected: Mapping[str, Contents], max_bytes: int = MAX_FILE_BYTES
 ) -> None:
-    """Put the expected files from the archive into the folder, wherever in it they lie; check them before.
+    """Check the expected files, wherever they lie in the archive, then put them into the folder.
 
-    max_bytes: how large each may be. Raises DownloadError; the folder is then as it was.
+    max_bytes: how large each may be. If this raises DownloadError, the folder is unchanged.
     """
     parts = {name: folder / f"{name}.part" for name in expected}
     try:

@@ -37,14 +37,14 @@ class CalibratedTGC(nn.Module):
         return torch.softmax(self.network(counts) / self.temperatures[place], dim=-1)
 
     def step(self, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
-        """Return (B, classes) probabilities over all frames up to now, and the state to go on from."""
+        """Return (B, classes) probabilities over all frames so far, and the next state."""
         logits, state = step(self.network, counts, state)
         place = torch.clamp(state.frames - 1, max=len(self.temperatures) - 1)
         return torch.softmax(logits / self.temperatures.index_select(0, place), dim=-1), state
 
 
 class _Step(nn.Module):
-    """The graph as it is exported: its state in and out as a flat row of tensors."""
+    """The graph to export, with its state as a flat list of input and output tensors."""
 
     def __init__(self, calibrated: CalibratedTGC) -> None:
         super().__init__()
@@ -68,8 +68,8 @@ class _Step(nn.Module):
 def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     """Write the network as one ONNX file that describes itself.
 
-    With `counts` alone it answers about a whole window; with the state that an earlier answer returned, about
-    the earlier frames and these.
+    Given `counts` alone, it classifies a whole window. Given also the state that an earlier call returned, it
+    classifies the earlier frames and these together.
     """
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
     calibrated = CalibratedTGC(network, temperatures).eval()
@@ -99,7 +99,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     assert program is not None
     proto = program.model_proto
     _forget_where_it_was_made(proto)
-    # The exporter fixes the state's batch size to one touch; make it that of the windows.
+    # The exporter fixes the state's batch size to one touch; make it the batch size of the windows.
     del proto.graph.value_info[:]
     for entry in proto.graph.input:
         if entry.name not in ("counts", "frames"):

@@ -15,7 +15,7 @@ from touchd.model.training.haart import PUBLISHED_FRAMES, find
 FILES = ("robot-pad.csv", "robot-pad-more.csv")
 TAKE_FRAMES = round(10 * FRAME_RATE_HZ)
 SCORED_FROM = round(FRAME_RATE_HZ)
-"""As in HAART, the middle 8 of 10 s are scored, of each recording's first take."""
+"""As in HAART, the middle 8 of 10 s of each recording's first take are scored."""
 EDGE_FRAMES = round(0.5 * FRAME_RATE_HZ)
 """Cut from both ends of a take in training, where the hand comes and goes."""
 

@@ -29,13 +29,13 @@ from touchd.model.training.train import CHECKPOINT_NAME, fastest_device, train
 from touchd.model.training.weights import FABRIC_MODEL, LEFT_OUT_FOLDER, SEEDS_FOLDER, fold_path
 
 REMEMBERED_CROPS = 3
-"""Of each recording."""
+"""Crops of each recording that the rehearsal statistics are computed from."""
 
 
 def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
     """Train every network of the recipe that is not finished in `runs` yet.
 
-    On a GPU those that are equally far train side by side, on a processor each in turn.
+    On a GPU, networks at the same step train side by side; on a CPU, one after another.
     """
     torch.set_num_threads(threads)
     device = fastest_device()
@@ -54,7 +54,7 @@ def _steps_done(job: Job, runs: Path) -> int:
 
 
 def _saved(job: Job, runs: Path) -> Checkpoint:
-    """Return a job's checkpoint; raises CheckpointError where it was made with other settings."""
+    """Return a job's checkpoint; raises CheckpointError if it was made with other settings."""
     saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
     if saved.settings != job.settings:
         raise checkpoint.CheckpointError(
@@ -64,7 +64,7 @@ def _saved(job: Job, runs: Path) -> Checkpoint:
 
 
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
-    """Export the shipped network, one file a further seed, a fold and a study left out; return the paths.
+    """Export the shipped network, and one file per further seed, fold and left-out study; return the paths.
 
     The shipped network's checkpoint and rehearsal statistics are written beside it, for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
@@ -152,7 +152,7 @@ def export_checkpoint(
     training: Mapping[str, Any] = MappingProxyType({}),
     scores: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """Write a trained network; training: added to what its settings say."""
+    """Write a trained network. training: metadata to add to its training settings."""
     metadata = ModelMetadata(
         name=name,
         labels=saved.labels,
@@ -170,7 +170,7 @@ def export_checkpoint(
 
 
 def finished(job: Job, runs: Path) -> Checkpoint:
-    """Return a trained network; raises CheckpointError where its training has not ended."""
+    """Return a trained network; raises CheckpointError if its training has not ended."""
     saved = _saved(job, runs)
     if saved.step < job.settings.steps:
         raise checkpoint.CheckpointError(

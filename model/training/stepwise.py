@@ -11,7 +11,8 @@ from touchd.model.tgc import TGC, EncoderBlock, GatedConvolution
 
 Layer = TypeVar("Layer", bound=nn.Module)
 
-# Attention drops frames that its flattest slope, 2^-8 a frame, weighs less than this share of the newest.
+# Attention drops a frame once even its flattest slope, 2^-8 a frame, gives it less than this share of the
+# newest frame's weight.
 FORGOTTEN_WEIGHT = 1e-8
 MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
 
@@ -51,7 +52,7 @@ def initial_state(network: TGC) -> TGCState:
 
 
 def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCState]:
-    """Return (B, classes) logits over all frames up to now, and the state after (B, T, 8, 8) counts."""
+    """Return (B, classes) logits over all frames so far, and the state after these (B, T, 8, 8) counts."""
     levels = network.stem.level(counts)
     last = torch.where(state.frames > 0, state.level, levels[:, :1])
     x = network.stem.embed_level(levels, last)
@@ -70,7 +71,7 @@ def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCStat
         length = key_value.shape[2]
         kept = torch.sym_min(length, MEMORY_FRAMES)
         memories.append(key_value.narrow(2, length - kept, kept))
-    # In float64 one frame still changes the sums of hours, and the variance from them is exact enough.
+    # In float64 one frame still changes sums over hours, and the variance computed from them is exact enough.
     exact = x.double()
     sums = state.sums + torch.cat([exact, exact * exact], dim=-1).sum(dim=1, keepdim=True)
     highest = torch.maximum(state.highest, x.amax(dim=1, keepdim=True))

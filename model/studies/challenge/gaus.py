@@ -23,7 +23,7 @@ from touchd.model.studies.challenge import features as shared
 from touchd.model.training.metrics import Floats
 
 MOTION_COUNTS = 4
-"""A taxel moves if it changes by more in a frame; fewer than 1 in 1000 do on untouched training pads."""
+"""A taxel moves if it changes by more than this in a frame, as fewer than 1 in 1000 do on untouched pads."""
 LONGEST_RUN = 5
 SCALES = (1, 2, 4)
 NEIGHBOURS = ((-1, -1), (-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1))

@@ -42,14 +42,14 @@ HELD_OUT_OF_NETWORKS = ("P10", "P3")
 SMOOTHED_EPOCHS = 3
 SEARCH_FOLDS = 3
 FRAMES = 144
-"""Length drawn in the figure."""
+"""The window length that the figure shows."""
 
 Settings = dict[str, Any]
 Features = Callable[[NDArray[np.uint16]], Floats]
 Build = Callable[[Settings, int], Any]
-"""Settings and seed to an untrained classifier of scikit-learn."""
+"""Maps settings and a seed to an untrained scikit-learn classifier."""
 Answer = Callable[[int], Labels]
-"""A length to the class named for each of its test windows (N,)."""
+"""Maps a window length to the answers to its test windows (N,)."""
 Part = Literal["training", "test"]
 
 
@@ -132,13 +132,13 @@ class HandMade(System):
 
 @dataclass(frozen=True)
 class Searched(HandMade):
-    """A forest on few features, selected once, on whole recordings. most: features at most."""
+    """A forest on few features, selected once, on whole recordings. most: maximum number of features."""
 
     most: int = 10
 
     def choose(self, data: Data) -> Settings:
         """Return the features that the sequential forward floating search selects."""
-        # In the extra `studies` only; all else needs `train`.
+        # mlxtend comes with the extra `studies` only; the other systems need just `train`.
         from mlxtend.feature_selection import SequentialFeatureSelector
         from sklearn.ensemble import RandomForestClassifier
         from sklearn.model_selection import GroupKFold
@@ -277,7 +277,7 @@ def scores(named: Labels, labels: Labels) -> dict[str, float]:
 
 
 def cell_key(system: System, frames: int, seed: int) -> str:
-    """Return a cell's key; its values are windows, both accuracies and answers, a digit a window."""
+    """Return a cell's key; cells hold the window count, both accuracies, and answers, a digit per window."""
     return f"{system.key}/frames{frames}/seed{seed}"
 
 

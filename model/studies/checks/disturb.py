@@ -14,7 +14,7 @@ Disturb = Callable[[Counts32], Counts32]
 
 FULL = np.float32(MAX_COUNT)
 SHIFT = ((0, 0), (0, 0), (1, 0), (1, 0))
-"""By one taxel along both axes; the new edge repeats the old one."""
+"""Shifts the pad by one taxel along both axes; the new edge repeats the old one."""
 LOST_SHARE = 0.05
 REST_COUNTS = 2.0
 RISE_FRAMES = 4

@@ -42,7 +42,7 @@ TITLES: Mapping[str, str] = MappingProxyType(
 COMMAND = "python -m touchd.model.studies evaluate --write"
 PAPER = "  the paper's (1.50 s: after 1.33 s)"
 NEAR = {81: 72}
-"""The paper's nearest length for ours that it has no row for."""
+"""For each of our lengths that the paper does not report, the nearest one that it does."""
 
 
 @dataclass(frozen=True)

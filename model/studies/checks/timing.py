@@ -1,4 +1,4 @@
-"""Processor time of answers, measured in turn in one run, so that other load affects them equally."""
+"""Measures processor time of answers by turns in one run, so that other load affects them equally."""
 
 import time
 from collections.abc import Callable, Sequence

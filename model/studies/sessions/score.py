@@ -57,7 +57,7 @@ class Detected:
 
 @dataclass(frozen=True)
 class Fate:
-    """The outcome of one touch made; answers: of the detected touch that began with it.
+    """The outcome of one touch made. answers: of the detected touch, if this began it.
 
     open: whether it had not ended OPEN_MS after the hand left.
     """

@@ -66,7 +66,7 @@ class Stream:
 def read(folder: Path, rest_counts: int = 0) -> Iterator[Stream]:
     """Yield the streams of gestures that touchd has a name for; raises RecordingError without the file.
 
-    rest_counts: by how much more the pad reads, in the mean; cells differ by half of it up or down.
+    rest_counts: mean offset added to the pad's cells; single cells deviate from it by up to half of it.
     """
     path = find(folder, FILE, "name its folder: --third-study")
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
@@ -174,7 +174,7 @@ def main(arguments: Sequence[str]) -> int:
         "--rest", type=int, default=0, metavar="COUNTS", help="how far from 0 the pad rests (%(default)s)"
     )
     chosen = parser.parse_args(arguments)
-    # Not what the log says of each pad.
+    # Silence the daemon's log, which would report on every stream.
     logging.disable()
     models = Classifier.load(chosen.model) if chosen.model else held_out()
     result = measure(chosen.third_study, models, chosen.rest)

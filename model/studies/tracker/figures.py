@@ -22,7 +22,7 @@ from touchd.model.studies.tracker.measure import (
 
 ONSET_LEVELS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 SPLICES = {"as recorded": False, "rest levelled": True}
-"""Whether the notouch is brought to the gesture's own rest."""
+"""Whether the notouch is shifted to the gesture's own rest."""
 QUIETS_S = (0.4, 0.5, 0.6, 0.8, 1.0)
 MAX_MISSED = 0.02
 MAX_FALSE_PER_10_MIN = 1.0
@@ -188,7 +188,7 @@ def point(level: float, outcomes: Iterable[LevelOutcome]) -> OnsetPoint:
 def _at_level(
     level: float, cases: Sequence[Case], recordings: Sequence[Recording], default: TouchSettings
 ) -> dict[str, LevelOutcome]:
-    """Return what an onset level does with each participant."""
+    """Return each participant's outcome at an onset level."""
     return {
         name: at_level(level, [case for case in cases if case.participant == name], quiet, default)
         for name, quiet in _quiet(recordings).items()

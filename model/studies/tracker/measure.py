@@ -1,10 +1,10 @@
 """How well touches are detected: HAART's gestures spliced between notouch, run through the real tracker.
 
-HAART's recordings are cut from the middle of a gesture, so its onsets are made: five seconds of notouch
-by the same participant on the same substrate and cover, the gesture, and the rest of that notouch. Two things
-differ from a pad. The pad's rest differs between recordings by a few counts, which alone can be detected; so
-everything is measured twice, as recorded and with the notouch brought to the gesture's own rest. And some
-gestures begin within a lift-off; so delays count from the first scan with visible pressure.
+HAART's recordings are cut from the middle of a gesture, so the onsets are artificial: five seconds of notouch
+by the same participant on the same substrate and cover, the gesture, then the remaining notouch. Two things
+differ from a real pad. The pad's rest differs by a few counts between recordings, and that step alone can be
+detected; so everything is measured twice, as recorded and with the notouch shifted to the gesture's own rest.
+And some gestures begin during a lift-off; so delays count from the first scan with visible pressure.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ Scans = NDArray[np.float32]
 LEAD_FRAMES = 270
 # No single scan of a notouch recording is more than 19 counts above its rest.
 VISIBLE_COUNTS = 20.0
-# A taxel mostly at rest is at its 20th percentile or, with 0.8 counts of noise, 0.6 above.
+# A mostly untouched taxel rests at its 20th percentile, or 0.6 counts above it if it has 0.8 counts of noise.
 REST_PERCENTILE = 20
 REST_OFFSET_COUNTS = 0.6
 
@@ -144,7 +144,7 @@ def false_touches(scans: Scans, settings: TouchSettings) -> int:
 
 
 def join_touches(recordings: Sequence[Recording], settings: TouchSettings) -> tuple[int, int]:
-    """Return the joins in one participant's notouch recordings end to end, and how many began a touch."""
+    """Join one participant's notouch recordings; return the number of joins, and how many began a touch."""
     joins = np.cumsum([len(recording.counts) for recording in recordings])[:-1]
     scans = np.concatenate([recording.counts for recording in recordings]).astype(np.float32)
     detected = np.array([touch.detected for touch in detect(scans, settings) if touch.ended is None])
