@@ -7,9 +7,9 @@ import sys
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-# Several workers share the cores; threads of torch and numpy beyond one only wait for each other.
+# Several workers share the cores; more than one thread of torch or numpy in each would only wait.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# Commands would find the configuration of whoever runs the tests.
+# Otherwise commands would find the configuration of the person who runs the tests.
 os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
 
 import pytest
@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 # Without bytecode each worker and each program that a test starts would compile every file.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
-# What is imported and collected stays. Searching it for garbage takes a quarter of the collection's time.
+# Imported modules and collected tests are never freed; searching them for garbage takes a quarter of the time
+# in which pytest collects the tests.
 gc.disable()
 # Triton, which comes with torch for GPUs, would report what it leaks after pytest's last line.
 sys.modules["triton"] = None  # type: ignore[assignment]
@@ -79,13 +80,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_finish() -> None:
-    """Collect garbage from here on, of what tests make."""
+    """Enable garbage collection from here on, for the objects that tests make."""
     gc.freeze()
     gc.enable()
 
 
 class ByFile(LoadFileScheduling):
-    """Gives each file to one worker, and all that train to the same."""
+    """Gives each file to one worker, and all files that train networks to the same worker."""
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)

@@ -2,7 +2,7 @@
 
     python -m pytest -n 0 -s tests/by_hand/debian_package.py       needs root and systemd-container
 
-In the container of real_systemd.py. It takes too long for the suite, which its name keeps it out of.
+Runs in the container of real_systemd.py. It takes too long for the suite; its file name keeps it out.
 """
 
 from collections.abc import Iterator

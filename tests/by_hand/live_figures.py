@@ -78,9 +78,9 @@ def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
 
 
 def drawing(seconds: float) -> tuple[float, float]:
-    """Return how many pictures a second a browser draws of a rubbed pad, and the milliseconds for one.
+    """Return how many pictures of a rubbed pad a browser draws a second, and the milliseconds for one.
 
-    The milliseconds are processor time of the page's main thread, so that other work counts for nothing.
+    The milliseconds are processor time of the page's main thread, so that other programs do not count.
     """
     stream = simulate([("rub", seconds + 5.0)], 1)[0].counts
     with browser() as chrome, serving() as served:

@@ -55,12 +55,12 @@ STILL_EVERY_S = 1 / 54
 SETTLES_S = 5.0
 WIDTH, HEIGHT, FONT_SIZE = 10, 20, 16
 PAPER, INK = (12, 15, 19), (243, 245, 248)
-# What a block character fills of its cell: left, top, right, bottom in pixels.
+# The part of its cell that a block character fills: left, top, right, bottom in pixels.
 BLOCKS = {"▀": (0, 0, WIDTH, HEIGHT // 2), "▐": (WIDTH // 2, 0, WIDTH, HEIGHT)}
 for number, (lower, left) in enumerate(zip("▁▂▃▄▅▆▇█", "▏▎▍▌▋▊▉█", strict=True), 1):
     BLOCKS[lower] = (0, HEIGHT - HEIGHT * number // 8, WIDTH, HEIGHT)
     BLOCKS[left] = (0, 0, WIDTH * number // 8, HEIGHT)
-# An animation: its length, frames between two moves of the mouse and two pictures, quality.
+# The animation: length, frames per mouse move and per picture, quality, seed.
 FILM_S, FRAMES_A_MOVE, FRAMES_A_PICTURE, FILM_QUALITY, FILM_SEED = 11.5, 2, 6, 60, 2
 # The page's clock follows the pad's.
 STEPPED_CLOCK = "window.padMs = 0; performance.now = () => window.padMs;"
@@ -120,7 +120,7 @@ def play(
     put_live: Callable[[LivePrediction], None],
     put_frame: Callable[[Frame], None],
 ) -> Frame:
-    """Hand over all events and frames up to the moment, as fast as possible; returns its frame."""
+    """Hand over all events and frames up to the pictured moment, without waiting; return the last frame."""
     stream = splice(read_recordings(DEMO_RECORDING))
     played = Played(settings, put, put_live)
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
@@ -215,7 +215,7 @@ def film_page(path: Path, size: tuple[int, int], scheme: str) -> None:
 
 
 def picture_page(path: Path, size: tuple[int, int], scheme: str, anchor: str) -> None:
-    """Play the demo up to the moment on a live page in a browser, and save its picture."""
+    """Play the demo up to the pictured moment on a live page in a browser, and save a picture."""
     robot = RobotSettings(url="tcp://127.0.0.1:9559")
     over = threading.Event()
     with browser() as chrome, serving(robot=robot) as served:
@@ -243,7 +243,7 @@ def picture_page(path: Path, size: tuple[int, int], scheme: str, anchor: str) ->
 
 
 def picture_terminal(path: Path, size: tuple[int, int]) -> None:
-    """Play the demo up to the moment in a terminal view, and save its picture."""
+    """Play the demo up to the pictured moment in a terminal view, and save a picture."""
     settings, (width, height) = Settings(), size
     console = Console(
         file=io.StringIO(), width=width, height=height, color_system="truecolor", force_terminal=True

@@ -1,6 +1,6 @@
 """The service under a real systemd, installed by `make install`: make test-systemd (root; systemd-container).
 
-Its name keeps it out of the suite, where it would take too long.
+It takes too long for the suite; its file name keeps it out.
 """
 
 import json

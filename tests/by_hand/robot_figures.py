@@ -1,4 +1,4 @@
-"""Measures what the link promises, on real qi, in a process set up as the daemon's is; prints JSON.
+"""Measures the link's guarantees on real qi, in a process set up as the daemon's is; prints JSON.
 
     PYTHONPATH=.:tests python tests/by_hand/robot_figures.py [--rounds 10] [--publishes 0] [--busy]
 
@@ -27,7 +27,7 @@ from touchd.daemon.commands.run import favour_latency
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.reactions import Action, ActionRule
 
-# Far more often than answers come, so that calls meet the worker in every phase.
+# Far shorter than the time between answers, so that calls meet the worker in every phase.
 EVERY_S = 0.005
 ACTIONS = (ActionRule(do=(Action(say="{gesture}"),), stages=("early",)),)
 STATES = ("up", "slow", "hung", "killed", "away")
@@ -35,7 +35,7 @@ STATES = ("up", "slow", "hung", "killed", "away")
 
 @dataclass(frozen=True)
 class Publish:
-    """One call. wall_s, cpu_s: its duration. waited, put_aside: how often its thread did."""
+    """One call. wall_s, cpu_s: its duration. waited, put_aside: the kernel's counts, see above."""
 
     wall_s: float
     cpu_s: float

@@ -55,7 +55,7 @@ JOURNAL_BYTES = 1_000_000
 JOURNAL_KEEP = 2
 TOUCHES_KEPT = 50
 WRITTEN_S = 10.0
-# Which of an hour's eight spans between two switches of the robot has a viewer.
+# The robot's switches divide an hour into eight spans; a viewer comes in this one.
 LOOKED_AT = 3
 
 

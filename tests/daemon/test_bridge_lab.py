@@ -116,7 +116,7 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     assert pulled[0][1] == pytest.approx(ago_s, abs=0.2)
 
 
-def test_ros2_nodes_find_the_topics_and_hear_them(tmp_path: Path) -> None:
+def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
     from cyclonedds.domain import DomainParticipant

@@ -141,7 +141,7 @@ def test_a_reconnect_replaces_the_last_will_of_the_old_connection(port: int, ope
         touchds_end, brokers_end = carried[0]
         touchds_end.shutdown(socket.SHUT_RDWR)
         wait_for(lambda: len(carried) == 2)
-        # Readable: the broker has ended it.
+        # The socket is readable once the broker has closed its end.
         wait_for(lambda: bool(select.select([brokers_end], [], [], 0)[0]))
         wait_for(lambda: retained(port) == "up")
         bridge.stop(WITHIN_S)

@@ -47,7 +47,7 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
 
 
 def put_until_heard(peer: Peer, bridge: Bridge) -> None:
-    """Put an event until it arrives; a peer without memory misses those sent before it was found."""
+    """Put events until one arrives; a peer for which nobody queues misses those sent before it was found."""
     heard = len(peer.heard)
     while len(peer.heard) == heard:
         bridge.put(touch(1))
@@ -101,7 +101,7 @@ def test_without_a_peer_neither_put_nor_stop_waits(peer: Peer, monkeypatch: pyte
 
 
 def let_in_and_hang_up(port: int, sizes: list[int], ended: threading.Event) -> None:
-    """Accept clients of MQTT and of websockets, read all they say, and hang up once they wait."""
+    """Accept MQTT and websocket clients, read what they send, and hang up once they pause."""
     with socket.create_server(("127.0.0.1", port)) as door:
         door.settimeout(0.1)
         while not ended.is_set():
@@ -133,7 +133,7 @@ def test_a_peer_that_hangs_up_is_retried_slowly(peer: Peer, caplog: pytest.LogCa
     ended.set()
     door.join()
     assert len(sizes) <= 12
-    # What waits to be acknowledged does not pile up: the state and one event.
+    # Unacknowledged messages do not pile up: each connection carries the state and one event.
     assert max(sizes) < 500
     told = [
         record.getMessage() for record in caplog.records if record.name.startswith("touchd.daemon.bridges")
@@ -172,7 +172,7 @@ def test_a_peer_that_takes_nothing_is_left(
             numbers = itertools.count()
 
             def is_left() -> bool:
-                # Enough to fill what the kernel holds for the peer before the first ping.
+                # Enough to fill the kernel's buffers for the peer before the first ping.
                 for number in itertools.islice(numbers, 50):
                     bridge.put_frame(frame(number, float(number)), PAD)
                 return "is away" in caplog.text

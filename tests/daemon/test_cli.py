@@ -72,7 +72,7 @@ def test_ctrl_c_ends_a_daemon_and_cuts_others_short(
             raise KeyboardInterrupt
         except KeyboardInterrupt as error:
             if while_loading:
-                # As compiled modules do.
+                # As compiled modules do if interrupted while they are imported.
                 raise ImportError("initialization failed") from error
             raise
 
@@ -87,7 +87,7 @@ CTRL_C = "os.kill(os.getpid(), signal.SIGINT)"
 @pytest.mark.parametrize(
     "imported",
     [
-        # As onnxruntime, which loses what a signal raises while it is imported, and crashes when it is used.
+        # onnxruntime swallows an exception that a signal raises during its import, and crashes in use.
         f"try:\n    {CTRL_C}\nexcept BaseException:\n    pass\n",
         f"import atexit\natexit.register(lambda: {CTRL_C})\nraise KeyboardInterrupt\n",
     ],
@@ -101,7 +101,7 @@ def test_ctrl_c_at_any_moment_leaves_no_trace(tmp_path: Path, imported: str) -> 
 
 
 @pytest.mark.parametrize("command", ["classify", "convert --out x.csv", "plot"])
-def test_a_pipe_or_device_is_refused_instead_of_read_for_ever(
+def test_a_pipe_or_device_is_refused_as_a_recording(
     tmp_path: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

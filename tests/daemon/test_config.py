@@ -24,7 +24,7 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier
 EXAMPLE = Path(__file__).parents[2] / "daemon/setup/touchd.example.yaml"
 
 
-# Its settings that are commented out, taken in.
+# The example with its commented-out settings enabled.
 UNCOMMENTED = re.sub(r"^( *)#(- )?(\w+:)", r"\1\2\3", EXAMPLE.read_text(), flags=re.M)
 
 
@@ -208,8 +208,8 @@ def test_a_fabric_pad_of_another_grid_is_not_another_pad() -> None:
 
 
 @pytest.mark.parametrize("lack", [MemoryError(), OSError(errno.EMFILE, "Too many open files")])
-def test_a_machine_without_room_is_no_mistake_in_the_configuration(lack: Exception) -> None:
-    # As a mistake it would end with exit code 2, after which systemd does not start it again.
+def test_a_lack_of_memory_is_not_a_configuration_error(lack: Exception) -> None:
+    # A configuration error ends with exit code 2, after which systemd would not restart the service.
     with pytest.raises(type(lack)), config_errors():
         raise lack
     with pytest.raises(ConfigError, match="Too many levels"), config_errors():

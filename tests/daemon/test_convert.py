@@ -44,7 +44,7 @@ def rows(source: Path) -> list[dict[str, str]]:
 
 
 def messages(source: Path, folder: Path) -> list[tuple[Any, Any, Any]]:
-    """Return schema, channel and message of all that MCAP holds of a file."""
+    """Convert a file to MCAP; return the schema, channel and message of every entry."""
     reader = pytest.importorskip("mcap.reader")
     with converted(source, folder / "out.mcap").open("rb") as file:
         return list(reader.make_reader(file).iter_messages())
@@ -114,7 +114,7 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
 
 
 def test_haarts_frames_are_whole_scans_in_the_converted_file(tmp_path: Path) -> None:
-    # Every frame holds its own number; HAART has the last two rows of the one before on top.
+    # Every taxel of a scan reads the scan's number; a HAART frame begins with two rows of the scan before.
     scans = np.repeat(np.arange(20), 64).reshape(20, 8, 8)
     rolled = np.roll(scans.reshape(-1, 8), 2, axis=0).reshape(20, 64)
     header = ",".join(["participant", "substrate", "cover", "gesture", *(f"cell{i}" for i in range(1, 65))])
@@ -161,6 +161,6 @@ assert os.listdir() == []
 
 
 @needs_small_disk
-def test_a_recording_converted_on_a_full_disk_names_the_file_asked_for(tmp_path: Path) -> None:
+def test_a_conversion_on_a_full_disk_names_its_file(tmp_path: Path) -> None:
     (told,) = log_on_small_disk(tmp_path, 40, FILL)
     assert told == "touchd: mine.csv: cannot be written (No space left on device)"

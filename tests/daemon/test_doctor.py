@@ -21,7 +21,7 @@ ACTIVE = "LoadState=loaded\nActiveState=active\n"
 def test_a_sound_pad_passes_every_check(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # On a busy machine the doctor would rightly warn.
+    # On a busy machine the doctor would warn, correctly, of slow answers.
     monkeypatch.setattr("touchd.daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     with pad_of(resting(4.0)) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1.2", "--json"]) == 0

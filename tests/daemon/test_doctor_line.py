@@ -46,7 +46,7 @@ def test_settings_against_the_proven_format_are_named() -> None:
     assert check.advice == "set under sensor: format: fabric-grid; delete rows, columns, crop there"
 
 
-def test_a_border_left_out_of_a_small_pad_is_a_warning() -> None:
+def test_cropping_a_small_pad_is_a_warning() -> None:
     check = protocol_of(pad_of(resting(60.0), as_8x8), SensorSettings(rows=8, columns=8))
     assert check.verdict == "warning"
     assert check.found.endswith("as configured, of which only the inner 6x6 are used")
@@ -65,7 +65,7 @@ def test_another_baud_rate_is_found_by_trying() -> None:
     assert protocol_of(pad_at_baud(resting(60.0), termios.B115200)).advice == "set sensor.baud: 115200"
 
 
-def test_a_wrong_baud_rate_makes_no_other_pad() -> None:
+def test_a_wrong_baud_rate_is_not_taken_for_another_pad() -> None:
     rest = np.zeros((3000, 8, 8), np.uint16)
     pad = pad_read_too_fast(rest, termios.B115200, PRESETS["velostat"])
     assert protocol_of(pad, SensorSettings(format="velostat")).advice == "set sensor.baud: 115200"
@@ -106,7 +106,7 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     assert slow.figures["rate_hz"] == pytest.approx(40, abs=0.5)
     assert slow.verdict == "warning"
     assert "54 Hz" in slow.advice
-    # A pad of 50 Hz by its label.
+    # A pad with a nominal rate of 50 Hz.
     assert checked(20.1, 0.0201).verdict == "ok"
     useless = checked(55, 0.055)
     assert useless.verdict == "to do"

@@ -66,7 +66,7 @@ def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
     assert "something lies on row 2 column 3" in check_rest(sample(counts), SETTINGS).found
 
 
-def test_a_pad_that_rests_high_is_distinguished_from_a_loaded_one() -> None:
+def test_a_high_rest_is_distinguished_from_a_load() -> None:
     rest = np.random.default_rng(1).uniform(60, 180, (8, 8)).astype(np.uint16)
     high = check_rest(sample(resting() + rest), SETTINGS)
     assert high.verdict == "ok"

@@ -66,7 +66,7 @@ def test_an_event_survives_its_line_of_json(event: Event, text: str) -> None:
 @pytest.mark.parametrize(
     "line", [b"", b"{", b'{"type":"unheard_of"}', b'{"type":"touch_began","touch":"seven"}', b"\xff"]
 )
-def test_a_line_that_is_no_event_is_refused(line: bytes) -> None:
+def test_a_line_that_is_not_an_event_is_refused(line: bytes) -> None:
     with pytest.raises(EventError, match=r"not an event: .+"):
         decode(line)
 

@@ -32,7 +32,7 @@ def pad(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 def typed(command: str, pad: str = "") -> Terminal:
-    """Type a command of the page at a terminal."""
+    """Run a command of the page in a terminal."""
     (line,) = [line for line in TYPED if line.split()[0] == command]
     return Terminal(*shlex.split(line.replace("PATH", pad)))
 

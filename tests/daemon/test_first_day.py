@@ -142,7 +142,7 @@ def test_the_example_configuration_runs_without_the_service(
     assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes() == encode(PREDICTION) + b"\n"
 
 
-def test_a_state_folder_that_cannot_be_made_is_reported_with_its_cause(
+def test_an_impossible_state_folder_is_reported_with_its_cause(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
@@ -222,12 +222,12 @@ def test_pages_are_listed_and_printed(capsys: pytest.CaptureFixture[str]) -> Non
     with Terminal("docs", "pads") as terminal:
         assert "| preset |" not in terminal.until("full_scale")
     with Terminal("docs", "live") as terminal:
-        # Nothing stands for a picture that a terminal cannot show.
+        # A terminal cannot show pictures; they are left out without a placeholder.
         assert "The demo on the live page" not in terminal.until("touchd demo --live")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_configuration_of_others_asks_for_sudo(tmp_path: Path) -> None:
+def test_a_configuration_without_read_permission_asks_for_sudo(tmp_path: Path) -> None:
     path = tmp_path / "touchd.yaml"
     path.touch(mode=0o000)
     with pytest.raises(Exception, match="put sudo before the command"):

@@ -98,7 +98,7 @@ def children(pid: int) -> list[int]:
 
 
 def resident_mb(pid: int) -> float:
-    """Return the memory of a process and its children; one may end during that."""
+    """Return the resident memory of a process and its children, any of which may end meanwhile."""
     with suppress(FileNotFoundError, ProcessLookupError):
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 1e6 + sum(map(resident_mb, children(pid)))
@@ -140,7 +140,7 @@ def endured(folder: Path, attacks: Sequence[Attack], seconds: float, **settings:
 
 
 Stranger = Callable[[attackers.Find, Callable[[], bool]], None]
-# What is attacked, its settings, the protocol that it listens with, and the attack.
+# The library attacked, the settings that use it, the protocol on which it listens, and the attack.
 STRANGERS: dict[str, tuple[str, Configure, str, Stranger]] = {
     "lsl, an endless request": ("pylsl", lsl, "tcp", attackers.endless_lsl_request),
     "lsl, many listeners": ("pylsl", lsl, "tcp", attackers.many_lsl_listeners),
@@ -155,8 +155,8 @@ STRANGERS: dict[str, tuple[str, Configure, str, Stranger]] = {
 ATTACKS = (*SERVERS, *STRANGERS)
 
 
-# Together: one by each peer, and those of strangers, of which one at most fills the memory that a library's
-# process may take. The others, which only the minutes' attacks bring, meet an allowance that is met here too.
+# Attacks to run at once: one by each peer, and some by strangers, at most one of which fills the memory that
+# a library's process may take. Other attacks run alone, for a minute; they hit limits that these hit too.
 TOGETHER = (
     (
         "mqtt, QoS 2 without end",
@@ -187,7 +187,7 @@ TOGETHER = (
 
 @contextmanager
 def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
-    """Attack, in a thread, the ports at which a daemon, first, and what it started listen."""
+    """Attack, in a thread, the ports of a daemon and of the processes it started, the daemon's first."""
 
     def find() -> list[int]:
         ports: dict[int, None] = {}
@@ -208,7 +208,7 @@ def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
 
 
 def prepared(names: Sequence[str]) -> tuple[list[Attack], dict[str, Any]]:
-    """Return these attacks and the settings that let them in; without those whose library is missing."""
+    """Return these attacks, without those whose library is missing, and the settings that expose touchd."""
     attacks: list[Attack] = []
     settings: dict[str, Any] = {}
     for name in names:
@@ -217,7 +217,7 @@ def prepared(names: Sequence[str]) -> tuple[list[Attack], dict[str, Any]]:
             continue
         port = free_port()
         new = configure(port)
-        # A pad that attacks takes the place of the one that is played.
+        # An attacking pad replaces the simulated one.
         new |= (
             {"sensor": SensorSettings(), "sensors": settings.get("sensors", {}) | new["sensors"]}
             if "sensors" in new
@@ -330,7 +330,7 @@ def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int) -> None:
         bridge.put(touch(1))
         wait_for(lambda: bridge._peer_is_there.is_set() and not len(bridge._items))
         assert bridge.refused == 0
-    # The first in MQTT 5.
+    # The first connection was refused: it spoke MQTT 5.
     assert connections == [2]
 
 
@@ -370,7 +370,7 @@ def test_messages_that_a_rosbridge_refuses_are_counted_and_logged_once(
         attackers.welcome(client)
         while goes_on() and client.recv(65536):
             client.sendall(attackers.text(refusal.encode()))
-            # Neither a status nor JSON, nor what can be read at all.
+            # A message that is not a status, and one that is not valid JSON.
             client.sendall(attackers.text(b'{"op":"publish","msg":{}}') + attackers.text(b"[" * 8000))
 
     from touchd.daemon.bridges.rosbridge import RosbridgeBridge

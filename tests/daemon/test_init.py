@@ -56,7 +56,7 @@ class Found:
         self.device = device
 
 
-def test_the_pads_port_is_found_among_others_and_its_baud_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
     with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0) as pad:
@@ -72,7 +72,7 @@ def test_the_pads_port_is_found_among_others_and_its_baud_rate(monkeypatch: pyte
 @needs_third_study
 def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
     touches = [each for _, touched, each in third_study("S15") if touched]
-    # Here somebody touches all the time: any eight seconds prove it, wherever init begins to listen.
+    # Somebody touches the pad throughout this stream, so any eight seconds of it prove the format.
     played = touches[14]
     stream = Stream(played[:, 1:], played[:, 0] - played[0, 0], ())
     with FakePort(
@@ -120,7 +120,7 @@ def test_a_file_that_cannot_be_written_is_reported_at_once(capsys: pytest.Captur
     assert capsys.readouterr().err == ""
 
 
-def test_without_a_pad_the_file_has_a_fabric_pads_baud_rate() -> None:
+def test_without_a_pad_the_file_describes_a_fabric_pad() -> None:
     assert write("--port", "none") == 1
     assert load(FILE).sensor == SensorSettings(port="none")
 
@@ -128,7 +128,7 @@ def test_without_a_pad_the_file_has_a_fabric_pads_baud_rate() -> None:
 @pytest.mark.parametrize(
     "changed", [{"rows": 8, "columns": 8, "crop": 0}, {"turn": 90, "mirror": True}, {"invert": False}]
 )
-def test_another_grid_of_a_fabric_pad_stands_beside_its_preset(
+def test_a_fabric_pads_other_grid_is_written_beside_the_preset(
     monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]
 ) -> None:
     described = replace(PRESETS["fabric-grid"], **changed)
@@ -198,7 +198,7 @@ def test_a_robots_name_finds_its_protocol_and_port(
             FILE.unlink()
 
 
-def test_a_robot_that_does_not_answer_is_written_as_the_likeliest(
+def test_a_silent_robot_is_written_with_its_likeliest_address(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     host = "no-such-robot.invalid"
@@ -214,7 +214,7 @@ def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
-            # What init asks of the hand; the recording presses.
+            # init asks for presses; the recording contains them.
             terminal.until("Leave the pad alone")
             terminal.until("Press firmly in the middle")
             terminal.until("Touch the corner that should be top left")

@@ -33,7 +33,7 @@ from touchd.drivers.robot.session import RobotSettings
 
 pytestmark = pytest.mark.timeout(300)
 SPEED = 6.0
-# For what the page draws at once.
+# Time limit for what the page draws at once.
 SOON_S = 20.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.
 SCRIPT = (
@@ -49,8 +49,8 @@ STILL = Stream(
     (),
 )
 CANVAS = "return document.getElementById('heat').toDataURL()"
-# Records every announcement of the live region, which a screen reader speaks by itself.
-# Pictures are taken here too: on a busy machine the test seldom gets to ask.
+# Records every announcement in the live region, which a screen reader speaks by itself.
+# The page takes the pictures too, because on a busy machine the test could ask for few.
 LISTEN = """
   window.pictures = new Set();
   const taking = setInterval(() => {
@@ -291,7 +291,7 @@ def test_pressure_is_readable_without_colour_vision(played: WatchedPage, scheme:
     prefer(played.chrome, color_scheme=scheme)
 
     def steps() -> NDArray[np.float64]:
-        """Return how far each colour of the scale stands out more from the paper than the one before."""
+        """Return how much more each colour of the scale contrasts with the paper than the one before."""
         scale = "document.getElementById('scale').getContext('2d').getImageData(0, 0, 256, 1).data"
         red, green, blue, _ = np.reshape(played.run(f"return [...{scale}]"), (256, 4)).T.astype(float)
         brighter = np.diff(0.2126 * red + 0.7152 * green + 0.0722 * blue)
@@ -415,7 +415,7 @@ LONG_WORDS = {
     "tickle": "Durchkitzeln mit allen Fingern",
     "uncertain": "weiß ich leider wirklich nicht",
 }
-# What reaches beyond the window, or out of its box.
+# Finds elements that reach beyond the window, or out of their box.
 OUTSIDE = """
   const seen = (one) => one.checkVisibility() && !one.closest('.unseen, .skip');
   const out = (box, inner) => inner.width > 1 &&
@@ -434,7 +434,7 @@ COVERS = """
 
 
 def put_a_touch(served: Served, gestures: list[str], number: int = 1) -> None:
-    """Put a touch of 2.67 s whose answers at the marks are these; it goes on."""
+    """Put the first 2.67 s of a touch, with these answers at the marks; it does not end."""
     rest, hand = np.zeros((8, 8), np.uint16), np.zeros((8, 8), np.uint16)
     hand[2:5, 3:6] = 80
     for _ in range(60):
@@ -475,7 +475,7 @@ def look_at(chrome: Chrome, served: Served, anchor: str = "") -> None:
 
 
 SIZES = ((1280, 800), (800, 600), (390, 844), (390, 664), (360, 640), (667, 375), (844, 390))
-# Colours hardly change where things stand: the quick suite takes the schemes by turns.
+# The colour scheme hardly affects the layout, so the quick suite alternates between schemes.
 LOOKS = [
     pytest.param(*size, scheme, marks=pytest.mark.slow if (number + dark) % 2 else [])
     for number, size in enumerate(SIZES)

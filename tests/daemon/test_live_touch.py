@@ -34,11 +34,11 @@ from touchd.drivers.fakes.pointers import MOST_PRESSES, Pointer, PressingHands
 from touchd.drivers.pad.sensor import FrameQueue
 
 TRIES = 5
-# A mouse reports every few milliseconds; a browser tells its page once a picture.
+# A mouse reports every few milliseconds; a browser passes this on once per repaint.
 STEP_S = 0.015
 TOUCH = '{"size":"hand","at":[[1,0.5,0.5,null]]}'
 
-# Moves a pointer for two seconds, on a screen of 250 pictures a second; returns how often the page sent.
+# Moves a pointer for two seconds on a 250 Hz screen; returns how many messages the page sent.
 FAST_SCREEN = """
   const done = arguments[0];
   import('/touch.js').then(({ Touch }) => {
@@ -66,7 +66,7 @@ FAST_SCREEN = """
   });
 """
 
-# Moves a pointer along places, each held for its milliseconds; null is off the pad.
+# Moves a pointer along places, staying stepMs at each; null lifts it.
 FOLLOW_ROUTE = """
   const [places, stepMs, done] = arguments;
   const square = document.querySelector('.square');
@@ -89,7 +89,7 @@ FOLLOW_ROUTE = """
   }, 5);
 """
 
-# Counts the browser's pictures, and those of the pad, for five seconds.
+# Counts, for five seconds, how often the browser repaints and how often it draws the pad.
 COUNT_PICTURES = """
   window.pictures = { browser: 0, pad: 0, begun: performance.now() };
   const put = CanvasRenderingContext2D.prototype.putImageData;
@@ -110,7 +110,7 @@ Route: TypeAlias = Callable[[float], tuple[float, float] | None]
 
 
 def slow_stroke(rng: random.Random) -> Route:
-    """Passes of a second the same way, lifted in between, as people stroke."""
+    """One-second passes in one direction, lifted in between, as people stroke."""
     across, turned, upright = rng.uniform(0.4, 0.6), rng.random() < 0.5, rng.random() < 0.5
 
     def place(time_s: float) -> tuple[float, float] | None:
@@ -159,7 +159,7 @@ def perform(chrome: Chrome, route: Route, seconds: float) -> None:
 
 @pytest.fixture(scope="module")
 def page(chrome: Chrome) -> Iterator[Chrome]:
-    """The demo's page, on which the simulated hand was taken away by a first touch."""
+    """The demo's page after a first touch, which takes the simulated hand away."""
     with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         assert any(line.startswith("pad up") for line in demo.stdout)
@@ -198,7 +198,7 @@ class FakePad(NamedTuple):
 
 @pytest.fixture(scope="module")
 def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
-    """A fake pad whose simulated hand was taken away by a first touch."""
+    """A fake pad after a first touch, which takes the simulated hand away."""
     with Program(*TOUCHD, "fake-pad", "--live", "0", "--gestures", "constant", "--every", "3") as program:
         url = next(found[1] for line in program.stdout if (found := SERVED.search(line)))
         path = next(line.split()[1] for line in program.stdout if line.startswith("pad: "))
@@ -206,7 +206,7 @@ def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
             show_in(chrome, 1280, 800)
             chrome.get(f"{url}/")
             pad = FakePad(chrome, frames)
-            # Nobody has touched it yet: it asks, and a simulated hand presses.
+            # Nobody has touched it yet: the page invites a touch, and a simulated hand presses.
             wait_for(lambda: chrome.find_element(By.ID, "invitation").text == "Touch here")
             wait_for(lambda: next_frames(frames, 1)[0].pressure.max() > 50)
             pad.mouse("mousePressed", 0.5, 0.5)
@@ -292,9 +292,9 @@ def test_gestures_of_a_mouse_are_recognised(
     assert named[gesture] >= TRIES - 1, named
 
 
-# As above: other programs take pictures away.
+# As above: on busy cores the browser skips repaints.
 @pytest.mark.slow
-def test_sixty_pictures_a_second_are_drawn_of_a_touch(page: Chrome) -> None:
+def test_a_touch_is_drawn_sixty_times_a_second(page: Chrome) -> None:
     page.execute_script(COUNT_PICTURES)
     perform(page, quick_rub(random.Random(3)), 5.5)
     browser, pad, seconds = page.execute_script("return [pictures.browser, pictures.pad, pictures.seconds]")
@@ -304,7 +304,7 @@ def test_sixty_pictures_a_second_are_drawn_of_a_touch(page: Chrome) -> None:
 
 
 def refusal(url: str, messages: Sequence[str]) -> str:
-    """Return why a page closes the connection of somebody who sends these messages."""
+    """Return the reason for which a page disconnects a viewer that sends these messages."""
     with connect(url) as viewer:
         try:
             for message in messages:

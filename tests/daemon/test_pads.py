@@ -119,7 +119,7 @@ def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
 
 def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> None:
     encode = encoder_for(SensorSettings())
-    # About as many frames as the daemon's queue holds, for a busy machine.
+    # About as many frames as the daemon's queue holds, so that a busy machine drops none.
     few = beginning_of(LENGTHS, 3)
     with (
         FakePort(stream_of(GESTURES), encode, speed=FLOOD_SPEED, loop=True) as flood,

@@ -366,7 +366,7 @@ def test_a_raised_threshold_ignores_light_touches_and_detects_firm_ones(classifi
     assert [end.frames for end in ended(bench.feel(palm(2.0, 100.0), nothing(3.0)))] == [108]
 
 
-def test_a_still_load_that_slowly_gives_way_ends_as_a_touch(classifier: Classifier) -> None:
+def test_a_still_load_that_slowly_fades_is_released(classifier: Classifier) -> None:
     bench = Bench(classifier)
     gives_way = palm(9.0, 60.0, trembling=False) * np.exp(-np.arange(9 * 54) / (5 * 54))[:, None, None]
     events = bench.feel(palm(1.0, 60.0), gives_way.astype(np.float32), nothing(3.0))

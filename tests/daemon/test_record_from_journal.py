@@ -29,7 +29,7 @@ SPEED = 20.0
 
 
 def lines_of(touch: FeltTouch, gesture: str = "pat") -> bytes:
-    """Return what the journal says of a touch that was classified as `gesture`."""
+    """Return the journal's lines about a touch that was classified as `gesture`."""
     number, when = touch.began.touch, touch.began.time
     answer = msgspec.structs.replace(
         PREDICTION, touch=number, gesture=gesture, probabilities={gesture: 0.81}, time=when
@@ -70,7 +70,7 @@ class Lab:
         return sorted(path.name for path in self.folder.glob("*.csv.gz"))
 
     def numbers(self, since: str = "") -> list[int]:
-        """Return which touches the journal tells of."""
+        """Return the numbers of the touches in the journal."""
         return [touch.began.touch for touch in read_since(self.journal, since)]
 
 
@@ -275,7 +275,7 @@ def test_without_a_terminal_it_lists_the_touches_and_ends(
 def listed(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Callable[[], str]:
-    """Returns the output, in one line, of a session in which every touch is left for later."""
+    """Skips every touch of a session; returns its output in one line."""
 
     def listed() -> str:
         monkeypatch.setattr("sys.stdin", io.StringIO("l\n" * 100))

@@ -91,7 +91,7 @@ def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, record: lis
         terminal.until("2 of 3 recordings are in")
         assert terminal.process.wait(WITHIN_S) == 0
     assert "no touch was detected" in terminal.shown
-    # The seconds that are saved, without the edges that are cut off.
+    # The countdown counts the seconds that are saved, without the edges that are cut off.
     assert set(re.findall(r"pat now, (\d+) s", terminal.shown)) <= {"0", "1", "2"}
     (pat,) = read_recordings(tmp_path / "anna_foam_none_pat_1.csv.gz")
     assert (pat.participant, pat.substrate, pat.cover, pat.gesture) == ("anna", "foam", "none", "pat")

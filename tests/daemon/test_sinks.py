@@ -89,7 +89,7 @@ def test_a_stalled_reader_blocks_nobody_and_its_losses_are_logged(
     sink.stop(0.6)
     assert "touchd-stdout" not in names()
     told = [int(count) for count in re.findall(r"stdout: (\d+) events", caplog.text)]
-    # Some were written, one is in the pipe by half.
+    # Some events were written, and half of one is in the pipe.
     assert told[0] == sink.dropped
     assert 45 <= sum(told) <= 50
 
@@ -100,7 +100,7 @@ def test_continuing_losses_are_logged_once_a_minute(caplog: pytest.LogCaptureFix
         written = 0
 
         def write(self, item: int) -> None:
-            # More events come while one is written than the queue holds.
+            # While one event is written, more arrive than the queue holds.
             for number in range(5 if self.written < 10 else 0):
                 self.put(number)
             self.written += 1
@@ -237,7 +237,7 @@ def test_folders_named_like_older_journals_are_left_alone(tmp_path: Path) -> Non
     assert [reported.began.touch for reported in read_since(path, "")] == [18, 19]
 
 
-def test_a_folder_in_the_way_of_all_older_journals_costs_no_event(tmp_path: Path) -> None:
+def test_a_folder_in_place_of_an_older_journal_is_tolerated(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl.1" / "mine").mkdir(parents=True)
     write(tmp_path / "events.jsonl", [encode(touch(number)) for number in range(20)])
     assert kept(tmp_path / "events.jsonl") == [touch(19)]
@@ -301,7 +301,7 @@ def check_told(log: list[str]) -> None:
 
 
 def test_a_full_disk_leaves_only_whole_lines(tmp_path: Path) -> None:
-    # A limit on a file's size stands for the disk's.
+    # A limit on file size simulates a full disk.
     done = ran([sys.executable, "-c", FILL_THE_DISK, str(tmp_path)])
     assert done.returncode == 0, done.stderr
     check_told(done.stderr.splitlines())
@@ -333,7 +333,7 @@ def test_a_kill_at_any_point_leaves_a_whole_journal(tmp_path: Path, times: int) 
                 assert process.poll() is None
             time.sleep(chance.uniform(0.0, 0.1))
             process.kill()
-        # Opening cuts half a line.
+        # Opening the journal cuts off a half-written line.
         Journal(path, max_bytes=100_000, keep=3).close()
         for file in tmp_path.iterdir():
             written = file.read_bytes()

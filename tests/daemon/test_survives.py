@@ -60,7 +60,7 @@ def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
         with suppress(ConnectionError):
             while sent < 10_000_000:
                 sent += flood.send(said * 100)
-        # No more than the kernel's buffers on both sides.
+        # At most what the kernel's buffers hold on both sides.
         assert sent < 8_000_000
         frames_among(viewer, served.put_frame())
 
@@ -131,7 +131,7 @@ def test_a_full_disk_at_standard_output_loses_lines_only(caplog: pytest.LogCaptu
     os.close(full)
     assert (sink.dropped, gone) == (20, [])
     said = [record.getMessage() for record in caplog.records]
-    # The first at once, the others at the end.
+    # The first loss is reported at once, the others at the end.
     assert [line.split(" are lost")[0] for line in said] == [
         f"stdout: {count} events or frames" for count in (1, 19)
     ]
@@ -162,7 +162,7 @@ def test_two_daemons_do_not_write_one_journal(path: Path) -> None:
     first = Journal(path, max_bytes=200, keep=1)
     for number in range(10):
         first.append(encode(touch(number)))
-        # Also while it rotates.
+        # The lock also holds while the journal rotates.
         with pytest.raises(JournalError, match="another touchd writes it"):
             Journal(path, max_bytes=200, keep=1)
     first.close()
@@ -198,7 +198,7 @@ def test_a_deleted_journal_folder_is_warned_of_once(tmp_path: Path, caplog: pyte
 
 
 def numbers(path: Path) -> list[int]:
-    """Return which touches began, as a journal tells."""
+    """Return the numbers of the touches whose beginning a journal holds."""
     return [kept.began.touch for kept in read_journal(path)]
 
 
@@ -207,7 +207,7 @@ def test_one_bad_line_does_not_hide_the_others(path: Path) -> None:
     assert numbers(path) == [1, 2]
 
 
-# A line nested too deeply, and times that are none, or none that a file format can hold.
+# A deeply nested line, invalid times, times and numbers too large for a file format, and undecodable bytes.
 BAD_LINES = [
     b'{"type":"touch_began","touch":' + b"[" * 20_000 + b"]" * 20_000 + b"}",
     *(
@@ -220,7 +220,7 @@ BAD_LINES = [
 ]
 
 
-# Pictures take longest; those of a deep line, a time long past and an answer that comes too late.
+# Pictures take longest; the quick suite draws only the nested line, a time long past and a far future answer.
 READERS = [
     pytest.param(
         suffix,
@@ -305,7 +305,7 @@ class Line:
             self.sent += 1
             self.sensor_ms += self._step_ms * self._clock_factor
             self.now_s += 0.0 if held_up else self._step_ms / 1000
-            # As where another board's frames come in between.
+            # back_ms simulates a second board whose frames come in between.
             sensor_ms = round(self.sensor_ms) - self._back_ms * (self.sent % 2)
             self._pipeline.on_frame(Frame(self.sent, sensor_ms % 2**32, self.now_s, counts))
         return [event for event in self.events[before:] if isinstance(event, Prediction)]

@@ -37,7 +37,7 @@ class TrackedPad(MadePad):
         return changes
 
     def touched(self, *pressures: Scans | float) -> tuple[Onset, Release]:
-        """Feed what is one touch, and nothing else; return its beginning and end."""
+        """Feed pressure that must be exactly one touch; return its beginning and end."""
         onset, release = self.feel(*pressures)
         assert (type(onset), type(release)) == (Onset, Release)
         return onset, release
@@ -99,7 +99,7 @@ LOOSE_WIRE = at(nothing(0.5), 4, slice(8), [1.6, 1.5, 1.9, 2.5, 4.5, 3.3, 3.4, 3
 
 
 def fold(seconds: float, counts: float = 4.0) -> Scans:
-    """What a touch left behind: a third of the pad reads more, and keeps still."""
+    """A fold that a touch left: a third of the pad reads higher, without moving."""
     return at(nothing(seconds), slice(8), slice(2, 5), counts)
 
 
@@ -207,7 +207,7 @@ def with_noise(scans: Scans, deviation: float = 1.2) -> Scans:
 
 
 def vibration(hz: float) -> Callable[[Scans], Scans]:
-    """Return what adds a vibration of two counts to scans; a negative frequency rises first at 54 Hz."""
+    """Return a function that adds a vibration of two counts; sampled at 54 Hz, a negative one rises first."""
 
     def with_vibration(scans: Scans) -> Scans:
         wave = 2 * np.sin(2 * np.pi * hz * np.arange(len(scans)) / 54)
@@ -245,7 +245,7 @@ def test_presses_that_shift_the_rest_stay_separate(pad: TrackedPad) -> None:
 def test_a_touch_ends_when_only_the_object_remains(pad: TrackedPad) -> None:
     box = palm(2.0, counts=30.0, trembling=False)
     pad.touched(palm(3.0, counts=150.0), box)
-    # What moved below the hand makes the rest of the pad no duller.
+    # Movement below the hand does not make the other taxels less sensitive.
     began, beside = pad.index, box[:54].copy()
     beside[:, 6:8, 0:3] += 16.0
     assert pad.feel(beside) == [Onset(began)]
@@ -373,7 +373,7 @@ def test_the_network_forgets_a_pad_with_its_sensor(seen: TrackedPad, network: Ne
 
 
 def test_a_light_still_hand_is_detected_after_a_second(seen: TrackedPad, network: Network) -> None:
-    # Too little for the network's looks alone to begin a touch.
+    # Not low enough for the network's checks alone to begin a touch.
     network.no_touch = 0.25
     began = seen.index
     (onset,) = seen.feel(palm(1.2, counts=6.0, trembling=False))
@@ -392,7 +392,7 @@ def test_slow_movement_of_a_body_begins_no_touch(seen: TrackedPad) -> None:
 
 
 @pytest.mark.parametrize("lift_counts", [5.0, 20.0, 100.0])
-def test_a_pad_that_reads_evenly_more_begins_no_touch(classifier: Classifier, lift_counts: float) -> None:
+def test_an_even_rise_of_all_taxels_begins_no_touch(classifier: Classifier, lift_counts: float) -> None:
     def no_touch(window: NDArray[np.float32]) -> float:
         seen = as_known(window, pad.tracker.baseline.counts)
         return float(classifier.probabilities(seen)[classifier.labels.index("notouch")])
@@ -473,7 +473,7 @@ def test_the_noise_floor_lies_above_the_sway() -> None:
     assert not baseline.is_disturbed
 
 
-def test_the_last_seconds_newer_half_comes_second() -> None:
+def test_the_last_second_is_split_older_half_first() -> None:
     recent = LastSecond()
     for read in range(60):
         recent.push(np.full(64, read, np.float32))
@@ -484,7 +484,7 @@ JUMPS = np.array([5, 4, 12, 9, 2, 2, 4, 6], np.float32)
 
 
 def loose(seconds: float) -> Scans:
-    """A column that a breathing body's loose wire lifts, half a second in every second."""
+    """A loose wire, moved by a breathing body, raises a column for half of every second."""
     scans = nothing(seconds)
     up = np.arange(len(scans)) % 54 >= 27
     scans[:, :, 5] = up[:, None] * JUMPS
@@ -499,7 +499,7 @@ def test_a_loose_wire_is_found_without_a_touch() -> None:
 
 
 @pytest.mark.parametrize("hand", [palm(3.0), pat(3.0)], ids=["palm", "pat"])
-def test_touches_on_a_pad_with_a_loose_wire_begin_and_end(hand: Scans) -> None:
+def test_touches_begin_and_end_despite_a_loose_wire(hand: Scans) -> None:
     pad = TrackedPad()
     pad.feel(2.0, loose(6.0))
     for _ in range(4):

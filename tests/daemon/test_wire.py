@@ -1,4 +1,4 @@
-"""What passes for a loose wire while nothing touches the pad."""
+"""Which jumps of an untouched pad are taken for a loose wire."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ LITTLE = np.full(8, 1.4, np.float32)
 
 
 def known_after(up: Frames, down: Frames | None = None, wire: LooseWire | None = None) -> LooseWire:
-    """Return what is known after the pad jumped three times by `up` and back, by `down` if given."""
+    """Return the detector after the pad jumped three times by `up`, and back by `down` (default: `up`)."""
     down = up if down is None else down
     levels = [REST]
     for _ in range(3):

@@ -80,7 +80,7 @@ def hang_up(client: socket.socket, _goes_on: Callable[[], bool]) -> None:
     client.recv(65536)
 
 
-# What a broker and a rosbridge server may be; None is gone.
+# How a broker and a rosbridge server may behave; None: it is gone.
 PEERS: dict[str, list[attackers.Attack]] = {
     "broker": [
         attackers.acknowledge,
@@ -102,7 +102,7 @@ PEERS: dict[str, list[attackers.Attack]] = {
 
 
 class Peer:
-    """A server on one port, which changes what it is."""
+    """A server on one port that can change its behaviour."""
 
     def __init__(self) -> None:
         self.port = free_port()
@@ -243,7 +243,7 @@ class World(RuleBasedStateMachine):
         finally:
             for viewer in self.viewers:
                 viewer.close()
-            # Whatever its server was, a bridge finds one that behaves.
+            # In the end each bridge finds a server that behaves.
             for name, peer in self.peers.items():
                 peer.become(PEERS[name][0])
             wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in self.bridges))
@@ -287,7 +287,7 @@ class UdpPad(FakePort):
 
 
 class FaultyDaemon(Daemon):
-    """The spawned daemon with all that talks to others and a log that nobody reads, and faults to inject."""
+    """The spawned daemon with all its connections and a log that nobody reads; injects faults."""
 
     def __init__(self, folder: Path, pad: FakePort) -> None:
         self.journal, self.page_port = folder / "events.jsonl", free_port()

@@ -73,7 +73,7 @@ def test_a_reset_forgets_half_a_frame_and_the_clock() -> None:
 
 
 @pytest.mark.parametrize("is_reset", [True, False])
-def test_a_frame_with_an_odd_clock_is_not_revived_later(is_reset: bool) -> None:
+def test_a_frame_that_continues_a_refused_clock_is_refused(is_reset: bool) -> None:
     parser = FabricGrid()
     parser.feed(packets([0, 1, 900]), 0.0)
     if is_reset:
@@ -117,9 +117,9 @@ STILL = np.zeros((8, 8), np.uint16)
 def dated(
     stamp: Callable[[float], float], seconds: float = 6.0, arrival: Callable[[float], float] = float
 ) -> tuple[FrameClock, list[tuple[float, int]]]:
-    """Return a clock after frames at 54 Hz, and each frame's arrival with its time in ms.
+    """Feed a clock with frames at 54 Hz; return it, and each frame's arrival in s and time in ms.
 
-    stamp: what the pad sends at a second of its time. arrival: when that comes.
+    Both functions take the pad's time in seconds. stamp: the clock value it sends. arrival: when it arrives.
     """
     clock = FrameClock(ProtocolCounts(), 54.0)
     frames: list[tuple[float, int]] = []
@@ -131,7 +131,7 @@ def dated(
 
 
 def is_in_ms(frames: list[tuple[float, int]]) -> bool:
-    """Whether the frames' times of the last three seconds count the milliseconds of their arrival."""
+    """Whether the frames' times over the last three seconds advance in ms as their arrivals do."""
     (first_s, first_ms), *_, (last_s, last_ms) = frames[-162:]
     return abs((last_ms - first_ms) / 1000 - (last_s - first_s)) < 0.03
 
@@ -185,7 +185,7 @@ def test_a_recording_played_faster_keeps_its_clock(speed: float) -> None:
 
 
 def test_frames_that_were_held_up_do_not_discredit_a_clock() -> None:
-    # For three of every five seconds the line gives nothing, then all at once.
+    # In every five seconds the line delivers nothing for three, then everything at once.
     clock, frames = dated(
         lambda second: round(1000 * second),
         60.0,

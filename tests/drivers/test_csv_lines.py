@@ -114,7 +114,7 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
     described = PadFormat(framing="text", rows=5, columns=6, skip=skip)
     parser = parser_of(described)
     frames = parser.feed(printed.encode() * 4, 0.0)
-    # The first may have begun earlier; the last of several lines ends where the next begins.
+    # The first frame is dropped if it may be incomplete; a frame of several lines ends where the next begins.
     assert 2 <= len(frames) <= 4
     expected = layout_of(described).pressure(np.array(CELLS, np.uint16))
     for frame in frames:
@@ -134,12 +134,12 @@ def test_a_damaged_line_loses_only_its_own_frame() -> None:
         parser = parser_of(described)
         assert len(parser.feed((frame * 2 + damaged + frame * 2).encode(), 0.0)) == 3, damaged
         assert parser.counts.bad >= 1
-    # What is lost across the place that parts two frames spoils both, and makes none of two halves.
+    # A loss across the boundary of two frames costs both; their halves do not form a frame.
     parser = parser_of(described)
     assert len(parser.feed((frame * 2 + frame[:40] + frame[20:] + frame * 2).encode(), 0.0)) <= 3
 
 
-def test_blank_lines_may_stand_inside_a_frame_that_has_an_end() -> None:
+def test_a_frame_with_an_end_may_contain_blank_lines() -> None:
     parser = parser_of(PadFormat(framing="text", rows=5, columns=6, end="]]"))
     frame = str(np.array(ROWS)).replace("\n", "\n\n") + "\n"
     assert len(parser.feed(frame.encode() * 4, 0.0)) == 3

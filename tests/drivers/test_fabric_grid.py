@@ -84,7 +84,7 @@ def test_damage_is_counted_by_kind_and_loses_nothing_else(damaged: bytes, counts
 
 
 def test_a_false_frame_does_not_hide_a_true_one() -> None:
-    """Two bytes of FF before a header make a window two bytes early; one in 256 passes every other check."""
+    """FF FF before a header makes a false frame two bytes early; in 1 of 256 only its clock is wrong."""
     found = 0
     for number in range(2, 2000):
         if FabricGrid().damage_in(b"\xff\xff" + packet(number)[:-2]) is None:

@@ -54,7 +54,7 @@ def test_attempts_back_off_and_recover() -> None:
     assert backoff.pause_s() <= 0.1
 
 
-def test_a_missing_pad_is_retried_at_the_cap_a_lost_one_quickly(tmp_path: Path, paused: Paused) -> None:
+def test_a_lost_pad_is_retried_sooner_than_a_missing_one(tmp_path: Path, paused: Paused) -> None:
     pauses = paused("touchd.drivers.pad.sensor")
     link = tmp_path / "pad"
     with sensing(str(link), longest_retry_s=0.3) as queue:
@@ -112,11 +112,11 @@ def lines(caplog: pytest.LogCaptureFixture, *lasting_s: tuple[float, float]) -> 
     return [f"{record.levelname} {record.message}" for record in caplog.records]
 
 
-def test_a_fault_is_logged_as_it_begins_and_as_it_ends(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_is_logged_when_it_begins_and_ends(caplog: pytest.LogCaptureFixture) -> None:
     assert lines(caplog, (5.0, 9.0)) == ["WARNING pad: gone", "INFO pad: back (after 4.0 s)"]
 
 
-def test_a_fault_that_comes_back_soon_is_logged_if_it_lasts(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_that_returns_soon_is_logged_if_it_lasts(caplog: pytest.LogCaptureFixture) -> None:
     assert len(lines(caplog, (0, 1), (20, AGAIN_S - 1))) == 2
     caplog.clear()
     said = lines(caplog, (0, 1), (20, AGAIN_S + 1))

@@ -59,7 +59,7 @@ TEXTS: dict[str, Callable[[Grid, int], str]] = {
 
 
 @pytest.mark.parametrize("printed", TEXTS.values(), ids=TEXTS)
-def test_text_that_anybody_can_read_is_read(printed: Callable[[Grid, int], str]) -> None:
+def test_grids_printed_as_plain_text_are_read(printed: Callable[[Grid, int], str]) -> None:
     values = a_hand_on(8, 10)
     proposed = found_in(lambda number: printed(values[number], number)).proposed
     assert proposed is not None
@@ -107,7 +107,7 @@ def xored(row: NDArray[np.int_]) -> str:
 
 
 def beside(one: Grid, other: Grid) -> str:
-    """Print the cells of two grids by turns."""
+    """Print the cells of two grids alternately."""
     return f"{line(np.stack([one, other], axis=-1))}\r\n"
 
 
@@ -160,7 +160,7 @@ MISREAD: dict[str, tuple[Callable[[Grid, int], str], str]] = {
 @pytest.mark.parametrize(
     ("printed", "missing"), [*UNPROVEN.values(), *MISREAD.values()], ids=[*UNPROVEN, *MISREAD]
 )
-def test_a_grid_that_is_not_the_pads_is_refused_with_the_reason(
+def test_an_unproven_or_misread_grid_is_refused_with_a_reason(
     printed: Callable[[Grid, int], str], missing: str
 ) -> None:
     values = a_hand_on(8, 10)
@@ -169,13 +169,13 @@ def test_a_grid_that_is_not_the_pads_is_refused_with_the_reason(
     assert missing in finding.missing
 
 
-def test_changes_of_pressure_are_not_pressure() -> None:
+def test_changes_of_pressure_are_not_taken_for_pressure() -> None:
     values = a_hand_on(8, 10)
     finding = found_in(lambda number: f"{line(values[number + 1] - values[number])}\n")
     assert finding.proposed is None
 
 
-def test_a_pad_that_sends_only_while_it_is_pressed_is_refused() -> None:
+def test_a_pad_that_is_silent_at_rest_is_refused() -> None:
     values = a_hand_on(8, 10)
     chunks = [
         Chunk(f"{line(each)}\n".encode(), number / RATE_HZ)
@@ -192,7 +192,7 @@ def with_distances(data: bytes) -> bytes:
     return b"".join(bytes([len(part) + 1]) + part for part in data.split(b"\0")) + b"\0"
 
 
-def test_zeros_that_are_replaced_are_no_cells() -> None:
+def test_cobs_encoded_cells_are_refused_by_name() -> None:
     values = (a_hand_on(8, 8) - 2).astype("<u2")
     finding = found_in(lambda number: with_distances(values[number].tobytes()))
     assert finding.proposed is None
@@ -235,7 +235,7 @@ def test_cells_of_a_kind_that_is_not_read_are_refused(cells: Callable[[Grid], by
     assert missing in finding.missing
 
 
-def test_a_centre_of_pressure_after_the_cells_is_none() -> None:
+def test_a_centre_of_pressure_is_not_taken_for_cells() -> None:
     def printed(number: int) -> str:
         v = values[number]
         down, right = v.sum(1) @ np.arange(8) / v.sum(), v.sum(0) @ np.arange(10) / v.sum()
@@ -248,7 +248,7 @@ def test_a_centre_of_pressure_after_the_cells_is_none() -> None:
 
 
 @pytest.mark.parametrize("is_inverted", [False, True])
-def test_a_hand_that_hardly_lets_go_turns_no_pad_upside_down(is_inverted: bool) -> None:
+def test_a_hand_that_hardly_lets_go_does_not_prove_polarity(is_inverted: bool) -> None:
     y, x = np.mgrid[0:8, 0:8]
     rng = np.random.default_rng(3)
 
@@ -279,28 +279,30 @@ def check_constants(cell: str, before: bytes, after: bytes) -> None:
         assert proposed is not None
 
 
-# Every seventh one has each constant before and after cells of some kind.
+# Every seventh combination still has each constant both before and after cells.
 SOME = [*PLACED[::7], ("<u2", b"\2", b"\2"), (">i2", b"\2", b"\2")]
 
 
 @pytest.mark.parametrize(("cell", "before", "after"), SOME)
-def test_constant_bytes_beside_the_cells_are_no_cells(cell: str, before: bytes, after: bytes) -> None:
+def test_constant_bytes_are_not_taken_for_cells(cell: str, before: bytes, after: bytes) -> None:
     check_constants(cell, before, after)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("cell", "before", "after"), PLACED)
-def test_no_constant_bytes_beside_any_cells_are_cells(cell: str, before: bytes, after: bytes) -> None:
+def test_no_constant_bytes_around_any_cells_are_taken_for_cells(
+    cell: str, before: bytes, after: bytes
+) -> None:
     check_constants(cell, before, after)
 
 
-def test_row_numbers_in_one_line_are_no_column() -> None:
+def test_row_numbers_in_a_line_are_not_a_column() -> None:
     values = a_hand_on(8, 8)
     rows = [[{"row": row, "values": each.tolist()} for row, each in enumerate(frame)] for frame in values]
     assert found_in(lambda number: json.dumps(rows[number]) + "\n").proposed is None
 
 
-def test_a_row_of_the_pad_that_nobody_reached_is_asked_for() -> None:
+def test_the_user_is_asked_to_press_an_untouched_row() -> None:
     values = a_hand_on(8, 5)
     values[values < 20] = 3
     values[:, 6:] = 3
@@ -353,7 +355,7 @@ SENSORS = [
 
 
 @pytest.mark.parametrize("printed", SENSORS)
-def test_other_sensors_are_no_pads(printed: Callable[[int], str | bytes]) -> None:
+def test_other_sensors_are_not_taken_for_pads(printed: Callable[[int], str | bytes]) -> None:
     finding = found_in(printed)
     assert finding.proposed is None
     assert finding.missing

@@ -61,7 +61,7 @@ def test_a_pad_at_or_near_54_hz_passes_unchanged(rate_hz: float, jitter_ms: floa
     sent_ms = np.rint(np.arange(500) * 1000 / rate_hz + moved_ms + first_ms).astype(int)
     laid = push(ring, counts, sent_ms)
     assert [frame.index for frame in laid] == list(range(500))
-    # Each comes with the frame that completes it.
+    # The ring returns each grid frame with the frame that completes it.
     assert [frame.host_s for frame in laid] == [number / 54 for number in range(500)]
     np.testing.assert_array_equal(ring.window(500, 500), counts)
     assert not any(frame.bridged for frame in laid)
@@ -82,7 +82,7 @@ def test_a_pad_at_another_rate_gives_ideal_windows(rate_hz: int, jitter_ms: floa
     assert abs(len(laid) - seconds * 54) <= 2
     grid_ms = np.array([frame.sensor_ms for frame in laid])
     off = np.abs(np.stack([frame.pressure for frame in laid]) - hand(grid_ms))
-    # Frames up to twice the jitter further apart, and stamps rounded to half a millisecond.
+    # Jitter moves frames apart by up to twice its size; stamps are rounded to half a millisecond.
     wider = (1 + 2 * jitter_ms * rate_hz / 1000) ** 2
     assert off.max() < INTERPOLATION_COUNTS * wider + ROUNDING_COUNTS + 0.5 * COUNTS_PER_MS
     assert np.abs(np.diff(grid_ms) - PERIOD_MS).max() <= PERIOD_MS / 2 + 1

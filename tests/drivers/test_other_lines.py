@@ -279,7 +279,7 @@ def test_a_polled_pad_is_polled_for_each_frame(described: PadFormat) -> None:
         frames = next_frames(queue, 30)
         # One poll a frame, at most at the pad's rate.
         steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
-        # A reply that a busy machine holds up is asked for again, and the frames go on after it.
+        # If a busy machine delays a reply, the pad is polled again; the later frames still come in order.
         replies = iter(range(len(pad.asked_s) + 1))
         numbers = [
             next(n for n in replies if one.pressure.tobytes() == answered(described, n)) for one in frames

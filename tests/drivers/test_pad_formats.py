@@ -45,7 +45,7 @@ FEW = settings(deadline=None, max_examples=20)
 
 @cache
 def laid(described: PadFormat, number: int) -> bytes:
-    """Return the pressure that this format's grid can carry of `counts_of(number)`."""
+    """Return the pressure of `counts_of(number)` as sent through this format's grid."""
     layout = layout_of(described)
     return layout.pressure(values_of(described, counts_of(number)).ravel()).tobytes()
 
@@ -56,14 +56,14 @@ def sent(described: PadFormat, number: int) -> bytes:
 
 
 def end_of(described: PadFormat) -> bytes:
-    """Return what ends a frame, so that what follows is whole."""
+    """Return the bytes that end a frame, so that the next frame is whole."""
     if described.framing == "binary":
         return bytes.fromhex(described.footer)
     return f"\n{described.end}\n".encode()
 
 
 def stream(described: PadFormat, numbers: Sequence[int]) -> bytes:
-    """Return frames between half a frame for formats that are found by their ends and the next header."""
+    """Return these frames, after half a frame in formats whose frames are found by their ends."""
     begun = sent(described, 99)[-9:] if described.footer or described.framing != "binary" else b""
     return begun + b"".join(sent(described, number) for number in numbers)
 
@@ -111,9 +111,9 @@ def test_a_truncated_frame_is_lost_alone_and_counted(described: PadFormat, kept:
     data = stream(described, [0, 1]) + broken + b"".join(sent(described, n) for n in (3, 4, 5))
     came = {frame.pressure.tobytes() for frame in feed(parser, data, range(0, len(data), 97))}
     assert {laid(described, number) for number in (0, 1, 4, 5)} <= came
-    # A frame that lost a part of its end alone is complete.
+    # A frame that lost only part of its end still has all its cells.
     assert laid(described, 2) not in came or ((described.footer or described.end) and kept > 0.9)
-    # A few numbers in a separate line may be the pad's other words.
+    # A separate line with a few numbers may be other output of the pad, which does not count as bad.
     assert parser.counts.bad >= (described.framing == "binary" or (kept > 0.9 and not described.end))
 
 
@@ -198,7 +198,7 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
         frames += [f for at in range(0, len(reply), 7) for f in parser.feed(reply[at : at + 7], number / 54)]
     assert_are(described, frames, [0, 1, 3, 4, 5])
     assert parser.counts.bad == 2
-    # All but a byte of one reply, and a byte after another.
+    # Dropped: the reply that lacked a byte, and the surplus byte after another reply.
     assert parser.counts.bytes_dropped == frame_bytes(described)
     assert parser.ask_in_s(5 / 54) == pytest.approx(1 / 54)
     parser.ask(1.0)
@@ -206,7 +206,7 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     assert parser.ask_in_s(1.3) == 0.0
 
 
-def test_no_frame_mixes_two() -> None:
+def test_no_frame_mixes_bytes_of_two() -> None:
     described = PadFormat(header="aa55aa55", cell="u8", rows=8, columns=8, full_scale=255)
     parser = parser_of(described)
     cut_off = encode_frame(described, counts_of(0), None)[:40]

@@ -10,15 +10,15 @@ from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import SIZE, TIME_BITS, VISIBLE_BITS, flip
 
 SUMMED_BITS = [bit for bit in VISIBLE_BITS if bit not in TIME_BITS]
-# Bytes lost or added elsewhere may leave an intact frame, as where its header follows a run of FF.
+# Losing or adding bytes elsewhere may leave the frame intact, for instance if FF bytes precede its header.
 INNER_BYTES = range(8, SIZE - 9)
 
 
 class BadLine:
     """An endless stream of frames with random damage; `intact` lists the undamaged ones.
 
-    A frame that lacks bytes is followed by an intact one: garbage would pass one time in 256, by
-    the one-byte checksum.
+    A truncated frame is followed by an intact one: garbage in place of its missing bytes would pass the
+    one-byte checksum one time in 256.
     """
 
     def __init__(self, seed: int) -> None:

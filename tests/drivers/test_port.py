@@ -50,7 +50,7 @@ def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, me
     assert "\n" not in str(refusal.value)
 
 
-def test_a_wrong_option_of_an_address_is_refused_in_one_line() -> None:
+def test_a_wrong_address_option_is_refused_in_one_line() -> None:
     with pytest.raises(SensorError, match=r"loop://\?logging=loud cannot be opened: 'loud'"):
         open_port("loop://?logging=loud", BAUD)
 

@@ -247,7 +247,7 @@ def test_a_writable_file_of_another_user_is_replaced(
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS])
-def test_a_disk_without_links_takes_a_new_file(
+def test_a_new_file_is_written_without_hard_links(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
     def refuse(*_: object) -> None:

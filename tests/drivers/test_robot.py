@@ -33,7 +33,7 @@ def robot(running_robot: Robot) -> Iterator[Robot]:
     calls.clear()
 
 
-def test_an_answer_is_raised_as_gesture_and_detail_under_a_prefix(robot: Robot) -> None:
+def test_an_answer_raises_gesture_and_detail_under_the_prefix(robot: Robot) -> None:
     with linked(robot, prefix="Pad") as (link, _):
         link.publish(message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
         robot.calls.wait_for_raise("Pad/Gesture", "stroke")

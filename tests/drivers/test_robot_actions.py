@@ -118,13 +118,13 @@ def test_only_the_latest_unended_touches_are_remembered() -> None:
     assert done(chosen, "stroke", 2 * MOST_TOUCHES - 1) == []
 
 
-def test_a_rule_with_gestures_answers_these_only() -> None:
+def test_a_rule_with_gestures_applies_to_these_only() -> None:
     chosen = Reactions(rules("[{do: [{say: soft}], gestures: [stroke, tickle]}]"))
     gestures = ["stroke", "pat", "tickle"]
     assert [done(chosen, g, touch) for touch, g in enumerate(gestures)] == [["soft"], [], ["soft"]]
 
 
-def test_uncertain_is_answered_only_by_a_rule_that_names_it() -> None:
+def test_uncertain_triggers_only_a_rule_that_names_it() -> None:
     chosen = Reactions(rules("[{do: [{say: any}]}, {do: [{say: hm}], gestures: [uncertain]}]"))
     assert done(chosen, "uncertain", 1, stage="uncertain") == ["hm"]
 
@@ -143,7 +143,7 @@ def test_a_changed_answer_can_have_an_action_of_its_own() -> None:
     assert done(chosen, "pat", 2) == ["a pat"]
 
 
-def test_every_fitting_rule_is_carried_out_in_order() -> None:
+def test_every_matching_rule_is_carried_out_in_order() -> None:
     chosen = Reactions(
         rules("[{do: [{say: one}, {say: two}]}, {do: [{say: never}], gestures: [rub]}, {do: [{say: three}]}]")
     )

@@ -77,7 +77,7 @@ def test_a_robot_that_refuses_is_retried_slowly() -> None:
     assert tried[3] - tried[0] >= 0.35
 
 
-def test_nothing_is_asked_of_a_robot_before_its_login() -> None:
+def test_no_call_reaches_a_robot_before_its_login() -> None:
     asked: list[str] = []
 
     class Asked(QiSession):

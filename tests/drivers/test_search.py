@@ -78,7 +78,7 @@ def check_found_or_refused(described: PadFormat, seed: int) -> None:
         return
     found = finding.proposed
     assert (found.rows, found.columns, found.invert) == (described.rows, described.columns, described.invert)
-    # What it reads is what the pad's cells were.
+    # The proposed format decodes to the pad's cells.
     values = pressed(described.rows, described.columns, described.full_scale, np.random.default_rng(seed))
     values = described.full_scale - values if described.invert else values
     whole = values if described.cell == "f32" else np.floor(values)
@@ -101,7 +101,7 @@ EVERY = [
 ]
 
 
-# Its many columns make many grids to compare.
+# Slow, because many columns make many grids to compare.
 LARGE = pytest.param(
     PadFormat(framing="text", rows=20, columns=30, end="--"), id="text 20x30", marks=pytest.mark.slow
 )
@@ -251,7 +251,7 @@ def test_a_megabyte_is_searched_in_bounded_time_and_memory() -> None:
     assert (finding.proposed.rows, finding.proposed.columns) == (32, 32)
 
 
-def test_a_likely_baud_rate_shows_text_then_frames_then_nothing() -> None:
+def test_baud_rates_rank_text_then_frames_then_nothing() -> None:
     text = b"".join(chunk.data for chunk in chunks_of(PRESETS["velostat"]))
     frames = b"".join(chunk.data for chunk in chunks_of(PRESETS["m1616"]))
     rates = [likelihood(data[:6000]) for data in (text, frames, RNG.bytes(6000), b"")]
@@ -267,7 +267,7 @@ def one_in(quick: int) -> pytest.MarkDecorator:
 
 @needs_third_study
 @one_in(5)
-def test_light_touches_of_a_coarse_pad_prove_its_grid_or_nothing(step: int) -> None:
+def test_light_touches_prove_a_coarse_pads_grid_or_nothing(step: int) -> None:
     judged = third_study(*JUDGED_ON)
     touching, still = ([each for _, touched, each in judged if touched is wanted] for wanted in (True, False))
     touches = [search(printed(each)).proposed for each in touching[::step]]

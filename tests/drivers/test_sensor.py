@@ -51,7 +51,7 @@ def delays_s(frames: list[Frame], port: FakePort) -> NDArray[np.float64]:
 
 
 def once_in_three(test: Callable[[], None]) -> Callable[[], None]:
-    """Repeat a test of times: another program may hold up a reader once, but not three times running."""
+    """Retry a timing test twice: another program may delay a reader once, but not three times running."""
 
     @functools.wraps(test)
     def repeated() -> None:

@@ -105,13 +105,13 @@ def test_a_pad_cut_off_at_the_top_stays_finite() -> None:
 
 
 @pytest.mark.parametrize("vibration", [hum(540), motor(540)])
-def test_a_hand_over_most_of_a_vibrating_pad_stays(vibration: Scans) -> None:
+def test_a_hand_over_most_of_a_vibrating_pad_is_kept(vibration: Scans) -> None:
     hand = np.concatenate([nothing(6.0), hand_over_most(4.0)])
     raw, left = off(MadePad().counts(hand), MadePad().counts(hand + vibration))
     assert left < 0.5 * raw
 
 
-def test_a_vibration_that_ended_is_forgotten_in_a_second() -> None:
+def test_a_vibration_is_forgotten_a_second_after_it_ends() -> None:
     vibration = np.concatenate([hum(270), nothing(5.0)])
     counts = MadePad().counts(vibration)
     frames = laid(counts)

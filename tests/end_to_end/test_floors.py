@@ -59,7 +59,7 @@ INSTALLED_MODEL = [*ROOT.glob("model/*.py"), *ROOT.glob("model/adapt/*.py")]
 
 
 @pytest.mark.parametrize("path", sorted(INSTALLED_MODEL), ids=lambda path: path.name)
-def test_the_model_stands_on_recordings_and_their_grid_alone(path: Path) -> None:
+def test_the_model_imports_only_recordings_and_their_grid(path: Path) -> None:
     names = imports(path)
     assert not from_package(names, "touchd.daemon")
     for name in from_package(names, "touchd.drivers"):

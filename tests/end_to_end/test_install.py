@@ -136,7 +136,7 @@ def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
     assert "with nao live lsl ros2 (" in ran([*make, "EXTRAS=lsl,ros2"], check=True).stdout
 
 
-def test_an_extra_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_extra_is_refused(tmp_path: Path) -> None:
     make = ["make", "-C", str(ROOT), "install-program", "EXTRAS=mqqt", f"DESTDIR={tmp_path}"]
     done = ran([*make, f"PYTHON={sys.executable}"])
     assert done.returncode != 0
@@ -196,7 +196,7 @@ def test_only_the_service_can_read_the_configuration(make: Make, tmp_path: Path)
     folder, file = (tmp_path / CONFIGURATION).parent.stat(), (tmp_path / CONFIGURATION).stat()
     assert (stat.S_IMODE(folder.st_mode), folder.st_gid) == (0o750, 976)
     assert (stat.S_IMODE(file.st_mode), file.st_uid, file.st_gid) == (0o640, 0, 976)
-    # A folder stays one that the service can enter.
+    # The service can still enter the folder.
     assert (stat.S_IMODE(certificates.stat().st_mode), certificates.stat().st_gid) == (0o750, 976)
 
 
@@ -262,7 +262,7 @@ def test_a_built_wheel_installs_and_runs_in_a_clean_environment(tmp_path: Path, 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("tool", ["uv", "pipx", "venv"])
-def test_a_missing_extra_is_added_with_the_tool_that_installed_touchd(
+def test_a_missing_extra_is_added_by_the_original_installer(
     tool: str, tmp_path: Path, source: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("UV_TOOL_DIR", "UV_TOOL_BIN_DIR", "PIPX_HOME", "PIPX_BIN_DIR", "PIPX_MAN_DIR"):
@@ -306,7 +306,7 @@ def test_a_missing_extra_is_added_with_the_tool_that_installed_touchd(
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_no_file_of_the_wheel_is_another_packages(tmp_path: Path, source: Path) -> None:
+def test_the_wheel_shares_no_file_with_another_package(tmp_path: Path, source: Path) -> None:
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
     if ran([*pip, "download", "--no-deps", "-d", str(tmp_path), "python-daemon"], cwd="/").returncode != 0:
         pytest.skip("python-daemon cannot be downloaded")

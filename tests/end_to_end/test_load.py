@@ -83,7 +83,7 @@ HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
 
 @pytest.mark.slow
 def test_after_an_overrun_losses_are_counted_and_answers_right(tmp_path: Path) -> None:
-    # Stopped for eight repetitions of the recording, it then gets them as fast as the line can carry.
+    # The daemon is stopped for eight repetitions of the recording, then gets them as fast as the line allows.
     stream = splice(read_recordings(LENGTHS) * TURNS)
     held_up_s = HELD_UP_TURNS * len(stream.counts) / TURNS / FRAME_RATE_HZ / SPEED
     with (

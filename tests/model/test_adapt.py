@@ -46,7 +46,7 @@ from touchd.model.training.remember import save, statistics  # noqa: E402
 # The simulated gesture behind each label; "hug" is new to the shipped model.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
 SETTINGS = AdaptSettings(crops=2, steps=20)
-# Where only labels and figures of the recordings count, not what is learnt.
+# For tests of labels and figures, for which it does not matter what is learnt.
 HARDLY = replace_in(SETTINGS, steps=1)
 SECONDS = 3.0
 TESTS = Path(__file__).parents[1]
@@ -248,7 +248,7 @@ def test_touchd_classify_answers_with_the_new_gesture(
 
 
 def test_the_doctor_finds_that_the_model_fits(adapted_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # On a busy machine the doctor would rightly warn.
+    # On a busy machine the doctor would warn, correctly, of slow answers.
     monkeypatch.setattr("touchd.daemon.doctor.machine.SLOW_ANSWER_MS", math.inf)
     check = check_model(Settings(model=str(adapted_file)))
     assert check.verdict == "ok"

@@ -101,7 +101,7 @@ def test_a_crop_is_played_at_another_pace() -> None:
     assert 1.2 < float(steps.max()) <= 1.251
 
 
-def test_a_crop_at_its_own_pace_is_a_part_of_its_recording() -> None:
+def test_a_crop_at_normal_pace_is_part_of_its_recording() -> None:
     own = AugmentationSettings(published_framing=0.0, change_pace=0.0)
     one, other = torch.rand(60, 8, 8), torch.rand(54, 8, 8)
     chosen = torch.tensor([0, 1] * 10)

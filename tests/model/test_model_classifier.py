@@ -278,7 +278,7 @@ class TestOtherModels:
         assert "ONNX Runtime refuses the file" in refusal(self.saved(proto))
 
 
-def test_the_network_sees_only_what_touches_add_where_a_pad_rests_high() -> None:
+def test_a_high_rest_is_subtracted_before_the_network() -> None:
     frames = np.full((5, 8, 8), 90, np.float32)
     low, one, high = np.full((3, 64), 4, np.float32)
     one[10], high[:] = 70, 40

@@ -17,10 +17,10 @@ from websockets.utils import accept_key
 
 CONNACK = b"\x20\x02\x00\x00"
 PUBACK = b"\x40\x02"
+# Python threads share one processor, so larger pieces attack faster.
 CHUNK = 64 * 1024
-# The ports of a domain.
+# How many ports DDS gives each domain.
 DDS_PORTS = 250
-# Python threads share one processor: larger pieces attack faster.
 Attack = Callable[[socket.socket, Callable[[], bool]], None]
 
 
@@ -81,7 +81,7 @@ def send_on(client: socket.socket, goes_on: Callable[[], bool], pieces: Iterator
 
 
 def publish(payload: int, number: int | None = None, claimed: int | None = None) -> bytes:
-    """Return a PUBLISH, of QoS 2 with a number, of QoS 0 without. claimed: its length, if another."""
+    """Return a PUBLISH: QoS 2 if it has a number, else QoS 0. claimed: a false length."""
     body = b"\x00\x01t" + (struct.pack("!H", number) if number is not None else b"") + bytes(payload)
     length, sizes = len(body) if claimed is None else claimed, b""
     while True:
@@ -170,7 +170,7 @@ def pings(client: socket.socket, goes_on: Callable[[], bool]) -> None:
 
 
 def statuses(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    """Refuse everything, far more often than anything comes, each time with other words."""
+    """Send far more refusals than messages come in, each with different words."""
     welcome(client)
     words = (f'{{"op":"status","level":"error","msg":"no {number}"}}' for number in itertools.count())
     send_on(client, goes_on, (text(word.encode()) for word in words))
@@ -213,14 +213,14 @@ def claims_gigabytes(client: socket.socket, goes_on: Callable[[], bool]) -> None
     send_on(client, goes_on, itertools.chain([header], (bytes(CHUNK) for _ in itertools.count())))
 
 
-# Those that connect to a daemon, or send it datagrams
+# Attackers that connect to a daemon, or send it datagrams
 
 Find = Callable[[], list[int]]
 """Returns the ports at which the daemon and the processes that it started listen."""
 
 
 def one_connection(port: Find, goes_on: Callable[[], bool], pieces: Iterator[bytes]) -> None:
-    """Send over one connection, made again as often as it is closed."""
+    """Send over one connection, and reconnect whenever it is closed."""
     while goes_on():
         with (
             suppress(OSError, IndexError),
@@ -235,7 +235,7 @@ def endless_lsl_request(find: Find, goes_on: Callable[[], bool]) -> None:
 
 
 def many_lsl_listeners(find: Find, goes_on: Callable[[], bool]) -> None:
-    """Listen a few hundred times, and read nothing."""
+    """Open a few hundred subscriptions, and read nothing."""
     request = b"LSL:streamfeed/110 \r\nMax-Buffer-Length: 100000\r\nProtocol-Version: 110\r\n\r\n"
     with ExitStack() as closing:
         for port in find() * 150:
@@ -270,7 +270,7 @@ def dds_participants(domain: int) -> Callable[[Find, Callable[[], bool]], None]:
         numbers = itertools.count()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             while goes_on():
-                # Looking for the ports takes as long as sending some hundreds.
+                # Looking up the ports takes as long as sending hundreds of datagrams.
                 for port in [port for port in find() if 0 <= port - first < DDS_PORTS][:1]:
                     for number in itertools.islice(numbers, 500):
                         copy = original.replace(prefix, struct.pack("!IQ", 0x01100000, number))
@@ -287,12 +287,12 @@ def _first_port(domain: int) -> int:
 
 
 def _announcement(domain: int) -> bytes:
-    """Return what a participant of a domain sends to find others."""
+    """Return the announcement that a real participant sends to find others in its domain."""
     participant = (
         f"from cyclonedds.domain import DomainParticipant as P; p = P({domain}); import time; time.sleep(20)"
     )
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
-        # Where the sixth participant of the domain would listen on this computer.
+        # The port on which the domain's sixth participant on this computer would listen.
         listener.bind(("127.0.0.1", _first_port(domain) + 20))
         listener.settimeout(15.0)
         with subprocess.Popen([sys.executable, "-c", participant]) as process:
@@ -303,7 +303,7 @@ def _announcement(domain: int) -> bytes:
 
 
 def noisy_viewers(find: Find, goes_on: Callable[[], bool]) -> None:
-    """Watch the live page, read nothing and send pings and empty fragments; more join than may."""
+    """Watch the live page with more viewers than allowed, which read nothing and send pings and fragments."""
     piece = (b"\x89\xbc" + bytes(64)) * 100 + (b"\x01\x80" + bytes(4)) + (b"\x00\x80" + bytes(4)) * 1000
     ports = find()
     joining = HANDSHAKE.format(port=ports[0]).encode()

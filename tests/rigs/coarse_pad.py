@@ -11,7 +11,7 @@ from rigs.haart_folder import THIRD_STUDY
 
 from touchd.drivers.search.search import Chunk
 
-# The limits of the proof were chosen on the streams of the three others.
+# The limits of the proof were chosen on the streams of the three other people.
 JUDGED_ON = ("S10", "S12", "S15", "S18")
 
 

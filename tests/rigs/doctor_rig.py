@@ -46,7 +46,7 @@ def pad_at_baud(
     encode_wrong: Encode = noise,
     pace: float = 4.0,
 ) -> FakePort:
-    """A pad that sends noise unless its line has this speed of termios."""
+    """A pad that sends noise unless its line is set to this termios speed."""
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:
         line = os.open(port.path, os.O_RDWR | os.O_NOCTTY)
@@ -59,7 +59,7 @@ def pad_at_baud(
 
 
 def pad_read_too_fast(counts: Counts, speed: int, described: PadFormat, pace: float = 4.0) -> FakePort:
-    """A pad whose bytes are read at twice its baud rate unless its line has this speed of termios."""
+    """A pad whose bytes are read at twice its baud rate unless its line is set to this termios speed."""
 
     def encode(counts: Counts, sensor_ms: int) -> bytes:
         return encode_frame(described, counts, sensor_ms)

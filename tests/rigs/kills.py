@@ -13,7 +13,7 @@ SIZES = (0, 1, 1000, 100_000)
 
 
 def killed_everywhere(folder: Path, work: Callable[[], None]) -> Iterator[str]:
-    """Do the work in forks, each killed at another step in the folder; yields where, once it is dead.
+    """Do the work in forked processes, each killed at another step in the folder; yields each such step.
 
     Use it in a process with one thread only.
     """

@@ -38,7 +38,7 @@ def build(folder: Path, rows: int = 10, columns: int = 10, baud: int = 512_000) 
 
 
 def build_board(folder: Path) -> Path:
-    """Compile the board that runs the sketch."""
+    """Compile the simulated board that runs the sketch."""
     board = folder / "simulated_mega"
     flags = ["-O2", "-Wall", "-Wextra", "-Werror", f"-I{SIMAVR}"]
     subprocess.run(["cc", *flags, HARNESS, "-o", board, "-lsimavr"], check=True)
@@ -82,8 +82,8 @@ class Board:
 
 @dataclass(frozen=True)
 class Run:
-    """What a board sent, and by its crystal: when each scan began, how long the first took until its last
-    reading and until its last byte was sent, and the least time between switching a row and reading it."""
+    """What a board sent, and times by its crystal: when each scan began, how long the first one took to its
+    last reading and to its last sent byte, and the least time between switching a row and reading it."""
 
     sent: bytes
     began_ms: NDArray[np.float64]

@@ -60,7 +60,7 @@ class Peer(ABC):
 
     @abstractmethod
     def listening(self) -> AbstractContextManager[object]:
-        """Be there, and subscribe."""
+        """Run the peer, subscribed."""
 
     def bridge(self) -> Bridge:
         """Return a started bridge to this peer."""

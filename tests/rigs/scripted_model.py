@@ -13,10 +13,10 @@ LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
 
 class Scripted:
-    """A model that gives one gesture a probability of 0.94, chosen by the number of whole windows asked.
+    """A model that gives one gesture a probability of 0.94, chosen by the number of windows asked so far.
 
-    asked: the whole windows it was asked about, apart from the tracker's looks at whether there is a touch,
-    where it sees one. stepped: the touches' frames up to then, at each step.
+    asked: the whole windows it was asked about, without the tracker's network checks, in which it always sees
+    a touch. stepped: at each step, the touch's frames up to then.
     """
 
     labels = LABELS

@@ -28,7 +28,7 @@ def stream_of(frames: int = 4000) -> Stream:
 
 
 class MonitoredQueue(FrameQueue):
-    """Logs what the reader reports as the daemon does, and holds only changes of the pad's state."""
+    """Logs the reader's reports as the daemon does, and queues a state only if it changes."""
 
     def __init__(self) -> None:
         super().__init__(100_000)

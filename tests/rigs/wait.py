@@ -19,6 +19,6 @@ def wait_for(what: Callable[[], T], within_s: float = WITHIN_S) -> T:
     while not (found := what()):
         assert time.monotonic() < until_s, "it did not come"
         time.sleep(pause_s)
-        # Many conditions read a file or ask a browser, which needs the processor that they wait for.
+        # Poll ever less often: reading a file or asking a browser takes processor time from the awaited work.
         pause_s = min(1.2 * pause_s, LONGEST_PAUSE_S)
     return found

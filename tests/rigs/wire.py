@@ -50,7 +50,7 @@ def assert_are(frames: Sequence[Frame], numbers: Sequence[int], first_ms: int = 
 
 
 def read_too_fast(data: bytes, times: int) -> bytes:
-    """Return what a port reads of bytes at a multiple of their baud rate: each bit as many times."""
+    """Return what a port reads at `times` the baud rate of the bytes: it sees each bit that many times."""
     sent = [bit for byte in data for bit in (0, *(byte >> place & 1 for place in range(8)), 1)]
     bits = [bit for bit in sent for _ in range(times)]
     read, at = bytearray(), 0

@@ -36,7 +36,7 @@ RESULTS = Results(table.FILE)
 CELLS = [key for key in RESULTS.find() if "/seed" in key]
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")
 TOLERANCE = 0.02
-"""Of a refit: another processor or scikit-learn sums otherwise, and trees split on the last digit."""
+"""For a refit: another processor or scikit-learn rounds differently, and trees split on the last digit."""
 HZ = 54.0
 FEATURES = {ta.features: 273, balli.features: 81, gaus.features: 724}
 
@@ -70,7 +70,7 @@ def test_a_finger_that_walks_diagonally_is_followed_taxel_by_taxel() -> None:
     assert features.centroid(np.zeros((1, 1, 8, 8)))[0, 0].tolist() == [3.5, 3.5]
 
 
-def test_a_quarter_of_the_pad_counts_as_one() -> None:
+def test_contact_area_is_the_share_of_touched_taxels() -> None:
     counts = np.zeros((1, 2, 8, 8))
     counts[0, 1, :4, :4] = 100.0
     assert features.contact_area(counts).tolist() == [[0.0, 0.25]]
@@ -121,7 +121,7 @@ def test_hjorths_mobility_of_a_sine_is_its_frequency() -> None:
     assert complexity == pytest.approx(1.0, rel=1e-3)
 
 
-def test_the_autoregressive_model_that_made_a_series_is_found_again() -> None:
+def test_the_autoregressive_model_of_a_series_is_recovered() -> None:
     noise = np.random.default_rng(0).standard_normal(20_000)
     series = np.zeros_like(noise)
     for frame in range(2, len(noise)):

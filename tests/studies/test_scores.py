@@ -75,7 +75,7 @@ def test_a_model_file_names_its_training_data(
     assert metadata.name == name
     assert metadata.training["seed"] == 0
     assert metadata.training["left_out"] == []
-    # Older files count in passes over HAART's recordings, of 108 steps.
+    # Older files count epochs over HAART's recordings, of 108 steps each.
     assert metadata.training.get("steps", 108 * metadata.training.get("epochs", 0)) == trained
     assert metadata.training.get("learnt_from") == people
 
@@ -97,7 +97,7 @@ def of(person: str | None, row: evaluate.Score) -> float:
 
 
 def on(person: str) -> pytest.MarkDecorator:
-    """Parametrize: one person in the quick suite, everyone if slow."""
+    """Parametrize: this person in the quick suite, everyone in the slow one."""
     return pytest.mark.parametrize("person", [person, pytest.param(None, marks=pytest.mark.slow)])
 
 

@@ -108,7 +108,7 @@ def test_a_breathing_robots_answers_are_as_measured(
     assert result.n == touches
     assert (result.missed, result.merged, result.split) == (missed, 0, split)
     assert (result.open, result.false) == (0, 0)
-    # Another processor's rounding may turn a single answer.
+    # Another processor's rounding may change a single answer.
     assert result.final == pytest.approx(final, abs=100 / touches + 0.1)
 
 

@@ -1,4 +1,4 @@
-"""The streams of another kind of pad: how they are scored, and what the page says of them."""
+"""The streams of another kind of pad: how they are scored, and that the page states their scores."""
 
 import csv
 from pathlib import Path

@@ -113,7 +113,7 @@ def test_networks_of_different_shapes_do_not_train_side_by_side() -> None:
         Training(recordings(), [SETTINGS, another(steps=13)], DEVICE)
 
 
-def test_the_recipe_leaves_everybody_out_once_and_the_third_study_once() -> None:
+def test_the_recipe_holds_out_each_person_and_the_third_study() -> None:
     recipe = read_recipe()
     people = [name for fold in recipe.folds for name in fold]
     assert len(people) == len({*people}) == 33
@@ -223,7 +223,7 @@ def test_a_recipe_trains_each_of_its_networks_once(tmp_path: Path) -> None:
         finished_training(all_jobs(changed)[1], tmp_path)
 
 
-def test_networks_of_which_only_some_were_saved_do_not_resume(tmp_path: Path) -> None:
+def test_networks_do_not_resume_if_only_some_were_saved(tmp_path: Path) -> None:
     jobs = all_jobs(RECIPE)[:2]
     data = MadeUp(tmp_path).to_train_on(RECIPE.settings.studies)
     train(data, jobs[1:], tmp_path, DEVICE)
@@ -242,7 +242,7 @@ def test_a_training_of_another_device_is_refused_in_one_line(
         trained(SETTINGS, tmp_path)
 
 
-def test_a_recording_as_short_as_a_window_is_not_trained_on() -> None:
+def test_a_recording_as_short_as_a_window_is_refused() -> None:
     (short, *others) = recordings()
     cut = replace(short, counts=short.counts[:12], sensor_ms=short.sensor_ms[:12])
     with pytest.raises(ValueError, match="no longer than a window"):
@@ -263,7 +263,7 @@ def test_a_network_whose_training_has_not_ended_is_not_shipped(tmp_path: Path) -
         finished_training(job, tmp_path)
 
 
-def test_a_finished_training_is_not_trained_on(finished: tuple[Checkpoint, Path]) -> None:
+def test_a_finished_training_is_not_continued(finished: tuple[Checkpoint, Path]) -> None:
     done, path = finished
     before = path.stat().st_mtime_ns
     assert same(trained(SETTINGS, path.parents[1]), done)
