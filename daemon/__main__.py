@@ -1,10 +1,10 @@
-"""The program `touchd`, also `python -m touchd.daemon` wherever the command itself is not on the PATH."""
+"""The program `touchd`; where it is not on the PATH, `python -m touchd.daemon` runs it too."""
 
 import signal
 import sys
 from typing import NoReturn
 
-# Ctrl-C then ends the program at once and without a trace, until the command's modules are imported.
+# Until the command's modules are imported, Ctrl-C ends the program at once, without a traceback.
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
@@ -14,7 +14,7 @@ from touchd.daemon.cli import main
 def program() -> NoReturn:
     """Run the command line, and exit with its code."""
     code = main()
-    # A second Ctrl-C must not leave the trace of whatever the interpreter does at its end.
+    # A second Ctrl-C must not print a traceback while the interpreter shuts down.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.default_int_handler:
             signal.signal(number, signal.SIG_DFL)

@@ -50,7 +50,7 @@ COMMANDS = (
 
 
 class UsageError(TouchdError):
-    """The command line names no command."""
+    """The command line names an unknown command."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         return 0
     except Exception as error:
-        # Compiled modules report a signal that comes while they are imported.
+        # A compiled module that is interrupted while it is imported raises an error of its own.
         if isinstance(error.__cause__, KeyboardInterrupt):
             return ended
         if "--debug" in given:
@@ -83,7 +83,7 @@ def _run(words: Sequence[str]) -> int:
         return 0 if words else USERS_MISTAKE
     name, *rest = words
     if name in ("--version", "version"):
-        # Imported here and below, since it would delay the daemon's start.
+        # Imported only where needed, here and below: it would delay the daemon's start.
         from importlib import metadata
 
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
@@ -96,7 +96,7 @@ def _run(words: Sequence[str]) -> int:
         advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
         raise UsageError(f"{name} is not a command; {advice}")
     command = importlib.import_module(f"touchd.{commands[name].place}")
-    # Signals raise KeyboardInterrupt, so that commands clean up; during an import it could get lost.
+    # From here on, signals raise KeyboardInterrupt, so that commands clean up; an import could swallow it.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)

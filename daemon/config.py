@@ -27,10 +27,10 @@ DEFAULT_PORT = "/dev/touchd-pad"
 
 MAX_PADS = 16
 FABRIC = "fabric-grid"
-# On a pad of a kind that the network never met, 47 % of the final answers to touches are right. A third has
-# this confidence; of these, 82 % are right (fabric.onnx on the third study's windows).
+# On a pad of a kind that the network never met, 47 % of the final answers to touches are right. A third of
+# them have this confidence, and of these 82 % are right (fabric.onnx on the third study's windows).
 FINAL_ABOVE_ON_ANOTHER_PAD = 0.6
-# What the machine lacks: descriptors or memory.
+# Errors of a machine that has no descriptors or memory left.
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 
@@ -45,7 +45,7 @@ class ConfigError(TouchdError):
 
 @contextmanager
 def config_errors(prefix: str = "") -> Iterator[None]:
-    """Raise whatever a configuration causes as ConfigError, but not what the machine lacks."""
+    """Raise any error that a configuration causes as ConfigError, but not a lack of descriptors or memory."""
     try:
         yield
     except (TouchdError, ImportError, MemoryError):
@@ -65,7 +65,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     `serial_for_url` takes. baud: bits per second.
     format: what the pad sends: the name of a preset, or a description; see docs/pads.md.
     rows, columns, crop, invert, turn, mirror: override those of the format.
-    size_mm: height and width of the 8x8 taxels, for lengths in touches; None gives them in taxels alone.
+    size_mm: height and width of the 8x8 taxels. With it, events give lengths in mm, not in taxels alone.
     """
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
@@ -93,7 +93,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     @property
     def described(self) -> PadFormat:
-        """What the pad sends."""
+        """The pad's format, with the overrides applied."""
         described = PRESETS[self.format] if isinstance(self.format, str) else self.format
         own = {name: getattr(self, name) for name in OVERRIDES if getattr(self, name) is not None}
         return PadFormat(**(msgspec.structs.asdict(described) | own))
@@ -148,7 +148,7 @@ class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything `touchd run` can be told. model: an ONNX file, null for the one that ships with touchd.
+    """All settings of `touchd run`. model: an ONNX file, null for the one that ships with touchd.
 
     sensor: the only pad. sensors: instead of it, several pads by their names. language: of gesture names on
     robot, page and terminal. words: a gesture's name and phrase, replacing the shipped ones.
@@ -222,7 +222,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:
-    """Return the settings of one pad, at another port if given; only one of several pads needs its name.
+    """Return the settings of one pad, at another port if given. name: needed if there are several pads.
 
     Raises ConfigError when there is no such pad, or the name is missing.
     """

@@ -1,4 +1,4 @@
-"""Decides what to report of a touch, and when to revise it."""
+"""Decides which answer to a touch is reported, and when it is revised."""
 
 import math
 from dataclasses import dataclass
@@ -25,28 +25,28 @@ LEAST_PROBABILITY = 0.01
 
 Sure: TypeAlias = Literal["eager", "balanced"]
 
-# The confidence from which an answer is sure one second into a touch; more is asked of one that comes
-# earlier, for the later it is, the less waiting helps (docs/decision.md).
+# The confidence from which an answer is sure one second into a touch. An earlier answer needs more and a
+# later one less, because waiting helps less and less (docs/decision.md).
 SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7}
 SURE_FALLS = 0.2
 
 
 def sure_above(confidence: float, frames: int) -> float:
-    """Return the confidence from which an answer is sure after `frames`; `confidence`: after 54."""
+    """Return the confidence from which an answer is sure after `frames`. confidence: the same after 54."""
     return confidence + SURE_FALLS * math.log(FRAME_RATE_HZ / frames)
 
 
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One scene: which gestures can occur, when to answer, and how sure to be.
 
-    The defaults of the last two come from a measurement: docs/decision.md.
-    gestures: those that can occur; empty means all the model knows. "notouch" always can, and is not named.
+    The defaults of when to answer and how sure to be were measured: docs/decision.md.
+    gestures: those that can occur; empty means all the model knows. "notouch" always can; do not list it.
     answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
-    early: at its mark, or before as soon as the answer is sure. sure: how sure that is, see SURE.
+    early: answer at the early mark, or before it as soon as the answer is sure. sure: see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
-    final_above: the same for the final answer; None: 0, and 0.6 on a pad of another kind.
+    final_above: the same for the final answer; None: 0, or 0.6 on a pad whose format is not fabric-grid's.
     ongoing: whether a change of gesture after the final answer is told.
-    revise_margin: an answer that was told is replaced only by one more probable than it by this much.
+    revise_margin: a told answer is replaced only by a gesture that is more probable by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
     """
 
@@ -81,10 +81,10 @@ class Answer:
 class Decision:
     """One touch: which answer stands, what the robot was told, and when to tell it.
 
-    Until an answer is told, the most probable gesture stands, and it is told once its probability reaches
-    `speak_above`, at "final" `final_above`. An answer that was told is replaced only by a gesture that is now
-    more probable than it by `revise_margin` and reaches the same confidence; otherwise it stands, and is not
-    told again. "notouch" may stand, but is never told and replaces no told answer.
+    Until an answer is told, the most probable gesture stands. It is told once its probability reaches
+    `speak_above` (at "final": `final_above`). A told answer is replaced only by a gesture that is now more
+    probable by `revise_margin` and reaches that confidence too; otherwise it stands, and is not told again.
+    "notouch" may stand, but it is never told and never replaces a told answer.
     """
 
     def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
@@ -100,9 +100,9 @@ class Decision:
     def answer(self, stage: Stage, probabilities: NDArray[np.float64], *, may_tell: bool = True) -> Answer:
         """Return the answer to (labels,) calibrated probabilities at a stage.
 
-        At "released", when nothing was told and nothing can be, the answer's stage is "uncertain" instead. At
-        "uncertain", for a touch that ended with nothing told, it is always that. may_tell: False when it is
-        too late to tell. An "ongoing" answer is reported, and stands, only when it is told.
+        At "released", the answer's stage becomes "uncertain" if nothing was told before and this answer may
+        not be told. At "uncertain", for a touch that ended with nothing told, it is always that. may_tell:
+        False when it is too late to tell. An "ongoing" answer is reported, and stands, only if it is told.
         """
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
@@ -122,9 +122,9 @@ class Decision:
         return Answer(stage, stands, scene[stands], scene, changed, tell)
 
     def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
-        """Whether (labels,) of a touch's latest frames speak for another gesture than the one last answered.
+        """Whether a touch's latest frames show another gesture than the last answer: (labels,) probabilities.
 
-        A high probability is not enough, as the last answer may have been wrong: the odds must have shifted.
+        A high probability is not enough: the last answer may have been wrong, so the odds must have shifted.
         """
         now, before = self.weigh(probabilities), self._answered
         best = max(now, key=lambda label: now[label])
@@ -138,7 +138,7 @@ class Decision:
         return log_odds(now, best, stands) + log_odds(before, stands, best) >= CHANGED_LOG_ODDS
 
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
-        """Whether to answer early now, `frames` into the touch; never what may not be told."""
+        """Whether to answer early now, `frames` into the touch; False for an answer that may not be told."""
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
         limit = max(sure_above(SURE[self._settings.sure], frames), self._settings.speak_above)

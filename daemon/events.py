@@ -10,12 +10,12 @@ from touchd.drivers.frame import DEFAULT_PAD, PadState
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
 EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]
-# As large as JSON's readers keep exactly.
+# The largest integers that all readers of JSON keep exactly.
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
 UNCERTAIN = "uncertain"
 MAX_REASON_BYTES = 400
-# The year 2500: what follows fits the nanoseconds of every format that is written.
+# The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
 LAST_S = 16_725_225_600.0
 
 
@@ -26,10 +26,10 @@ class EventError(ValueError):
 class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_began"):
     """A hand is on the pad.
 
-    touch: number of the touch on its pad since the daemon started, from 1. pad: its name, in every event of
-    a pad.
+    touch: number of the touch on its pad since the daemon started, from 1. pad: the pad's name, as in every
+    event of a pad.
     sensor_ms: the sensor's clock at the touch's first frame.
-    time: when this was noticed (UTC), as in every event.
+    time: when the touch was detected (UTC); every event has its time.
     """
 
     touch: Count
@@ -47,7 +47,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     probabilities: per label, renormalised over the scene's gestures; 0 for those it leaves out.
     changed: the answer differs from the touch's previous one. told: the robot is told now.
     degraded: frames of this touch were lost and bridged.
-    latency_ms: from the arrival of the frame that made this answer due to its hand-over.
+    latency_ms: from the arrival of the frame that made this answer due to the answer's hand-over.
     age_ms: from the window's last frame, by the pad's clock, to the hand-over; 0 in older journals.
     feel: what the touch was like so far.
     """
@@ -88,8 +88,8 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     gesture: what the robot was last told, else "uncertain".
     frames: from first to last contact, on the 54 Hz grid.
     reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "longest"
-    (it went on for longer than a touch may); "gap" (more
-    frames lost than can be bridged, or the sensor restarted); "sensor" (gone); "stopped" (the stream ended).
+    (it went on for longer than a touch may); "gap" (more frames lost than can be bridged, or the sensor
+    restarted); "sensor" (the sensor is gone); "stopped" (the stream ended).
     sensor_ms: the sensor's clock at the last contact. feel: what the touch was like. Both are None in older
     journals.
     """
@@ -105,7 +105,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
-    """The pad came, went, or does not recognise every touch ("degraded").
+    """The pad came, went, or sends frames in which not every touch is recognised ("degraded").
 
     reason: one line for people, empty when there is nothing to add.
     """

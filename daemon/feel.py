@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
-# A taxel is touched above twice its noise, and above this many counts on a quiet pad.
+# A taxel is touched if it rises by at least twice its noise and at least this many counts.
 TOUCHED_COUNTS = 4.0
 # The centroid is smoothed by this share a frame (4 frames), so that noise adds no path.
 CENTROID_SHARE = 0.25
@@ -22,14 +22,14 @@ PLACES = np.indices((ROWS, COLUMNS), np.float32)[::-1].reshape(2, -1)
 
 
 class Feel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Counts are above rest; places are of the centroid of pressure, taxels counted from 0 at the top left.
+    """Measures of a touch: counts above rest; places of the pressure centroid, (0, 0) at the top left.
 
     duration_s: from first to last contact. peak: of any taxel. mean: of the touched taxels.
-    area: taxels touched at once, on average. row, column: where, on average.
-    path: how far the centroid went while there was contact, in taxels. down, right: from where it began to
-    where it ended, in taxels. direction_deg: that as an angle, 0 to the right, 90 up; None within a taxel.
-    rhythm_hz: beats a second; 0 below two.
-    path_mm, stroke_mm: the path, and the way from begin to end, on a pad whose size is given.
+    area: taxels touched at once, on average. row, column: mean place.
+    path: length of the centroid's path during contact, in taxels. down, right: displacement, in taxels.
+    direction_deg: of the displacement, 0 to the right, 90 up; None if it is shorter than a taxel.
+    rhythm_hz: beats a second; 0 with fewer than two beats.
+    path_mm, stroke_mm: length of the path, and distance from start to end, if the pad's size is known.
     """
 
     duration_s: float
@@ -121,12 +121,12 @@ class FeelMeter:
             self._start = self._place
 
     def _in_mm(self, way: complex) -> float:
-        """Return the length of a way in mm; 0 on a pad whose size is not given."""
+        """Return the length of a displacement in mm; 0 if the pad's size is not known."""
         height, width = self._pitch_mm
         return math.hypot(way.real * width, way.imag * height)
 
     def _rhythm_hz(self) -> float:
-        """Return the pace of the beats from the first to the last."""
+        """Return the mean rate of beats, from the first to the last; 0 if there are fewer than two."""
         top = max(self._loads, default=0.0)
         beats: list[int] = []
         is_fallen = True

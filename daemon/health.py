@@ -12,7 +12,7 @@ log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
-# A pad without frames is dead after this; its reader says earlier that it is away.
+# Without frames for this long, a pad's reader has died: it would have reported earlier that the pad is away.
 SILENT_S = 4.0
 
 
@@ -48,7 +48,7 @@ class Notifier:
 
 
 class Health:
-    """Feeds the watchdog while every pad delivers frames that are processed or is known to be away.
+    """Feeds the watchdog while each pad either delivers frames that are processed or is known to be away.
 
     When a reader dies or the loop hangs, systemd restarts the daemon.
     """
@@ -64,7 +64,7 @@ class Health:
         self._status_s = time.monotonic()
 
     def pad_state(self, pad: str, up: bool) -> None:
-        """Note that a pad was found or is known to be away; the first time, the daemon is ready."""
+        """Note that a pad was found or is known to be away; the first call reports the daemon as ready."""
         if not self._alive_until_s:
             self._notifier.send(READY=1)
         self._alive_until_s[pad] = time.monotonic() + SILENT_S if up else math.inf

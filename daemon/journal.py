@@ -1,4 +1,4 @@
-"""The file of events: each line whole or not at all, rotated by size, so that it never fills a disk."""
+"""The file of events: lines are written whole or not at all, and rotation by size limits the space."""
 
 import errno
 import fcntl
@@ -23,11 +23,11 @@ class JournalError(TouchdError):
 
 
 class Journal:
-    """Appends lines to a file; a full disk is warned of once and costs lines, never the daemon.
+    """Appends lines to a file. On a full disk lines are lost, with one warning, and the daemon goes on.
 
     path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file is
-    begun. Only one process writes a journal. Raises JournalError when the file cannot be
-    opened, or is not a journal.
+    begun. Only one process may write a journal. Raises JournalError if the file cannot be opened or is no
+    journal.
     """
 
     def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
@@ -87,17 +87,17 @@ class Journal:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def _rotate(self) -> None:
-        # An attempt that moved the files but could not open the next must not move them once more.
+        # If an earlier attempt moved the files but could not open the new one, do not move them again.
         if self._path.exists():
             numbered = (self._numbered(number) for number in range(self._keep + 1))
-            # Somebody's folder may have one of the names.
+            # A folder of somebody else may have one of these names.
             files = [file for file in numbered if not file.is_dir()]
             for newer, older in reversed(list(pairwise(files))):
                 if newer.exists():
                     os.replace(newer, older)
             if len(files) == 1:
                 self._path.unlink()
-            # Where fewer are kept than before.
+            # Delete files beyond `keep`, which may have been larger before.
             beyond = self._keep + 1
             while (left := self._numbered(beyond)).exists():
                 if not left.is_dir():
@@ -115,7 +115,7 @@ class Journal:
 
 
 class JournalSink(QueuedSink[Event]):
-    """One JSON line an event to the journal, which it closes at its end."""
+    """Writes each event to the journal as a line of JSON, and closes the journal when it stops."""
 
     def __init__(self, journal: Journal) -> None:
         super().__init__("journal")
@@ -126,14 +126,14 @@ class JournalSink(QueuedSink[Event]):
 
     def stop(self, timeout_s: float) -> None:
         super().stop(timeout_s)
-        # A disk that hangs keeps the thread; the file is then left as it is.
+        # If the disk hangs, the thread may still write: leave the file open.
         if not self._thread.is_alive():
             self.journal.close()
 
 
 def _open(path: Path) -> int:
-    """Return the file open for appending by this process alone, without half a line left by a power cut."""
-    # Opening a device or a pipe may already do something.
+    """Open the file for appending, by this process alone, and cut off half a line that a power cut left."""
+    # Opening a device or a pipe may have an effect.
     if path.exists() and not path.is_file():
         raise JournalError(f"journal {path}: is not a file; give another journal.path")
     fd = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NONBLOCK, 0o640)

@@ -1,4 +1,4 @@
-"""The log of the daemon and its libraries: printable, not too often, written by its own thread."""
+"""The log of the daemon and its libraries: printable, limited in rate, written by its own thread."""
 
 import logging
 import queue
@@ -24,7 +24,7 @@ _TRACE = logging.Formatter()
 class LogGate(logging.Filter):
     """Makes each record printable, and limits how often one place in the code logs; debugging is not limited.
 
-    The next line of a place says how many were left out; only the first in a while has its stack trace.
+    The next line of a place says how many were left out; only its first in WHILE_S has a stack trace.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class LogGate(logging.Filter):
 
 
 class _Place:
-    """A place in the code that logs. lines: in this while; left_out: since the last that was logged."""
+    """A place in the code that logs. lines: in this WHILE_S. left_out: since the last line logged."""
 
     def __init__(self) -> None:
         self.lines = 0
@@ -72,7 +72,7 @@ class _Place:
 class LogWriter(QueueHandler):
     """Writes the records that the gate lets through to a file descriptor, in its own thread.
 
-    A reader that is slow or gone costs records, never the daemon. The next line says how many were dropped.
+    If the reader is slow or gone, records are dropped and the daemon goes on. The next line says how many.
     """
 
     def __init__(self, fd: int, capacity: int = CAPACITY) -> None:
@@ -90,7 +90,7 @@ class LogWriter(QueueHandler):
         self._listener.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Write what waits, for at most `timeout_s`."""
+        """Write what is queued, for at most `timeout_s`."""
         giving_up = threading.Timer(timeout_s, self._abandoned.set)
         giving_up.start()
         self._listener.stop()
@@ -115,7 +115,7 @@ class LogWriter(QueueHandler):
 
 
 class _Listener(QueueListener):
-    """A QueueListener whose end waits for room in the queue."""
+    """A QueueListener whose end marker waits for room in the queue."""
 
     def enqueue_sentinel(self) -> None:
         assert isinstance(self.queue, queue.Queue)

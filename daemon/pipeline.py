@@ -45,14 +45,14 @@ STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 40
 ONGOING_WINDOWS = 2
-# Defer an answer that falls into a silence longer than a pat's lift-off until we know whether it is a pause
-# (include it: in HAART 90 % right, 70 without) or the end (exclude it: 80 %, 60 with). In HAART 2 % of
-# answers wait, by 0.2 s on average, nearly all of them for a stroke.
+# An answer that is due in a silence longer than a pat's lift-off waits until the silence proves to be a pause
+# (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with). In
+# HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
 LIFT_OFF_FRAMES = 13
-# While somebody looks, the network is asked every third frame.
+# While there are viewers, the network is asked every third frame.
 SHOWN_STRIDE_FRAMES = 3
-# Frames of a touch given to the network at once. A step of nine takes 0.25 ms longer than a step of one, and
-# half the processor time of steps of three.
+# Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
+# one; steps of nine take half the processor time of steps of three.
 FEED_FRAMES = 9
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
@@ -127,7 +127,7 @@ class Pipeline:
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
         self._final_frames = settings.decision.answer_at_frames[-1]
-        # At the end of a touch its last frame is older by the quiet that ended it.
+        # When a touch ends, its last frame is already older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
         self._tracker = TouchTracker(settings.touch, self._p_no_touch if NO_TOUCH in model.labels else None)
@@ -154,7 +154,7 @@ class Pipeline:
         self._report(self._monitor.on_sensor(state))
 
     def flush(self) -> None:
-        """End the touch that goes on, if any: no frame will come any more."""
+        """End the ongoing touch, if any: no more frames will come."""
         self._stop("stopped")
 
     def _report(self, state: SensorState | None) -> None:
@@ -207,12 +207,12 @@ class Pipeline:
         self._emit(TouchBegan(touch=self._touch.number, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
     def _feed(self, touch: Touch) -> None:
-        """Give the model the touch's new frames: every few, at marks, and each while it waits to be sure."""
+        """Give the model the touch's new frames: every few, at marks, and each one until it is sure."""
         length = touch.length
         viewers = self._viewers()
         until_mark = touch.due[0][0] - length if touch.due else -1
         is_shown = bool(viewers) and length % SHOWN_STRIDE_FRAMES == 0
-        # The frame before a mark too: then only one is left at the mark.
+        # Feed the frame before a mark too, so that only one frame is left at the mark.
         is_due = until_mark in (0, 1) or length - touch.fed >= FEED_FRAMES
         if length > self._final_frames or not (is_due or is_shown or touch.waits_until_sure):
             return
@@ -280,7 +280,7 @@ class Pipeline:
         self._answer(touch, stage, probabilities, (frames, length), since_s)
 
     def _answer_ongoing(self, touch: Touch, since_s: float) -> None:
-        """Tell another gesture once the hand has changed to it."""
+        """Answer with another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
         output = self._model.probabilities(self._window(touch.first_index + touch.length, frames))
         touch.recent = [*touch.recent[1 - ONGOING_WINDOWS :], output]
@@ -334,6 +334,6 @@ def _as_sent(frame: GridFrame) -> int:
 
 
 def _history_frames(settings: PipelineSettings) -> int:
-    """Return the frames to keep: the longest window, and those between a touch's last frame and its end."""
+    """Return how many frames to keep: the longest window, and those from a touch's last frame to its end."""
     spare_frames = round((settings.touch.quiet_s + MAX_GAP_S + 2) * FRAME_RATE_HZ)
     return settings.decision.answer_at_frames[-1] + SETTLED_FRAMES + spare_frames

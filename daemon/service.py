@@ -38,11 +38,11 @@ class Service:
         self._parts = make_parts(settings, self._events.emit, self._viewers, self._arrived)
 
     def tell(self, sink: Sink) -> None:
-        """Hand a sink every event, whatever the configuration; before `run`."""
+        """Send every event to this sink too, whatever the configuration. Call it before `run`."""
         self._more_sinks = (*self._more_sinks, sink)
 
     def show_on(self, view: View) -> None:
-        """Show everything on a view, with the frames of the first pad; before `run`."""
+        """Show everything on a view, with the frames of the first pad. Call it before `run`."""
         self.tell(view)
         self._view = view
 
@@ -60,7 +60,7 @@ class Service:
             while not must_stop():
                 if not took and not self._arrived.wait(IDLE_S):
                     self._health.feed()
-                # One item of each in turn, so that a pad that floods its queue holds up no other.
+                # Take one item of each pad in turn: a pad that floods its queue must not hold up the others.
                 took = False
                 for pad in self._parts.pads:
                     took = self._process_next(pad) or took
@@ -81,7 +81,7 @@ class Service:
         until_s = time.monotonic() + SENSORS_STOP_S
         for pad in self._parts.pads:
             pad.sensor.stop(max(0.0, until_s - time.monotonic()))
-        # Process frames already queued before flushing; an overloaded machine must not be killed over them.
+        # Process queued frames before flushing, but not for so long that an overloaded daemon is killed.
         until_s = time.monotonic() + DRAIN_S
         for pad in self._parts.pads:
             while len(pad.queue) and time.monotonic() < until_s:
@@ -98,7 +98,7 @@ class Service:
         """Process the oldest item in a pad's queue; return whether there was one."""
         item = pad.queue.get_nowait()
         if isinstance(item, Frame):
-            # The frame goes out before the events that it causes.
+            # The store must get a frame before the events that it causes.
             if self._parts.kept is not None:
                 self._parts.kept.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
@@ -120,7 +120,7 @@ class Service:
             bridge.put_frame(frame, pad.name)
 
     def _stop_sinks(self) -> None:
-        """Stop sinks within SINKS_STOP_S: the robot first, the bridges, perhaps many, last and at once."""
+        """Stop sinks within SINKS_STOP_S: the robot first, then the others, then all bridges in parallel."""
         deadline_s = time.monotonic() + SINKS_STOP_S
         bridges = self._parts.bridges
         others = [sink for sink in reversed(self._events.sinks) if sink not in bridges]

@@ -42,7 +42,7 @@ class Sink(typing.Protocol):
     name: str
 
     def start(self) -> None:
-        """Begin to pass on what was put, and what will be."""
+        """Begin to pass events on, including those already put."""
 
     def put(self, event: Event) -> None:
         """Take an event; returns at once, whatever the destination is doing."""
@@ -52,9 +52,9 @@ class Sink(typing.Protocol):
 
 
 class EventFanout:
-    """Hands every event to every sink, from whichever thread it comes; no sink makes it wait.
+    """Hands every event to every sink; any thread may call it, and no sink makes it wait.
 
-    touches: how many began.
+    touches: number of touches that began.
     """
 
     def __init__(self) -> None:
@@ -62,11 +62,11 @@ class EventFanout:
         self.touches = 0
 
     def hand_to(self, sinks: Iterable[Sink]) -> None:
-        """Set who gets events; the robot last, since its threads report at once what it does about one."""
+        """Set the sinks; the robot comes last, so that its own events follow the answer that caused them."""
         self.sinks = tuple(sorted(sinks, key=lambda sink: isinstance(sink, RobotSink)))
 
     def emit(self, event: Event) -> None:
-        # Robots tell theirs from their own threads; only one thread may count.
+        # The robot's threads emit events too, but no touches: only one thread may count.
         if isinstance(event, TouchBegan):
             self.touches += 1
         for sink in self.sinks:
@@ -74,9 +74,9 @@ class EventFanout:
 
 
 class QueuedSink(ABC, Generic[Item]):
-    """A thread that passes items, events mostly, on one by one.
+    """A sink with a queue, and a thread that passes its items (mostly events) on one by one.
 
-    A full queue drops its oldest, states last, and the log says how many.
+    A full queue drops its oldest item, and states only if it holds nothing else; the log says how many.
     """
 
     capacity = 1000
@@ -128,7 +128,7 @@ class QueuedSink(ABC, Generic[Item]):
         self._warn_dropped()
 
     def _warn_dropped(self) -> bool:
-        """Log how many were dropped since the last such line; return whether any were."""
+        """Log how many items were dropped since the last such line; return whether any were."""
         newly, self._warned_dropped = self.dropped - self._warned_dropped, self.dropped
         if newly:
             why = "it was away, too slow, or its disk is full"
@@ -137,7 +137,7 @@ class QueuedSink(ABC, Generic[Item]):
 
 
 def _may_drop(item: object) -> bool:
-    """Whether an item may be dropped before others: neither the mark of the end nor a state, which stands."""
+    """Whether an item may be dropped first: not the end marker, nor a state, which stays valid."""
     return item is not None and not isinstance(item, SensorEvent | RobotEvent)
 
 
@@ -154,7 +154,7 @@ class LinesSink(QueuedSink[Item]):
     """Writes lines to a file descriptor, which may have no reader or a full disk.
 
     form: returns an item as a line, without its newline. on_gone: called once, from the sink's thread, when
-    nobody reads any more.
+    the reader is gone.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class LinesSink(QueuedSink[Item]):
         self._is_cut_off = False
 
     def write(self, item: Item) -> None:
-        """Write one line; waits for a slow reader, not for one that is gone. A full disk costs the line."""
+        """Write one line; waits for a slow reader, not for one that is gone. A full disk loses the line."""
         # First end the line that a full disk cut off.
         data = b"\n" * self._is_cut_off + self._form(item) + b"\n"
         try:
@@ -194,7 +194,7 @@ class RobotSink:
         self._link.start()
 
     def put(self, event: Event) -> None:
-        """Publish a prediction that is told, act on any; returns at once. Call it from one thread."""
+        """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
         if isinstance(event, Prediction):
             message = RobotMessage(
                 gesture=event.gesture,

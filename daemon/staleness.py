@@ -1,4 +1,4 @@
-"""How old frames are, by the pad's clock: an answer about old frames is not told."""
+"""How old frames are, by the pad's clock; an answer about frames that are too old is not told."""
 
 from touchd.drivers.pad.grid import GridFrame
 
@@ -10,9 +10,9 @@ FORGIVEN_SHARE = 0.02
 
 
 class Staleness:
-    """Follows the offset between the pad's clock and the host's; a frame's lag beyond it is its age.
+    """Tracks the offset between the pad's clock and the host's; a frame's age is its lag beyond it.
 
-    The clock of a pad that plays slowly, or runs slightly off, drifts without a jump and is followed.
+    A clock that drifts without a jump, as of a pad that is played slowly or runs slightly off, is followed.
     """
 
     def __init__(self) -> None:
@@ -23,7 +23,7 @@ class Staleness:
 
     def update(self, frame: GridFrame) -> None:
         if frame.sensor_ms < self._sensor_ms:
-            # The pad's clock restarted: frames that are held up arrive late, but in order.
+            # The pad's clock restarted; frames that are held up would still arrive in order.
             self.forget()
         self._sensor_ms = frame.sensor_ms
         lag_s = frame.host_s - frame.sensor_ms / 1000.0
@@ -37,11 +37,11 @@ class Staleness:
         self._offset_s = min(lag_s, self._offset_s + FORGIVEN_SHARE * min(passed_s, HELD_UP_S))
 
     def forget(self) -> None:
-        """Follow another clock: the next frames are another pad's, or its clock restarted."""
+        """Forget the offset: the next frames are another pad's, or the pad's clock restarted."""
         self._offset_s = None
 
     def age_s(self, frame: GridFrame, now_s: float) -> float:
-        """Return how old a frame is at a time of the host's."""
+        """Return a frame's age at a time of the host's clock."""
         if self._offset_s is None:
             return 0.0
         return max(0.0, now_s - self._offset_s - frame.sensor_ms / 1000.0)

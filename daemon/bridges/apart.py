@@ -1,7 +1,7 @@
-"""Runs bridges in a separate process, for libraries that anybody on the network can make use memory.
+"""Runs bridges in a separate process, for libraries whose memory anybody on the network can fill.
 
-liblsl keeps a request of any length, DDS every participant that announces itself; neither has a limit. The
-process may grow by MOST_MB. Then it ends and the daemon, which goes on undisturbed, starts another.
+liblsl stores a request of any length, DDS every participant that announces itself; neither has a limit. The
+process may grow by MOST_MB. Beyond that it ends, and the daemon keeps running and starts another.
 `python -m touchd.daemon.bridges.apart` is that process.
 """
 
@@ -29,10 +29,10 @@ from touchd.daemon.events import Event, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 MOST_MB = 16
-# liblsl starts a thread for each listener; with the usual 8 MB of stack, a few would use all that is allowed.
+# liblsl starts a thread for each listener; with the usual 8 MB of stack each, a few would exceed MOST_MB.
 SMALL_STACKS = ("/bin/sh", "-c", 'ulimit -s 512; exec "$@"', "sh")
 PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
-# Fewer pieces of memory that are only reserved; no module is taken from the working folder.
+# Reserve less memory that is never used; import no module from the working folder.
 ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
 READY = "ready"
 OUT_OF_MEMORY = 3
@@ -44,7 +44,7 @@ SECTIONS = {"lsl": LslSettings, "ros2": Ros2Settings}
 
 
 class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
-    """A frame of a pad on its way to the process."""
+    """A frame of a pad, as the daemon sends it to the process."""
 
     pad: str
     number: int
@@ -54,7 +54,7 @@ class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
 
 
 class ApartBridge(ConnectedBridge):
-    """Hands the events and frames of all pads to a process, which it starts again when that ends."""
+    """Sends the events and frames of all pads to a process, and restarts that process when it ends."""
 
     def __init__(self, name: str, section: LslSettings | Ros2Settings, pads: Sequence[str]) -> None:
         self._arguments = (name, msgspec.json.encode(section).decode(), *pads)
@@ -100,7 +100,7 @@ class ApartBridge(ConnectedBridge):
                 self._process.stdin.close()
 
     def _write(self, line: bytes) -> bool:
-        """Write a line; False when the process has ended, or the daemon is to end."""
+        """Write a line; return False if the process has ended, or if the daemon is stopping."""
         process, data = self._process, line + b"\n"
         if process is None or process.stdin is None:
             return False
@@ -108,7 +108,7 @@ class ApartBridge(ConnectedBridge):
             while data and not self._abandoned.is_set():
                 if select.select([], [process.stdin], [], POLL_S)[1]:
                     data = data[os.write(process.stdin.fileno(), data) :]
-        # ValueError: closed.
+        # ValueError: the pipe is closed.
         except (OSError, ValueError):
             return False
         return not data
@@ -141,14 +141,14 @@ class ApartBridge(ConnectedBridge):
 def main(arguments: Sequence[str]) -> int:
     """Run the bridges of some pads, fed by lines on standard input."""
     name, section, *pads = arguments
-    # The daemon closes standard input when it ends; until then signals to the whole group are not for us.
+    # Ignore signals to the process group: this process ends when the daemon closes its standard input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO)
     logging.getLogger().handlers[0].addFilter(_end_without_memory)
     try:
         module = importlib.import_module(f"touchd.daemon.bridges.{name}")
-    # pylsl without its library, as on a processor that it is not built for.
+    # pylsl raises RuntimeError without liblsl, as on a processor that liblsl is not built for.
     except (ImportError, RuntimeError) as error:
         sys.stderr.write(f"cannot be used on this machine ({' '.join(str(error).split())})\n")
         return 1
@@ -158,7 +158,7 @@ def main(arguments: Sequence[str]) -> int:
     }
     for bridge in bridges.values():
         bridge.start()
-        # DDS waits for a network.
+        # DDS may have to wait for a network.
         bridge.opened.wait(OPEN_S)
     _limit_memory()
     sys.stderr.write(f"{READY}\n")
@@ -177,14 +177,14 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _end_without_memory(record: logging.LogRecord) -> bool:
-    """End at once where Python finds no memory; a library's allocation then fails as well, in its own way."""
+    """Exit at once when Python runs out of memory; a library that runs out of memory fails in its own way."""
     if record.exc_info and isinstance(record.exc_info[1], MemoryError):
         os._exit(OUT_OF_MEMORY)
     return True
 
 
 def _limit_memory() -> None:
-    """Let this process take MOST_MB more than it has."""
+    """Limit this process to MOST_MB more memory than it has now."""
     fields = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     limit = int(fields["VmData"].split()[0]) * 1024 + MOST_MB * 1_000_000
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))

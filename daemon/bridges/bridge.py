@@ -1,4 +1,4 @@
-"""Shared by bridges: a bounded queue, frames at a stated rate, a connection that is kept and reported."""
+"""The base classes of bridges: a bounded queue, a limited frame rate, a connection that is kept open."""
 
 import logging
 import threading
@@ -19,14 +19,14 @@ Item: TypeAlias = Event | tuple[Frame, str]
 # One second of frames of a pad; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
-# Two faults: nothing answers, or what answers ends the connection.
+# Kinds of fault: nothing answers, or the peer ended the connection.
 OUT_OF_REACH, AWAY = "out of reach", "away"
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
-# A connection that lasted this long makes the next attempt a quick one.
+# After a connection that lasted this long, the pauses between attempts begin again with the shortest.
 STEADY_S = 5.0
-# Connections that may end while sending one event before the event is blamed and dropped.
+# An event is dropped once this many connections have ended while it was being sent.
 TRIES = 3
-# Minimum interval between two lines about what the peer refuses.
+# Minimum interval between two log lines about refused messages.
 REFUSED_AGAIN_S = 60.0
 GOODBYE_S = 1.0
 
@@ -36,12 +36,12 @@ class BridgeError(TouchdError):
 
 
 class Bridge(QueuedSink[Item]):
-    """Passes the events of a pad, or of several, on to another system, and their frames if wanted.
+    """Sends the events of one or several pads to another system, and their frames if configured.
 
-    `open`, `write` and `close` run in the sink's own thread. Events wait while the peer is away; when the
-    queue is full, the oldest are dropped. Frames do not wait. Other pads' events are ignored.
-    frames_hz: frames a second and pad at most, math.inf for all, None for none.
-    refused: what the peer would not take. opened: set once `open` has returned.
+    `open`, `write` and `close` run in the sink's own thread. While the peer is away, events are queued and
+    frames are dropped; a full queue drops its oldest events. Other pads' events are ignored.
+    frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
+    refused: number of messages that the peer refused. opened: set once `open` has returned.
     """
 
     def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None) -> None:
@@ -66,13 +66,13 @@ class Bridge(QueuedSink[Item]):
             super().put(item)
 
     def put_frame(self, frame: Frame, pad: str) -> None:
-        """Queue a frame if one is due and there is somebody to send it to; never blocks."""
+        """Queue a frame if one is due and the peer is connected; never blocks."""
         if self.frames_hz is None or pad not in self.pads or not self._peer_is_there.is_set():
             return
         due_s, period_s = self._next_frame_s[pad], 1.0 / self.frames_hz
         if frame.host_s < due_s:
             return
-        # A late frame does not delay those after it, unless there was a pause.
+        # A late frame does not shift the schedule; after a pause, the schedule restarts.
         is_late = frame.host_s - due_s < period_s
         self._next_frame_s[pad] = (due_s if is_late else frame.host_s) + period_s
         if len(self._items) < MOST_FRAMES * len(self.pads):
@@ -100,7 +100,7 @@ class Bridge(QueuedSink[Item]):
             self._log.warning("%s: %d more were refused until the end", self.name, self._refused_unsaid)
 
     def _note_there(self, where: str) -> None:
-        """Note that the peer is there."""
+        """Note that the peer is connected."""
         self._there_since_s = time.monotonic()
         self._peer_is_there.set()
         if not self._was_reported:
@@ -110,7 +110,7 @@ class Bridge(QueuedSink[Item]):
             self._faults.end(kind, f"connected to {where}")
 
     def _note_away(self, where: str, reason: str, kind: str = AWAY) -> None:
-        """Note why the peer is away, after each attempt."""
+        """Note why the peer is away; called after each attempt to reach it."""
         if self._peer_is_there.is_set() and time.monotonic() - self._there_since_s >= STEADY_S:
             self._backoff.reset()
         self._peer_is_there.clear()
@@ -121,7 +121,7 @@ class Bridge(QueuedSink[Item]):
             self._faults.begin(kind, f"{where} is away ({reason}); trying until it is there")
 
     def _note_refused(self, why: str) -> None:
-        """Count something that the peer would not take; log the first at once, then one line a minute."""
+        """Count a message that the peer refused; log the first at once, then at most one line a minute."""
         self.refused += 1
         self._refused_unsaid += 1
         if time.monotonic() >= self._say_refused_s:
@@ -148,12 +148,12 @@ class ConnectedBridge(Bridge):
     def hold(self) -> str:
         """Connect, call `connected`, and return why the connection ended; runs in the keeper's thread.
 
-        The error that it raises is logged as the reason.
+        If it raises an error, that is logged as the reason.
         """
 
     @abstractmethod
     def send_event(self, event: Event) -> bool:
-        """Send an event over the present connection; False if that ended before the peer had the event."""
+        """Send an event; return False if the connection ended before the peer had the event."""
 
     @abstractmethod
     def send_frame(self, frame: Frame, pad: str) -> None:
@@ -161,7 +161,7 @@ class ConnectedBridge(Bridge):
 
     @abstractmethod
     def hang_up(self) -> None:
-        """End the present connection, if any, so that `hold` returns soon."""
+        """End the current connection, if any, so that `hold` returns soon."""
 
     def open(self) -> None:
         self._keeper.start()
@@ -184,12 +184,12 @@ class ConnectedBridge(Bridge):
         self._keeper.join(GOODBYE_S)
 
     def connected(self) -> None:
-        """Note that events can be sent."""
+        """Note that the peer is connected, so that events can be sent."""
         self._connection_number += 1
         self._note_there(self._where)
 
     def _await_connection(self, after: int) -> int:
-        """Wait for a connection other than number `after`; returns its number, 0 when the sink is to end."""
+        """Wait for a connection other than number `after`; return its number, 0 if the sink is stopping."""
         while not self._abandoned.is_set():
             if self._peer_is_there.wait(POLL_S) and self._connection_number != after:
                 return self._connection_number
@@ -212,7 +212,7 @@ class ConnectedBridge(Bridge):
 
 
 class Allowance:
-    """How many bytes a peer may send: some at once, a few a second, and some for each message to it.
+    """Limits a peer's bytes: `first` at once, `per_s` a second, and `for_each` for each message sent to it.
 
     touchd subscribes to nothing, so a peer need not send much. Libraries keep or parse whatever it sends, so
     its bytes are limited before a library sees them.

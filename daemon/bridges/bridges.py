@@ -1,4 +1,4 @@
-"""From the settings to the bridges: for each section that is set one a pad, or one process for all pads."""
+"""Makes the bridges that are configured: for each section one a pad, or one process for all pads."""
 
 import importlib
 import importlib.util
@@ -13,9 +13,9 @@ from touchd.model.classifier import Classifier
 
 
 def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> list[Bridge]:
-    """Return the configured bridges, not yet started: one for each section and pad.
+    """Return the configured bridges, not yet started.
 
-    models: by pad. Raises BridgeError when a bridge cannot be used as configured.
+    models: the model of each pad. Raises BridgeError when a bridge cannot be used as configured.
     """
     bridges: list[Bridge] = []
     for name, section in settings.bridges.items():

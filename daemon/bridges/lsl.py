@@ -1,4 +1,4 @@
-"""Lab Streaming Layer: a stream of markers and one of the pad's pressure, on the lab's common clock."""
+"""Streams markers and the pad's pressure over the Lab Streaming Layer, on the lab's common clock."""
 
 import math
 import time
@@ -15,7 +15,7 @@ LOOKS = 10
 
 
 class LslBridge(Bridge):
-    """Pushes markers and frames, each with its own time; listeners may come and go."""
+    """Pushes markers and frames with their own timestamps; listeners may come and go."""
 
     def __init__(self, settings: LslSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._stream = f"{settings.name}-{pad}"
@@ -58,7 +58,7 @@ def marker_of(event: Event) -> str:
 
 
 def _ahead_of(clock: Callable[[], float]) -> float:
-    """Return by how many seconds LSL's clock is ahead, from the quickest of a few readings of both."""
+    """Return how far LSL's clock is ahead of `clock`, in seconds, from the quickest of LOOKS readings."""
 
     def look() -> tuple[float, float]:
         before_s, lsl_s, after_s = clock(), float(pylsl.local_clock()), clock()

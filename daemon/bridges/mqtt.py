@@ -1,4 +1,4 @@
-"""MQTT: events, the pad's state and, where wanted, its pressure on a broker."""
+"""Publishes events, the pad's state and, if configured, its pressure on an MQTT broker."""
 
 import secrets
 import ssl
@@ -40,10 +40,10 @@ TO_HOME_ASSISTANT = (
 
 
 class MqttBridge(ConnectedBridge):
-    """Publishes each event with QoS 1, one at a time and in order, and keeps the state retained.
+    """Publishes each event with QoS 1, one at a time and in order, and the state as a retained message.
 
-    The state is the pad's (see `SensorEvent`), stopped (touchd has ended) or, as the last will, lost.
-    It speaks MQTT 5, in which a broker says what it refuses, and 3.1.1 with a broker that knows no other.
+    The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost". The
+    bridge uses MQTT 5, in which a broker says what it refuses, and 3.1.1 with brokers that lack MQTT 5.
     """
 
     def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
@@ -52,7 +52,7 @@ class MqttBridge(ConnectedBridge):
         self._topic = f"{settings.topic}/{pad}"
         self._state = "down"
         self._version = MQTTProtocolVersion.MQTTv5
-        # The client id tells the broker whose lost connection, and last will, it still holds.
+        # The client id lets a new connection replace the lost one, whose last will the broker still holds.
         self._client_id = f"touchd-{secrets.token_hex(8)}"
         self._client: _Client | None = None
         self._tls = _tls(settings.ca_file) if settings.tls else None
@@ -91,7 +91,7 @@ class MqttBridge(ConnectedBridge):
         client = self._client
         if client is None:
             return
-        # paho queues without a limit for a broker that reads nothing.
+        # paho's queue has no limit, so limit the frames in it: the broker may read nothing.
         while client.frames and client.frames[0].is_published():
             client.frames.popleft()
         if len(client.frames) >= MOST_FRAMES:
@@ -120,7 +120,7 @@ class MqttBridge(ConnectedBridge):
         self, client: mqtt.Client, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
     ) -> None:
         assert isinstance(client, _Client)
-        # A broker of 3.1.1 says so to a client of 5.
+        # A broker that knows only 3.1.1 answers a client of MQTT 5 with this code.
         client.was_greeted = code.getName() != "Unsupported protocol version"
         if code.is_failure:
             client.why = _words(code, properties)
@@ -153,7 +153,7 @@ class MqttBridge(ConnectedBridge):
 
 
 class _Client(mqtt.Client):
-    """paho for one connection. why: it ended. frames: those that paho has not written yet."""
+    """A paho client for one connection. why: why it ended. frames: those that paho has not written yet."""
 
     def __init__(self, name: str, version: MQTTProtocolVersion) -> None:
         super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)
@@ -163,11 +163,11 @@ class _Client(mqtt.Client):
         self.was_greeted = self.has_ended = False
         self.why = ""
         self.on_disconnect = self._on_end
-        # With it paho writes in `loop` only, and not also in the thread that publishes.
+        # With this callback, paho writes only in `loop` and not also in the thread that publishes.
         self.on_socket_register_write = lambda *_: None
 
     def _sock_recv(self, bufsize: int) -> bytes:
-        # paho would keep a message of 256 MiB, and every one of QoS 2 until it is released.
+        # paho would buffer a message of 256 MiB, and hold every message of QoS 2 until it is released.
         data: bytes = super()._sock_recv(bufsize)
         if not self.allowance.take(len(data)):
             raise ConnectionAbortedError
@@ -182,7 +182,7 @@ class _Client(mqtt.Client):
         elif flags.is_disconnect_packet_from_server or code.getName() == "Keep alive timeout":
             self.why = _words(code, properties)
         elif not self.why and self.was_greeted:
-            # paho's "Unspecified error" says no more.
+            # paho reports only "Unspecified error" here.
             self.why = "the connection was closed"
         elif not self.why:
             self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"

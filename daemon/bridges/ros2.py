@@ -1,6 +1,6 @@
-"""ROS 2 without a ROS installation: the messages that its nodes publish, over DDS.
+"""Publishes ROS 2 messages over DDS, without a ROS installation.
 
-cyclonedds reads the annotations at run time, so `from __future__ import annotations` must not stand here.
+cyclonedds reads the annotations at run time, so do not use `from __future__ import annotations` here.
 """
 
 import math
@@ -27,7 +27,7 @@ from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 BYTES_PER_TAXEL = 2
-# DDS chooses a network at its start: how often to look for another one, and to retry without one.
+# DDS chooses a network when it starts. Interval of checks for a change, and pauses of retries without one.
 LOOK_S = 5.0
 FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 10.0
 
@@ -60,7 +60,7 @@ class Time(IdlStruct, typename="builtin_interfaces::msg::dds_::Time_"):
 @dataclass
 @final
 class Header(IdlStruct, typename="std_msgs::msg::dds_::Header_"):
-    """When, and on what."""
+    """The time of an image, and the pad that it shows."""
 
     stamp: Time
     frame_id: str
@@ -98,7 +98,7 @@ Message = TypeVar("Message", String, Image)
 
 
 class Ros2Bridge(Bridge):
-    """Publishes gesture (told ones, a String), event (JSON in a String) and pressure (an Image)."""
+    """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image)."""
 
     def __init__(self, settings: Ros2Settings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
@@ -119,11 +119,11 @@ class Ros2Bridge(Bridge):
                 self._abandoned.wait(backoff.pause_s())
 
     def _join(self) -> None:
-        """Join over the current network; raises DDSException if there is none."""
+        """Join DDS over the current network; raises DDSException if there is none."""
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
         participant = DomainParticipant(self._settings.domain)
         publisher = Publisher(participant)
-        # ROS 2 has its topics under rt.
+        # ROS 2 prefixes the names of its DDS topics with rt.
         prefix = f"rt{self._settings.namespace}/{self._pad}"
 
         def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
@@ -141,7 +141,7 @@ class Ros2Bridge(Bridge):
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
                 self._log.info("ros2: the network has changed; joining again")
-                # A process chooses again only after all its pads have left, each within this time.
+                # DDS chooses again once all pads of this process have left; each leaves within this time.
                 self._writers.clear()
                 self._abandoned.wait(2 * LOOK_S)
                 self.open()
@@ -154,7 +154,7 @@ class Ros2Bridge(Bridge):
             if isinstance(item, Prediction) and item.told:
                 self._writers["gesture"].write(String(item.gesture))
             self._writers["event"].write(String(encode(item).decode()))
-        # A reader that takes nothing, for one.
+        # Raised, for example, when a reader accepts nothing.
         except DDSException as error:
             self._note_refused(str(error).splitlines()[0])
 

@@ -1,4 +1,4 @@
-"""rosbridge: ROS 1, and ROS 2 behind a firewall or on another processor, by JSON over a websocket."""
+"""Publishes JSON to a rosbridge server: for ROS 1, or ROS 2 behind a firewall or on another processor."""
 
 import base64
 import logging
@@ -22,7 +22,7 @@ CONNECTION: Mapping[str, Any] = {
     "close_timeout": 0.2,
     "ping_interval": 5.0,
     "ping_timeout": 5.0,
-    # Replies are short, and without a subscription only refusals come.
+    # The server sends only refusals, which are short, because touchd subscribes to nothing.
     "max_size": 16 * 1024,
     "compression": None,
     "proxy": None,
@@ -31,7 +31,7 @@ CONNECTION: Mapping[str, Any] = {
 FIRST_BYTES, REFUSAL_BYTES = 16 * 1024, 1024
 # While a send blocks, websockets can neither ping nor notice a missing answer.
 UNTAKEN_MS = 10_000
-# In the form that servers of ROS 1 and ROS 2 accept.
+# Message types as both ROS 1 and ROS 2 servers accept them.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
@@ -46,7 +46,7 @@ class RosbridgeBridge(ConnectedBridge):
         super().__init__("rosbridge", [pad], settings.pressure_hz, settings.shown_url)
 
     def open(self) -> None:
-        # Why a connection ends is logged here, once; the library's lines would also show the URL's token.
+        # The bridge logs why a connection ended; the library's own lines would show the URL's token.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
         super().open()
 
@@ -100,7 +100,7 @@ class RosbridgeBridge(ConnectedBridge):
                 self._allowance.sent()
                 connection.send(message)
         except (OSError, WebSocketException):
-            # The keeper then notices, and connects again.
+            # The keeper's thread notices that, and connects again.
             connection.close()
             return False
         return True
@@ -124,14 +124,14 @@ def _image(frame: Frame, pad: str) -> dict[str, Any]:
 
 
 class _Status(msgspec.Struct, tag_field="op", tag="status"):
-    """A server's remark on something that was sent to it. level: "error" if it refused that."""
+    """A server's status message about something it was sent. level: "error" if it refused that."""
 
     level: str = ""
     msg: Any = ""
 
 
 def _limited(allowance: Allowance) -> type[ClientConnection]:
-    """Return a class of connections that are cut once the server has spent its allowance."""
+    """Return a connection class that shuts its socket down once the server has spent its allowance."""
 
     class Limited(ClientConnection):
         def __init__(self, line: socket.socket, protocol: ClientProtocol, **options: Any) -> None:

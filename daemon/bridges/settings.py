@@ -14,7 +14,7 @@ Namespace = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """An MQTT broker. A pad's topics are TOPIC/PAD/event, TOPIC/PAD/state and TOPIC/PAD/pressure.
 
-    ca_file: of the authority that signed the broker's certificate; None trusts those of the system. With tls.
+    ca_file: of the authority that signed the broker's certificate; None: the system's. Needs tls.
     password_file: holds the password of `user`.
     pressure_hz: frames a second to publish at most; None publishes none.
     discovery: Home Assistant's discovery prefix, usually homeassistant; None announces nothing.
@@ -75,7 +75,7 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     @property
     def shown_url(self) -> str:
-        """The URL as it may be logged: without what follows a question mark."""
+        """The URL as it may be logged: without the query, which may hold a token."""
         return self.url.partition("?")[0]
 
 

@@ -39,8 +39,8 @@ class Figures(msgspec.Struct, frozen=True, kw_only=True):
     """The measurements; a name ends in its unit.
 
     latency: from writing the last byte of the frame that completes an answer's window to reading the answer's
-    line from the daemon's output. inner: the part of it that the daemon itself measures.
-    cpu: of one core. memory: peak resident. same_predictions: `run` and `classify` agree.
+    line from the daemon's output. inner: the part of the latency that the daemon itself measures.
+    cpu: share of one core. memory: peak resident set. same_predictions: `run` and `classify` agree.
     """
 
     answers: int
@@ -143,7 +143,7 @@ def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
 def touched(touch_s: float, quiet_s: float = QUIET_S) -> Stream:
     """Return a stream that rests for `quiet_s` and then repeats the demo's touches for about `touch_s`."""
     rest, *others = read_recordings(DEMO_RECORDING)
-    # Each touch with the rest that follows it.
+    # A turn is a touch and the rest that follows it.
     turn_frames = len(others[0].counts) + len(others[1].counts)
     turns = max(1, round(touch_s * FRAME_RATE_HZ / turn_frames))
     rests = round(quiet_s * FRAME_RATE_HZ / len(rest.counts))
@@ -199,7 +199,7 @@ def _peak_memory_mb(pid: int) -> float:
 
 
 def _classify(stream: Stream) -> tuple[float, list[Event]]:
-    """Send the stream through the pipeline flat out; returns how many times real time, and the events."""
+    """Send the stream through the pipeline at full speed; return how many times real time, and the events."""
     settings = Settings()
     classifier = load_model(settings)
     events: list[Event] = []

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> int:
     if out.exists():
         raise ConvertError(f"{out}: exists; give another --out, or move the file away")
     if out.suffix == ".mcap":
-        # Fail before the work if it is not installed.
+        # Fail before the work if mcap is not installed.
         import touchd.daemon.convert.mcap  # noqa: F401
     with (
         Console(stderr=True).status(f"reading {file}"),
@@ -87,7 +87,7 @@ def _convert_journal(file: Path, out: Path) -> None:
             # Readable by pandas and spreadsheets.
             table = csv.DictWriter(target, columns, lineterminator="\n")
             table.writeheader()
-            # Build the rows a second time; held in memory, those of a journal of years take gigabytes.
+            # Build the rows again rather than keep them: for a journal of years they would take gigabytes.
             table.writerows(map(_flat, events))
         return
     from touchd.daemon.convert import mcap

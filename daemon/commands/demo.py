@@ -79,7 +79,7 @@ class PlainLines:
         with suppress(BrokenPipeError):
             self._write(text)
 
-    # What the hand does next.
+    # Shows what the hand does next.
     doing = note
 
     def put(self, event: Event) -> None:
@@ -149,7 +149,7 @@ def main(arguments: Sequence[str]) -> int:
 def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
     require_library()
-    # Only with --live, since it needs the library.
+    # Imported only with --live, since these modules need its library.
     from touchd.daemon.live.memory import Scene
     from touchd.daemon.playback.touched import TouchedPad, TouchPage
 
@@ -177,7 +177,7 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
         pad = TouchedPad(rng, page.touching, hand, show.show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
         show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
-        # The daemon's own page, for this process alone, has what is not an event; its log has the address.
+        # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
         inner = msgspec.structs.replace(settings, live=LiveSettings(port=0), log_level="info")
         _run(port, show, closing, inner, page.follow)
     return 0
@@ -214,9 +214,9 @@ def _run(
     settings: Settings,
     follow: Callable[[Path], None] = lambda log: None,
 ) -> tuple[Sequence[Prediction], Sequence[str]]:
-    """Run the daemon on a fake port and show its events; returns all answers, and each touch's last.
+    """Run the daemon on a fake port and show its events; return all answers, and the last one of each touch.
 
-    It ends with the stream of a FakePort. follow: gets the daemon's log.
+    Ends when the stream of a FakePort ends. follow: called with the path of the daemon's log.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
@@ -228,7 +228,7 @@ def _run(
         robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
         settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
     else:
-        # The stub lives in this process, so its link does too, fed with the daemon's events.
+        # The stub robot runs in this process. So does its link, which gets the daemon's events below.
         stub = closing.enter_context(StubRobot(show_call, SPEECH_S))
         link = RobotLink(
             RobotSettings(url=stub.url),

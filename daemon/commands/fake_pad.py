@@ -65,7 +65,7 @@ def main(arguments: Sequence[str]) -> int:
 
     with ExitStack() as closing:
         if options.live is not None:
-            # Only with --live, since they need its library.
+            # Imported only with --live, since these modules need its library.
             require_library()
             from touchd.daemon.live.memory import Scene
             from touchd.daemon.playback.touched import TouchedPad, TouchPage

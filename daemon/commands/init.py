@@ -30,7 +30,7 @@ from touchd.drivers.search.search import UNSURE, as_yaml, search
 from touchd.drivers.whole_file import whole_file
 
 LISTEN_S = 8.0
-# A hand that presses but does not yet prove the grid gets this long to reach more of it.
+# Extra time for a hand that presses the pad but has not yet reached enough of it to prove the grid.
 LONGER_S = 20.0
 ANSWER_S = 0.5
 
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
-    # Before anybody presses the pad for a file that cannot be written.
+    # Check this before somebody presses the pad for nothing.
     if not os.access(options.file.absolute().parent, os.W_OK | os.X_OK):
         raise ConfigError(
             f"{options.file}: cannot be written (no such folder, or no permission); give another path"
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str]) -> int:
             f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
         )
         return 1
-    # The usual rates begin with the likeliest to be found; a fabric pad has another.
+    # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
@@ -114,7 +114,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _as_settings(described: PadFormat) -> str:
-    """Return a description as lines below `sensor:`; a fabric pad of another grid keeps its preset."""
+    """Return a description as lines below `sensor:`; a fabric pad's as the preset and what differs."""
     fabric = PRESETS[FABRIC]
     own = {name: getattr(described, name) for name in OVERRIDES}
     if replace(fabric, **own) != described:
@@ -137,9 +137,9 @@ def _ports() -> list[str]:
 
 
 def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found | None:
-    """Return the first port with a pad, or else with something that sends; None if nothing does.
+    """Return the first port with a pad, else the first that sends anything; None if none does.
 
-    Only where no pad sends by itself are silent ports polled.
+    Silent ports are polled only if no port sends by itself.
     """
     unknown: Found | None = None
     silent: list[str] = []
@@ -174,7 +174,7 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> Found | None:
 
 
 def _describe(console: Console, opened: Line, where: str, tried: Sequence[int]) -> PadFormat | None:
-    """Return the proven description of what sends, or say what it looks like and what is missing."""
+    """Return the proven description of the sender, or print what its bytes look like and what is missing."""
     if can_ask():
         finding = find_with_a_hand(console, opened)
     else:

@@ -19,7 +19,7 @@ from touchd.daemon.log import LogWriter
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink
 
-# Longest time for which a thread may keep the others waiting; Python's default of 5 ms exceeds an answer's.
+# Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
 
@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class Signals:
-    """Requests by signals, as plain attributes: a handler that takes a lock can deadlock with itself.
+    """Records signals in plain attributes, because a handler that takes a lock can deadlock with itself.
 
     SIGINT and SIGTERM end the daemon. So does SIGHUP when the terminal has closed; otherwise it is ignored,
     with one line in the log.
@@ -161,7 +161,7 @@ def _live_page(settings: Settings) -> tuple[str, str]:
 
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:
-    """Return what writes an event as a line for a person, with the pad's name where there are several."""
+    """Return a function that describes an event in a line, with the pad's name if there are several pads."""
     from touchd.daemon.terminal.describe import describe
 
     def line(event: Event) -> bytes:

@@ -34,7 +34,7 @@ def add_config(parser: argparse.ArgumentParser, what: str = "settings") -> None:
 
 
 def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> argparse.Namespace:
-    """Parse the arguments of a command that takes no words: a stray one is mostly the configuration."""
+    """Parse the arguments of a command without positional ones; a stray word is usually the configuration."""
     options, stray = parser.parse_known_args(arguments)
     if stray:
         advice = "" if stray[0].startswith("-") else f"; a configuration follows -c, as in -c {stray[0]}"
@@ -43,7 +43,7 @@ def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> argpars
 
 
 def find_settings(given: Path | None) -> Found:
-    """Return the settings of a file, by default of the first one found where they are kept.
+    """Return the settings of the given file, else of the first file found in the usual places.
 
     Raises ConfigError.
     """

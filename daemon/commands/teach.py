@@ -163,7 +163,7 @@ def put_into_use(
     with os_errors_as(ConfigError, f"{config}: cannot be written", advice):
         if is_service:
             model = _beside(model)
-        # Resolve a symlink, so that it stays one.
+        # Resolve a symlink, so that its target is replaced and not the link.
         with whole_file(config.resolve()) as new:
             by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
             try:

@@ -43,7 +43,7 @@ def main(arguments: Sequence[str]) -> int:
             "`python -m touchd.model.studies train`, in the repository"
         )
     output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
-    # Loading torch takes seconds: a wrong path is reported before.
+    # Report a wrong path before loading torch, which takes seconds.
     files_of(options.extra)
     check_output(output)
     with Console(stderr=True).status("loading torch"):

@@ -47,7 +47,7 @@ def write_events(events: Iterable[Event], file: IO[bytes]) -> None:
         for event in events:
             of = "" if isinstance(event, RobotEvent) else f"/{event.pad}"
             name = type(event).__name__
-            # Not every reader follows references, so take the definition itself.
+            # Not every reader follows references, so write the definition itself.
             schema = msgspec.json.schema(type(event))["$defs"][name]
             time_ns = round(epoch_s(event.time) * 1e9)
             add(f"/touchd{of}/{kind_of(event)}", f"touchd.{name}", schema, time_ns, encode(event))

@@ -25,5 +25,5 @@ class Check:
     figures: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        # It may hold what a robot answered.
+        # It may contain a robot's answer, which may span lines.
         object.__setattr__(self, "found", one_line(self.found))

@@ -1,4 +1,4 @@
-"""Runs all checks one after another, each bounded in time; skips those that are not possible."""
+"""Runs all checks one after another, each limited in time; skips those that are not possible."""
 
 from collections.abc import Callable, Iterator
 
@@ -22,7 +22,7 @@ from touchd.daemon.doctor.values import (
 from touchd.drivers.pad.protocol import parser_of
 
 PRESS_S = 15.0
-# Too few to measure a rate.
+# Fewer frames are too few to measure a rate.
 LEAST_FRAMES = 10
 
 Say = Callable[[str], None]

@@ -1,4 +1,4 @@
-"""Asks the person at the terminal for a hand on the pad, and shows the pad while it presses."""
+"""Asks the person at the terminal to press the pad, and shows the pad's picture."""
 
 import select
 import sys
@@ -23,15 +23,15 @@ from touchd.drivers.search.search import Chunk, Finding, search
 REST_S = 2.0
 PRESS_S = 40.0
 LOOK_EVERY_S = 3.0
-# More than any search takes.
+# Longer than any search takes.
 SEARCH_S = 60.0
 CORNER_S = 20.0
 PRESSED_COUNTS = 40
 PICTURE_SCALE = 2
 SHOW_EVERY_S = 0.08
 
-# The corner at which a touch of the top left one is found, (is below, is to the right), and the two ways to
-# bring it there: a turn, and a turn with a mirror.
+# Where a press on the top left corner shows, as (is below, is to the right), and the two ways to bring it to
+# the top left, as (turn, mirror): a turn alone, and a turn with a mirror.
 TURNS = {
     (False, False): ((0, False), (90, True)),
     (False, True): ((270, False), (0, True)),
@@ -48,7 +48,7 @@ def can_ask() -> bool:
 def find_with_a_hand(console: Console, opened: Line) -> Finding:
     """Ask for rest and for presses until the pad's description is proven, or for PRESS_S."""
     console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
-    # A pad that sends nothing while nobody presses it shows that from the first moment on.
+    # The empty chunk marks the start, so that silence of a pad that nobody presses yet counts.
     chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
     console.print(
         "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
@@ -66,7 +66,7 @@ def find_with_a_hand(console: Console, opened: Line) -> Finding:
 
 
 def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> PadFormat:
-    """Ask for the top left corner and whether the picture follows; return the description turned so."""
+    """Ask for the top left corner, then whether the picture follows; return the turned description."""
     console.print("Touch the corner that should be top left, and hold it ...", style="cyan")
     corner = _touched_corner(opened, described)
     if corner is None:
@@ -81,7 +81,7 @@ def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> 
 
 
 def _touched_corner(opened: Line, described: PadFormat) -> tuple[bool, bool] | None:
-    """Return in which corner of the pad, as it is described, a hand presses (is below, is to the right)."""
+    """Return the corner of the described pad that a hand presses, as (is below, is to the right)."""
     parser = parser_of(described)
     rest: list[Counts] = []
     held = 0
@@ -102,7 +102,7 @@ def _corner_of(above: NDArray[np.float64]) -> tuple[bool, bool]:
 
 
 def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
-    """Show the pad until the question is answered."""
+    """Show the pad and ask whether the picture follows the hand; return the answer."""
     parser = parser_of(described)
     palette = palette_for(console)
     rest: NDArray[np.float64] | None = None

@@ -21,7 +21,7 @@ from touchd.drivers.search.listen import USUAL_BAUDS
 from touchd.drivers.search.search import Chunk, Finding, as_yaml, search
 
 TRY_BAUD_S = 0.5
-# The ring lays any rate from the first on at the model's 54 Hz; between the others answers are best.
+# The ring resamples any rate from the first on to 54 Hz; answers are best between the other two.
 SLOWEST_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
 # One lost frame in a thousand is harmless.
 CLEAN_SHARE = 0.001
@@ -44,7 +44,7 @@ ADVICE_FOR_BYTES = {
 
 
 def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
-    """Open the port; report that, with the device that a link points to, or why not, with the ports."""
+    """Open the port; report the device behind a link, or why opening failed and which ports there are."""
     try:
         check_port(sensor.port, sensor.baud)
         opened = open_port(sensor.port, sensor.baud)
@@ -66,7 +66,7 @@ def check_protocol(
 ) -> Check:
     """Report whether frames were decoded; if not, try other baud rates, then search for another format.
 
-    find: asks for a hand on the pad; without it, what came before is searched.
+    find: asks for a hand on the pad and searches what it sends; without it, the sample is searched.
     """
     described = sensor.described
     if sample.frames:
@@ -100,7 +100,7 @@ def check_protocol(
 
 
 def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Check]:
-    """Report what `init` would propose for a pad that is read, if that is another pad."""
+    """Report the format that `init` would propose for a pad whose frames are read, if that differs."""
     proposed, described = search(chunks).proposed, sensor.described
     if proposed is not None and _grid(proposed) != _grid(described):
         found = f"the bytes look like {as_yaml(proposed)}, not like {described}"
@@ -113,7 +113,7 @@ def _grid(described: PadFormat) -> tuple[object, ...]:
 
 
 def _advice_to_set(proposed: PadFormat, sensor: SensorSettings) -> str:
-    # What the bytes cannot show, how the pad lies, is the user's.
+    # The bytes cannot show how the pad lies, so turn and mirror stay as the user set them.
     wrong = [
         name
         for name in ("rows", "columns", "crop", "invert")
@@ -189,7 +189,7 @@ def check_rate(sample: Sample) -> Check:
 
 
 def _why_no_frame(data: bytes, described: PadFormat) -> tuple[str, str]:
-    """Say why the last bytes, a few frames' worth, give no frame: the kind of trouble and a sentence.
+    """Return why the last bytes (a few frames' worth) hold no frame: the kind of trouble and a sentence.
 
     The kinds are "clock" and "format".
     """

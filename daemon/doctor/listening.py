@@ -45,9 +45,9 @@ def listen(
     start_s: float = START_S,
     enough: Callable[[Frame], bool] = lambda frame: False,
 ) -> Sample:
-    """Listen for `seconds` from the first frame on, by the pad's clock or this machine's, whichever is first.
+    """Listen for `seconds` after the first frame, by the pad's clock or this machine's, whichever ends first.
 
-    start_s: how long the first frame may take. enough: stops at the first frame for which it is true.
+    start_s: how long the first frame may take. enough: stops listening at a frame if true.
     Takes at most start_s + seconds.
     """
     frames: list[Frame] = []

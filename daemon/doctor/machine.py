@@ -79,7 +79,7 @@ def robot_urls(typed: str) -> Sequence[str]:
 def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None:
     """Return the first of several addresses at which a robot answers, if any.
 
-    trying: is called with each address first.
+    trying: called with each address before it is tried.
     """
     for url in urls:
         trying(url)
@@ -92,7 +92,7 @@ def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None
 def _speaks_tls(url: str) -> bool:
     """Return whether a server answers with TLS: before its login a robot reveals nothing else."""
     _, host, port = re.split(r":(?://)?", url)
-    # libqi checks no certificate either, and nothing is sent.
+    # libqi does not check the certificate either, and nothing is sent.
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     with (

@@ -17,7 +17,7 @@ from touchd.model.classifier import KNOWN_REST_COUNTS
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
 LOADED_COUNTS = 50.0
-# How long TaxelFaults needs to tell a stuck taxel from a quiet one.
+# How long TaxelFaults needs to distinguish a stuck taxel from a quiet one.
 HEALTH_S = 6.0
 PRESSED_COUNTS = 40
 NAMED_TAXELS = 3
@@ -38,7 +38,7 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
     if level.mean() > WRONG_WAY_COUNTS:
         other = str(not settings.sensor.described.invert).lower()
         return Check("rest", "to do", f"{found}: upside down", f"set sensor.invert: {other}", figures)
-    # A pad that rests high does so all over, and differs from taxel to taxel.
+    # A pad may rest high everywhere, and unevenly; an object raises some taxels far above the median.
     lies = level > LOADED_COUNTS + 2 * np.median(level)
     if lies.any():
         where = _places(lies)
@@ -111,7 +111,7 @@ def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
 
 
 def check_orientation(sample: Sample, rest: NDArray[np.float64]) -> Check:
-    """Report where the press on the top left corner arrived, in frames up to `is_pressed`."""
+    """Report where a press on the top left corner shows, in the sample's last frame."""
     if sample.broke_off:
         return Check("orientation", "to do", sample.broke_off, "try another cable")
     if not sample.frames or not is_pressed(sample.frames[-1], rest):

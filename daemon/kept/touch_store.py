@@ -1,9 +1,9 @@
-"""Saves the frames of touches, where configured: a bounded number of files in a folder.
+"""Saves the frames of touches, if configured, in a folder with a limited number of files.
 
 JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
-`touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. It holds up to a
-second of rest before the touch, the touch from its true first frame to its last contact, and the quiet in
-which its end was known.
+`touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. A file holds up
+to a second of rest, the touch from its true first frame to its last contact, and the quiet by which its end
+was detected.
 
 In the loop a frame costs two appends. A separate thread cuts, packs and writes, only after a touch, when
 the next answer is a second away or more.
@@ -47,17 +47,17 @@ NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)(?:-(\d+))
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.
 CUT_MS = 1000
-# A second of rest, and as long as a touch may have gone on before it is noticed; of a pad of 500 Hz.
+# A second of rest plus the longest time before a touch is detected, for pads of up to 500 Hz.
 RECENT_MS, RECENT_FRAMES = 3000, 1500
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 
 
 @dataclass(frozen=True, eq=False)
 class FeltTouch:
-    """A touch that is over, and the pad's frames around it, in the order in which they came.
+    """A touch that is over, and the pad's frames around it, in order of arrival.
 
-    noticed: how many of the frames had come when the touch was noticed. end_ms: the sensor's clock at its
-    last contact. quiet_from_ms: the same of the touch before, None where none is known.
+    noticed: number of these frames that had arrived when the touch was detected. end_ms: the sensor's clock
+    at its last contact. quiet_from_ms: the same of the previous touch, None if there is none.
     """
 
     began: TouchBegan
@@ -70,7 +70,7 @@ class FeltTouch:
 
 @dataclass(frozen=True, eq=False)
 class TouchPieces:
-    """The frames of a touch, and those before and after it in which nothing touched; either may be none."""
+    """The frames of a touch, and the untouched frames before and after it, which may be missing."""
 
     before: tuple[Frame, ...]
     touch: tuple[Frame, ...]
@@ -79,12 +79,12 @@ class TouchPieces:
 
     @property
     def rate(self) -> str:
-        """How fast the frames came, in words."""
+        """The frames' rate, in words."""
         frames = (*self.before, *self.touch, *self.after)
         return str(pace_of(frames)) if len(frames) > 1 else "unknown"
 
     def recordings(self) -> list[Recording]:
-        """Return them as unlabelled recordings on one clock."""
+        """Return the pieces as recordings on one clock, the touch unlabelled."""
         pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
         who = (UNLABELLED, UNLABELLED, UNLABELLED)
         clocks = np.split(
@@ -101,8 +101,8 @@ class TouchPieces:
 def cut(felt: FeltTouch) -> TouchPieces:
     """Return the touch from its true first frame to its last contact, with the rest before and after it.
 
-    Before it LEAD_MS at most, and nothing of an earlier touch. What came after a touch that was not let go,
-    but lost or taken for the pad's rest, is left out.
+    The part before lasts at most LEAD_MS and holds nothing of an earlier touch. The part after is kept only
+    if the touch was released, and not if it was lost or taken for the pad's rest.
     """
     frames = felt.frames
     began_ms = felt.began.sensor_ms
@@ -123,14 +123,14 @@ def cut(felt: FeltTouch) -> TouchPieces:
 
 
 def _walk_back(frames: Sequence[Frame], place: int, until_ms: int) -> int:
-    """Return the first frame of the stretch up to `place` that is not before a time on the pad's clock."""
+    """Return the first index from which frames up to `place` are contiguous and not before `until_ms`."""
     while place > 0 and _is_next(frames, place) and _is_from(frames[place - 1].sensor_ms, until_ms):
         place -= 1
     return place
 
 
 def _is_next(frames: Sequence[Frame], place: int) -> bool:
-    """Whether a frame goes on from the one before it."""
+    """Whether a frame is contiguous with the one before it."""
     return (frames[place].sensor_ms - frames[place - 1].sensor_ms) % CLOCK_MODULUS <= CUT_MS
 
 
@@ -141,7 +141,7 @@ def _is_from(ms: int, since_ms: int) -> bool:
 
 @dataclass(frozen=True, order=True)
 class KeptTouch:
-    """A touch in a store. count: rises with each, whatever the clock says. time, number: of `touch_began`."""
+    """A touch in a store. count: rises with each touch. time, number: those of its `touch_began`."""
 
     count: int
     time: str
@@ -159,9 +159,9 @@ class KeptFrames:
 
 
 class TouchStore:
-    """Writes touches to a folder and keeps the latest; a full disk costs touches, never stops the daemon.
+    """Writes touches to a folder and keeps the latest; a full disk loses touches, never stops the daemon.
 
-    most: touches to keep. sensor: which pad it is and how it is read, for the files. Raises RecordingError
+    most: number of touches to keep. sensor: describes the pad in the files. Raises RecordingError
     when the folder cannot be used.
     """
 
@@ -198,7 +198,7 @@ class TouchStore:
             self._failing = False
 
     def _take_over(self) -> int:
-        """Remove what a killed program left, and return the last count; another store wrote until now."""
+        """Remove partial files of a killed program, and return the last count that was written here."""
         with suppress(OSError):
             _delete(self._folder.glob(f"{PARTIAL}*"))
         return max((kept.count for kept in kept_touches(self._folder)), default=0)
@@ -283,9 +283,9 @@ def read_frames(kept: KeptTouch) -> KeptFrames:
 
 
 class TouchSink(QueuedSink[FeltTouch]):
-    """A sink that keeps the frames of touches, for the pads that have a store; for others it does nothing.
+    """A sink that keeps the frames of touches on pads that have a store; it ignores other pads.
 
-    Frames and the events that they cause come from one thread, a frame before its events.
+    Frames and the events that they cause must come from one thread, a frame before its events.
     """
 
     capacity = 8
@@ -300,7 +300,7 @@ class TouchSink(QueuedSink[FeltTouch]):
             self._pads[pad].take(frame)
 
     def put(self, item: Event | FeltTouch) -> None:
-        """Take note that a touch began, or have one that ended written; returns at once."""
+        """Note that a touch began, or queue a touch that ended for writing; returns at once."""
         match item:
             case TouchBegan() if item.pad in self._pads:
                 self._pads[item.pad].begin(item)
@@ -317,7 +317,7 @@ class TouchSink(QueuedSink[FeltTouch]):
 
 
 class _PadFrames:
-    """The last frames of one pad, and those of the touch that goes on."""
+    """The last frames of one pad, and those of the ongoing touch."""
 
     def __init__(self) -> None:
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)

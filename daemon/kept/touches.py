@@ -17,14 +17,14 @@ TAIL_BYTES = 4_000_000
 
 
 class ReportedTouch(msgspec.Struct):
-    """One touch. ended: None when it goes on, or when its end is not known."""
+    """One touch and its events. ended: None while it goes on, or if its end is not known."""
 
     began: TouchBegan
     predictions: list[Prediction] = []
     ended: TouchEnded | None = None
 
     def add(self, event: Prediction | TouchEnded) -> None:
-        """Add an answer, or the end; those of another touch are left out."""
+        """Add an answer or the end; those of another touch are ignored."""
         if event.touch == self.began.touch:
             if isinstance(event, Prediction):
                 self.predictions.append(event)
@@ -33,7 +33,7 @@ class ReportedTouch(msgspec.Struct):
 
 
 def gather(events: Iterable[Event]) -> list[ReportedTouch]:
-    """Return the touches among events, in order; events of no touch are left out."""
+    """Group events by touch, in order; events that belong to no touch are ignored."""
     touches: list[ReportedTouch] = []
     latest: dict[str, ReportedTouch] = {}
     for event in events:
@@ -87,7 +87,7 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
     event. Raises JournalError when a file is there and cannot be read.
     """
     since: list[Event] = []
-    # Older files are kept where a link leads.
+    # Resolve a symlink: the older files are beside its target.
     for file in _newest_first(path.resolve()):
         try:
             events, _ = read_events(file)
@@ -97,14 +97,14 @@ def read_since(path: Path, time: str) -> list[ReportedTouch]:
                 continue
             raise
         since = [event for event in events if event.time >= time] + since
-        # The newest, because a computer without a battery-backed clock starts in 1970.
+        # Look at the newest event: a computer without a battery-backed clock starts in 1970.
         if events and max(event.time for event in events) < time:
             break
     return [touch for touch in gather(since) if touch.began.time >= time]
 
 
 def _newest_first(path: Path) -> list[Path]:
-    """Return a journal and its older files, whichever numbers are there."""
+    """Return a journal and its older files; their numbers may have gaps."""
     with suppress(OSError):
         numbers = [name.removeprefix(f"{path.name}.") for name in os.listdir(path.parent)]
         found = sorted(int(number) for number in numbers if number.isascii() and number.isdecimal())

@@ -78,7 +78,7 @@ def _why(error: OSError, port: int) -> str:
 def urls_of(settings: LiveSettings, port: int) -> list[str]:
     """Return the page's addresses, the likeliest first; for 0.0.0.0 one for each IP address.
 
-    Numbers, since a phone may not resolve this computer's name.
+    They are numeric, since a phone may not resolve this computer's name.
     """
     hosts = [settings.host]
     if settings.host in EVERY_ADDRESS:

@@ -18,7 +18,7 @@ class Door:
     half-open connections lock nobody out; if there is none, the new connection is closed.
     The server answers every ping and keeps every fragment, so limiting what a viewer sends limits its cost.
 
-    limit: of connections. bytes_per_s: that each may send. kind: the class of connections to make.
+    limit: number of connections. bytes_per_s: what each may send. kind: the connections' class, for `serve`.
     """
 
     def __init__(self, limit: int, bytes_per_s: float = BYTES_PER_S) -> None:

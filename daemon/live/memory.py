@@ -27,9 +27,9 @@ PREDICTIONS = 24
 # The curve of a touch that a later viewer gets: its first 15 seconds, every third frame.
 TRACE_FRAMES = 810
 TRACE_STEP = 3
-# Four seconds: a touch is noticed within one, and its rest is the second before.
+# Four seconds: a touch is detected within one, and rest is measured in the second before it.
 RECENT_FRAMES = 216
-# The pad's rest is the mean of this long before a touch, up to this long before its first frame.
+# The pad's rest is the mean of the REST_MS that end ONSET_MS before a touch's first frame.
 REST_MS, ONSET_MS = 1000, 100
 # As on the page.
 NOISE_COUNTS = 3.0
@@ -45,7 +45,7 @@ class Model(Protocol):
 
 
 class Scene(NamedTuple):
-    """The scene of a pad's page. settings: with this pad alone. model: None if nothing is recognised."""
+    """The scene of a pad's page. settings: those of this pad alone. model: None if nothing is recognised."""
 
     settings: Settings
     model: Model | None
@@ -54,12 +54,12 @@ class Scene(NamedTuple):
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
     """The state that a page gets when it connects or has fallen behind.
 
-    pad: name of the pad. page: stamp of the page's files; a page with another reloads. labels: in the
+    pad: name of the pad. page: stamp of the page's files; a page with another stamp reloads. labels: in the
     order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:
     of the scene. model: its name. names: of the gestures. action: the robot's latest on the last touch.
     touches: the last ones, oldest first; an ongoing touch comes last. reported: numbers of the touches that
-    the robot was told about while it was up. rest: of each taxel before an ongoing touch. trace: of that
-    touch, seconds since it began and sum of counts above rest. touchable: whether viewers can touch the pad.
+    the robot was told about while it was up. rest: each taxel's reading before an ongoing touch. trace: of
+    that touch, seconds since it began and counts above rest. touchable: whether viewers can touch the pad.
     """
 
     page: str

@@ -1,6 +1,6 @@
 """Serves the live page from a thread with its own event loop.
 
-It sends events unchanged, frames, state and status, all but frames as JSON. A frame has 133 bytes,
+It sends events unchanged, frames, state and status; all but the frames are JSON. A frame has 133 bytes,
 little-endian: its sensor_ms (uint32), 64 counts (uint16), and the pad's place in `PageState.pads` (uint8).
 """
 
@@ -111,7 +111,7 @@ class LiveServer:
     def put(self, item: Event | LivePrediction) -> None:
         """Queue an event or a live prediction, to be shown with the next frame or status.
 
-        Waking the page's thread here would make it compete with the other sinks for this answer.
+        Waking the page's thread here would make it compete with the sinks that handle the same answer.
         """
         self._items.put(item)
 
@@ -182,7 +182,7 @@ class LiveServer:
         await asyncio.wait([closed, status], timeout=GOODBYE_S)
 
     async def _watch(self, connection: ServerConnection) -> None:
-        """Keep a viewer until it leaves; close it if it sends what is not expected."""
+        """Serve a viewer until it leaves; close its connection if it sends something unexpected."""
         if not self._viewers.add(connection):
             await connection.close(CloseCode.TRY_AGAIN_LATER, "too many are looking already")
             return
@@ -196,7 +196,7 @@ class LiveServer:
                 self._touching.leave(connection)
 
     async def _follow_touches(self, connection: ServerConnection) -> str:
-        """Receive what a viewer presses, if viewers can; returns why it must send no more."""
+        """Receive what a viewer presses, if viewers can press; return why its connection must be closed."""
         while True:
             message = await connection.recv()
             if self._touching is None:
@@ -252,7 +252,7 @@ class LiveServer:
 
 
 def _may_drop(item: Item) -> bool:
-    """Whether a later viewer can do without it."""
+    """Whether the item may be dropped: a later viewer does not need it."""
     return isinstance(item, tuple | LivePrediction)
 
 

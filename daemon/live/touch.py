@@ -16,7 +16,7 @@ from touchd.drivers.frame import COLUMNS, ROWS
 MOST_POINTERS = 10
 # A page sends at most one message for each picture that it draws.
 MESSAGES_PER_S = 90.0
-# A page that presses sends ten messages a second or more; without one for this long its pointers are lifted.
+# A page sends at least ten messages a second while it presses; after this long without one, it has let go.
 LIFTED_AFTER_S = 1.5
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]

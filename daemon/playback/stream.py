@@ -1,4 +1,4 @@
-"""Makes a pad's stream of recordings: selects, realigns, puts notouch around touches; and plays it."""
+"""Turns recordings into a pad's stream (selects, realigns, puts notouch around touches), and plays it."""
 
 import argparse
 import time
@@ -86,7 +86,7 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
 
 
 def recording_files(paths: Sequence[Path]) -> list[Path]:
-    """Return the files among paths, and the recordings in folders among them by name."""
+    """Return the files among paths, and for each folder its recordings in order of their names."""
     files: list[Path] = []
     for path in paths:
         if not path.is_dir():
@@ -100,7 +100,7 @@ def recording_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _there_are(files: Sequence[Path], select: Selection) -> str:
-    """Say which participants, substrates, covers or gestures there are, if none that is wanted."""
+    """Say which participants, substrates, covers or gestures there are, if no wanted one is."""
     everything = [recording for path in files for recording in read_recordings(path)]
     wanted = (select.participants, select.substrates, select.covers, select.gestures)
     for key, names in zip(KEYS, wanted, strict=True):
@@ -112,7 +112,7 @@ def _there_are(files: Sequence[Path], select: Selection) -> str:
 
 
 def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:
-    """Send a whole stream through a pipeline, as fast as possible. at: takes each frame's number first."""
+    """Send a whole stream through a pipeline at full speed. at: called with each frame's number first."""
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         at(number)
         pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
@@ -150,7 +150,7 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
 
     if quiet:
         best = max(quiet, key=likeness)
-        # Keep the touch's own names; with others the clock would restart, and rest would include the hand.
+        # Keep participant and condition: with others, the clock would restart and rest include the hand.
         quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
         frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
         counts, sensor_ms = best.counts[:frames], best.sensor_ms[:frames]

@@ -30,12 +30,12 @@ from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
 ALONE_S = 20.0
 RETRY_S = 0.2
 STOP_S = 1.0
-# What a daemon with a page logs.
+# The line that a daemon with a page logs.
 SERVED = re.compile(r"live page: http://(\S+)/")
 
 
 class TouchedPad:
-    """A pad under all pointers, or under the simulated hand, if there is one.
+    """A simulated pad under all viewers' pointers, or under the simulated hand, if there is one.
 
     on_frame: receives each frame's counts and clock.
     """
@@ -71,7 +71,7 @@ class TouchedPad:
 class TouchPage:
     """The page of a simulated pad, served by this process.
 
-    listening: where. pad: the pad's scene; without a model the page shows the pad alone.
+    listening: the socket to serve. pad: the pad's scene; without a model the page shows the pad alone.
     """
 
     def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:

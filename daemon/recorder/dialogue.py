@@ -52,7 +52,7 @@ GAP = 2
 # Noise above the lowest reading of a taxel.
 NOISE_COUNTS = 6.0
 
-# Takes the current step, elapsed and total seconds, and counts.
+# Called with the current step, the elapsed and total seconds, and the counts.
 Show: TypeAlias = Callable[[str, float, float, Counts], None]
 Choice = Literal["keep", "redo", "skip"]
 

@@ -1,4 +1,4 @@
-"""Says what is wrong with a setting, where, and what it may be instead; loaded only for a mistake."""
+"""Explains what is wrong with a setting, where, and what it may be; imported only after a mistake."""
 
 import difflib
 import re
@@ -15,7 +15,7 @@ WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?.*)")
 WRONG_LENGTH = re.compile(r"Expected `array` of length (\d+), got (\d+)")
 WRONG_CHOICE = re.compile(r"Invalid enum value (.*)")
-# msgspec's names of kinds, in words.
+# msgspec's names of types, in words.
 KINDS = {
     "object": "settings (name: value)",
     "array": "a list (- item)",
@@ -25,7 +25,7 @@ KINDS = {
     "bool": "true or false",
 }
 
-# What PyYAML says, in part, and what is wrong then.
+# Parts of PyYAML's messages, and what is wrong in each case.
 INDENTED = "indent this line as far as the other settings of its section"
 YAML_PROBLEMS = {
     "'\\t'": "indent with spaces, not with tabs",
@@ -74,9 +74,9 @@ def explain(error: str, struct: type[msgspec.Struct]) -> str:
 
 
 def _unknown(wrong: str, path: str, struct: type[msgspec.Struct]) -> str:
-    """Report an unknown setting, with a similar one or those that there are."""
+    """Report an unknown setting, with a similar one or all known ones."""
     if wrong == "token":
-        # A token must not get into this file by way of a similar setting.
+        # Do not suggest a similar setting: the token must not be written into this file.
         return f"{path}.token: unknown setting; write the token into a file and set robot.token_file"
     known = [name for name, _ in _settings(struct)]
     name = ".".join(filter(None, [_without_items(path), wrong]))

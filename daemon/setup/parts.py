@@ -50,7 +50,7 @@ class PadChannel:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Pads and sinks as configured; None for a sink that is not. None of them runs before it is started."""
+    """The configured pads and sinks; a sink that is not configured is None. Nothing runs yet."""
 
     pads: tuple[PadChannel, ...]
     journal: JournalSink | None
@@ -145,7 +145,7 @@ def link_to_robot(settings: Settings, emit: Emit) -> RobotSink | None:
     actions = {name: pad.scene.actions for name, pad in settings.pads.items()}
     link = RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
     for name in settings.pads:
-        # Until frames come: a program that waits for "up" must not find a pad that is not there.
+        # Report "down" until frames come: a program that waits for "up" must not find a missing pad up.
         link.set_status("down", name)
     return RobotSink(link)
 
@@ -177,7 +177,7 @@ def load_model(settings: Settings) -> Classifier:
     """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
     classifier = Classifier.load(settings.model_path or SHIPPED_MODEL)
     check_fit(settings.scene, classifier)
-    # The first answer of each length takes several times longer than those after it.
+    # Warm up: the first answer of each length takes several times longer than those after it.
     for frames in settings.scene.answer_at_frames:
         classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
         classifier.step(np.zeros((frames, ROWS, COLUMNS), np.float32))

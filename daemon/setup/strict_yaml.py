@@ -18,7 +18,7 @@ class StrictYamlError(Exception):
 class StrictLoader(yaml.SafeLoader):
     """Refuses aliases and merge keys, duplicate keys, and keys without a value.
 
-    A few hundred bytes of aliases can expand to gigabytes. Of duplicate keys YAML silently takes the last. A
+    A few hundred bytes of aliases can expand to gigabytes. Of duplicate keys, YAML takes the last. A
     section whose lines are all commented out would be null, which is not what its heading suggests.
     """
 

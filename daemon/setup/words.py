@@ -1,4 +1,4 @@
-"""Names and phrases for gestures: English and German ship, a deployment may bring its own."""
+"""Names and phrases for gestures: English and German are shipped, a deployment may add its own."""
 
 from collections.abc import Mapping
 from typing import Literal, TypeAlias
@@ -36,7 +36,7 @@ SHIPPED: Mapping[Language, Mapping[str, tuple[str, str]]] = {
 
 
 def vocabulary(language: Language, own: Vocabulary) -> Vocabulary:
-    """Return the words of a language, a deployment's own in place of those that ship."""
+    """Return the words of a language; a deployment's own replace the shipped ones."""
     shipped = {
         gesture: Words(name=name, phrase=phrase) for gesture, (name, phrase) in SHIPPED[language].items()
     }

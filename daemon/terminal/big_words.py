@@ -42,7 +42,7 @@ BLOCKS = {"..": " ", "#.": "▀", ".#": "▄", "##": "█"}
 def big(word: str, width: int, is_tall: bool) -> list[str]:
     """Return a word in three lines, twice as wide where there is room, and twice as tall if `is_tall`.
 
-    The plain word if it does not fit or has other letters.
+    If the word does not fit or has other letters, return it plain.
     """
     letters = [LETTERS.get(letter) for letter in word.upper()]
     if None in letters:

@@ -192,7 +192,7 @@ class View:
         """Yield the picture at the size of the terminal."""
         width, height = console.size
         with self._lock:
-            # In a terminal that is smaller, the rest is cut off.
+            # In a smaller terminal, the picture is cut off.
             lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
         for row, line in enumerate(self._fit(lines, width, height)):
             if row:
@@ -387,7 +387,7 @@ class View:
 
 
 class ViewLog(logging.Handler):
-    """Shows in a view what the gate lets through of the log."""
+    """Shows in a view the log records that the gate lets through."""
 
     def __init__(self, view: View) -> None:
         super().__init__()

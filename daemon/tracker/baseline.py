@@ -11,16 +11,16 @@ SECOND_FRAMES = 54
 
 # Time constant of the baseline, three seconds: a light touch of a second moves it by a third of a count.
 TRACK_FRAMES = 3.0 * FRAME_RATE_HZ
-# The baseline follows a deviation of one count at most, so that a touch not noticed yet does not become rest.
+# The baseline follows a deviation of at most one count, so that an undetected touch does not become rest.
 MOST_TRACKED = 1.0 / TRACK_FRAMES
 # Noise floor: two mean deviations, at least 1.6 counts, the mean floor of HAART's pad at rest.
 NOISE_DEVIATIONS = 2.0
 MIN_NOISE_FLOOR = 1.6
 MAX_DEVIATION_COUNTS = 4.0
-# The noise floor also covers the slow sway of a body that breathes, times this.
+# The noise floor is at least this many times the slow sway of a body that breathes.
 SWAY_FLOOR = 1.3
 MAX_SWAY_COUNTS = 4.0
-# Sway is forgotten by half in 15 seconds, at nine checks a second.
+# The learned sway halves in 15 seconds, at nine checks a second.
 SWAY_KEPT = 0.995
 # Mean noise floor above which light touches go unnoticed. HAART's pad has 1.6, the robot's 2.0 at most.
 DISTURBED_FLOOR = 2.2
@@ -42,7 +42,7 @@ class Baseline:
 
     def calibrate(self, frames: NDArray[np.float32]) -> None:
         """Take (T, 64) counts as the untouched pad."""
-        # The median of an odd number; np.median would first import numpy.ma, which stalls the loop for 20 ms.
+        # The median, for an odd number; np.median would import numpy.ma, which stalls the loop for 20 ms.
         self.counts = np.sort(frames, axis=0)[len(frames) // 2]
         self._deviation = np.abs(frames - self.counts).mean(axis=0, dtype=np.float32)
         self._set_noise_floor()
@@ -57,7 +57,7 @@ class Baseline:
 
     @property
     def is_disturbed(self) -> bool:
-        """Whether the pad is so noisy, its sway left aside, that light touches go unnoticed."""
+        """Whether the pad is so noisy, not counting its sway, that light touches go unnoticed."""
         noise_floor = np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR)
         return float(noise_floor.mean()) >= DISTURBED_FLOOR
 

@@ -20,14 +20,14 @@ LINE_TAXELS = TAXELS // ROWS
 # A jump is the difference between the means of the first and the last three of 15 frames.
 MEAN_FRAMES = 3
 LOOK_FRAMES = 15
-# The least height of a jump, and of how many of the line's taxels by how much.
+# The least height of a jump; how many of the line's taxels must move, and by how much.
 LEAST_COUNTS = 2.0
 LEAST_TAXELS, TAXEL_COUNTS = 6, 0.7
-# The most that other taxels may move on average, and any of them; the shares of the height are for a noisy
-# pad.
+# The most that other taxels may move, on average and any one of them: in counts or, for a noisy pad, as a
+# share of the height.
 OTHERS_COUNTS, OTHERS_SHARE = 0.6, 0.25
 HIGHEST_COUNTS, HIGHEST_SHARE = 3.0, 1.0
-# Three frames hold this share of the height; before and after, the line stays within the other.
+# Three frames make up the first share of the height; before and after, the line stays within the second.
 STEP_FRAMES, STEP_SHARE, STEADY_SHARE = 3, 0.7, 0.5
 # The jump back differs from the jump by at most this share.
 UNLIKE = 0.5
@@ -47,7 +47,7 @@ class LooseWire:
         self._jumped: dict[int, Taxels] = {}
 
     def take_out(self, frames: NDArray[np.float32], rest: Taxels) -> NDArray[np.float32]:
-        """Return (..., 8, 8) counts moved towards rest by the learned heights; the same array without any."""
+        """Return (..., 8, 8) counts moved towards rest by the learned heights; if none, the same array."""
         if not self.lines:
             return frames
         heights = self._heights.reshape(ROWS, COLUMNS)

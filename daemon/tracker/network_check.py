@@ -17,19 +17,19 @@ ASK_FRAMES = 18
 ANSWERS = 3
 # Mean p_no_touch below which they begin a touch, and above which they end one.
 TOUCH, NONE = 0.15, 0.5
-# A single answer this low speaks against the end of a touch.
+# A single answer below this keeps a touch from ending.
 DOUBT = 0.2
-# On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. Then this share of
-# it is the limit; below the second constant the network does not know the pad at rest, and is ignored.
+# On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
+# this share of it. Below the second constant, the network does not know the pad at rest and is ignored.
 REST_SHARE = 0.6
 KNOWN_REST = 0.2
-# Shares by which p_no_touch at rest follows higher and lower answers: slowly down, as a touch may go
-# unnoticed.
+# Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
+# from an unnoticed touch.
 RISES, FALLS = 0.1, 0.05
 
 
 class NetworkCheck:
-    """p_no_touch: None without a network, or with one that does not know "notouch"."""
+    """Compares the network's answers with those at rest. p_no_touch: None if no network knows "notouch"."""
 
     def __init__(self, p_no_touch: PNoTouch | None) -> None:
         self._p_no_touch = p_no_touch
@@ -42,7 +42,7 @@ class NetworkCheck:
 
     @property
     def knows_rest(self) -> bool:
-        """Whether the network takes this pad at rest for untouched."""
+        """Whether the network recognises this pad at rest as untouched."""
         return self._at_rest is not None and self._at_rest >= KNOWN_REST
 
     def forget_rest(self) -> None:
@@ -58,7 +58,7 @@ class NetworkCheck:
         return self._ask(frames) < self._limit(p_no_touch)
 
     def sees_touch(self, frames: Frames, p_no_touch: float) -> bool:
-        """The same, of a network that knows the pad at rest."""
+        """Like `is_below`, but False unless the network knows the pad at rest."""
         return self.knows_rest and self.is_below(p_no_touch, frames)
 
     def begins_touch(self, frames: Frames) -> bool:

@@ -1,16 +1,16 @@
 """When a touch begins and ends.
 
-Contact is pressure above the baseline, above what half of the taxels rise by and above each taxel's noise
-floor, summed over the pad: a light stroke is hardly above noise in any one taxel, but in many at once. The
-tracker is in one of four states:
+Contact is the pressure by which taxels exceed the baseline, the rise that half of the taxels share and their
+own noise floors, summed over the pad: a light stroke is hardly above noise in any one taxel, but in many at
+once. The tracker is in one of four states:
 
 measuring rest: the first half second of frames without a gap becomes the baseline; then quiet.
 quiet: the baseline follows the pad. Contact leads to maybe; a touch that only the network sees, to touched.
-maybe: light contact may be a baseline that shifted, or a pad that wobbles. If it is firm, or if it moves on
+maybe: light contact may be a shifted baseline or a pad that wobbles. If contact is firm, or goes on moving
     and the network agrees, touched. Without contact for half a second, quiet. Undecided after a second, quiet
     with the current readings as the baseline.
-touched: ends when contact has been gone for `quiet_s`, or when the pad shows that nobody touches it, whatever
-    it reads, which becomes the baseline; then quiet.
+touched: ends after `quiet_s` without contact, or when stillness or the network shows that nobody touches the
+    pad even if it has not returned to the baseline; its readings then become the baseline. Then quiet.
 
 A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. The
 figures behind the numbers are in docs/sessions.md.
@@ -30,28 +30,29 @@ from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, TOUCH, Networ
 from touchd.drivers.frame import FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.grid import GridFrame
 
-# A median over three frames halves the noise and lets no single broken frame through, for one frame's delay.
+# A median over three frames halves the noise and removes a single broken frame; it delays by one frame.
 SMOOTH_FRAMES = 3
 CALIBRATION_FRAMES = 27
-# Rest is measured again after a longer silence, in which the pad may have been changed.
+# After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
 # Checks of the last second take place nine times a second.
 CHECK_FRAMES = 6
 
 # Quiet.
-# Contact that may be a touch: docs/sessions.md compares levels. Above it the network alone begins no touch.
+# Contact that may be a touch; docs/sessions.md compares levels. If onset_threshold is set higher than this
+# default, the network alone does not begin a touch.
 ONSET_COUNTS = 4.0
-# A loose wire lifts a row or column by up to this many counts in all, which do not count as contact.
+# A loose wire may lift a row or column by up to this many counts in total, which are not contact.
 WIRE_COUNTS = 25.0
-# A pad that has drifted by more is calibrated: the network would take its readings for a hand at rest.
+# A pad that has drifted by more is calibrated again: the network would take the drift for a still hand.
 LIFTED_COUNTS = 10.0
-# Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without the
-# rule, one more false touch in ten minutes on the robot.
+# Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without this
+# rule, there is one more false touch in ten minutes on the robot.
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
-# After a touch, the peak while the hand left counts for two quiet seconds, in which a body breathes once.
+# After a touch, the peak of two quiet seconds (a breath) replaces the peak from when the hand left.
 LEAVING_FRAMES = 108
-# The network is asked about the last two thirds of a second of a quiet pad, else about the last second.
+# On a quiet pad the network is asked about the last two thirds of a second, else about the last second.
 GLANCE_FRAMES = 36
 
 # Maybe.
@@ -59,22 +60,21 @@ GLANCE_FRAMES = 36
 # 1 % more touches of the still robot are split under hum.
 FIRM_COUNTS = 60.0
 FIRM_RESTLESS = 3.0
-# A baseline that shifts is over in two frames; a hand goes on moving, by this many counts summed over the
-# pad.
+# A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
 STEP_FRAMES = 2
 MOVED_COUNTS = 6.0
-# Four times that within nine frames begins a touch; later it may be a body that breathes. Without the rule, 1
-# % more touches of the robot are missed.
+# Four times that movement within nine frames begins a touch; later it may be a body that breathes. Without
+# this rule, 1 % more touches of the robot are missed.
 SURE_MOVEMENT = 4.0
 SURE_FRAMES = 9
-# Otherwise the network decides: from a third of a second on and six times a second about what moves, and once
-# after a second about what keeps still. Without the latter, one more of HAART's 495 touches is missed.
+# Otherwise the network decides: about moving contact six times a second, from a third of a second on; about
+# still contact once, after a second. Without the latter, one more of HAART's 495 touches is missed.
 LEAST_ASKED_FRAMES = 18
 ASK_MOVING_FRAMES = 9
 NO_TOUCH_MOVING = 0.5
 NO_TOUCH_STILL = 0.3
-# A touch is dated back to the first of an unbroken run of frames with its taxels above rest by this much.
-# Without the rule, 3 % fewer touches of the breathing robot are right.
+# A touch is dated back to the start of the unbroken run of frames in which its taxels exceed rest by this.
+# Without this rule, 3 % fewer touches of the breathing robot are right.
 BACKDATE_COUNTS = 1.0
 
 # Touched.
@@ -83,14 +83,14 @@ RELEASE_COUNTS = 4.0
 # Low: below this share of the touch's highest level, or below the contact of a hand at rest.
 LOW_SHARE = 0.35
 LOW_COUNTS = 80.0
-# A taxel keeps still when its half seconds differ by less than this, its sway, or what its noise explains,
-# and its noise is below this, or a share of the load. A load with 2 % of noise keeps still.
+# A taxel is still if the means of its half seconds differ by at most this, its sway, or what noise explains,
+# and its noise is at most MAX_SPREAD_COUNTS or a share of the load: a load with 2 % of noise is still.
 STILL_COUNTS = 0.9
 STILL_SWAYS = 1.2
 STILL_SPREADS = 0.8
 MAX_SPREAD_COUNTS = 4.0
 LOAD_NOISE = 0.03
-# Low and still for two thirds of a second: over, unless the network sees a light touch.
+# Low and still for two thirds of a second, a touch is over, unless the network sees a light one.
 STILL_FRAMES = 36
 # A load that has kept still for ten seconds becomes rest. A touch ends after ten minutes.
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
@@ -100,10 +100,9 @@ LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When a touch begins and ends. The defaults were chosen by measurement: docs/sessions.md.
 
-    onset_threshold: contact that begins a touch, in counts summed over the pad above each taxel's noise
-        floor; lower notices lighter touches and raises more false alarms. Above the default, none begins
-        because the network sees it.
-    quiet_s: a touch ends after this much quiet; longer than the lift-off between two strokes. Seconds.
+    onset_threshold: contact that begins a touch, in counts above the noise floor, summed over the pad; lower
+    detects lighter touches and more false ones. Above the default, the network alone begins no touch.
+    quiet_s: seconds of quiet that end a touch; longer than the lift-off between two strokes.
     """
 
     onset_threshold: Annotated[float, msgspec.Meta(ge=0.001, le=1000)] = ONSET_COUNTS
@@ -112,7 +111,7 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """A touch has been noticed; first_index is the grid frame at which it truly began."""
+    """A touch was detected; first_index is the grid frame at which it truly began."""
 
     first_index: int
 
@@ -135,9 +134,9 @@ class MeasuringRest:
 class Quiet:
     """Nothing touches the pad.
 
-    frames: for how long, without those in maybe. peak: the highest contact since then. shifted_frames: for
-    how long the pad has read less than at rest, or evenly more. unsteady_index: the last frame in which it
-    did, or in which rest was calibrated.
+    frames: number of quiet frames, without those in maybe. peak: the highest contact in them. shifted_frames:
+    for how many frames the pad has read less than at rest, or evenly more. unsteady_index: the last such
+    frame, or the frame of the last calibration.
     """
 
     frames: int = 0
@@ -150,9 +149,9 @@ class Quiet:
 class Maybe:
     """Contact that may be a touch.
 
-    quiet: the state before. since, last: its first frame, and its latest with enough contact. before: (64,)
-    counts once a shifted baseline would be over. moved, highest: the most movement and contact, in counts
-    summed over the pad. touched: (64,) whether a taxel is above noise.
+    quiet: the state before. since, last: the first frame, and the latest with enough contact. before: (64,)
+    counts just after the first frames, when a baseline shift is over. moved, highest: the most movement and
+    contact, in counts summed over the pad. touched: (64,) whether a taxel is above noise.
     """
 
     quiet: Quiet
@@ -168,8 +167,8 @@ class Maybe:
 class Touched:
     """A touch goes on.
 
-    first, last: its first frame, and its last with contact. highest_level: the largest contact of a half
-    second. still_frames: for how long the pad has kept still.
+    first, last: the first frame, and the last with contact. highest_level: the largest contact of a half
+    second. still_frames: for how many frames the pad has kept still.
     """
 
     first: int
@@ -205,7 +204,7 @@ class TouchTracker:
 
     @property
     def last_contact_index(self) -> int:
-        """The current touch's last grid frame with contact; the median delays it."""
+        """The current touch's last grid frame with contact, less the median's delay."""
         state = self._state
         if not isinstance(state, Touched) or state.last == self._index:
             return self._index
@@ -267,7 +266,7 @@ class TouchTracker:
             self._calibrate(Quiet())
 
     def _calibrate(self, quiet: Quiet, frames: int = CALIBRATION_FRAMES) -> None:
-        """Take the last frames as rest, and be quiet."""
+        """Take the last frames as rest; the state becomes quiet."""
         self.baseline.calibrate(self._recent.last(frames))
         self._network.forget_answers()
         quiet.shifted_frames, quiet.unsteady_index = 0, self._index
@@ -295,7 +294,7 @@ class TouchTracker:
         return self._ask_at_rest(quiet)
 
     def _follow_rest(self, quiet: Quiet, *, is_shifted: bool) -> None:
-        """Calibrate a pad that reads less than at rest, or evenly more, and learn how much it sways."""
+        """Calibrate again if the pad reads less than at rest, or evenly more; otherwise learn its sway."""
         quiet.shifted_frames = quiet.shifted_frames + 1 if is_shifted else 0
         if is_shifted:
             quiet.unsteady_index = self._index
@@ -355,7 +354,7 @@ class TouchTracker:
         return is_due and self._network.is_below(least, self._recent.last(waited - STEP_FRAMES))
 
     def _first_frame(self, maybe: Maybe) -> int:
-        """Return the first frame of the unbroken run up to the contact with its taxels above rest."""
+        """Return the first frame of the unbroken run up to the contact in which its taxels exceed rest."""
         drift = drift_of(maybe.before - self.baseline.counts)
         rest = self.baseline.counts[maybe.touched].mean() + drift
         before = self._recent.last(SECOND_FRAMES)[: maybe.since - self._index - 1, maybe.touched]
@@ -376,13 +375,13 @@ class TouchTracker:
         ):
             touch.last = self._index
         elif quiet_frames >= self._quiet_frames:
-            # About the quiet alone, where `quiet_s` is short.
+            # If `quiet_s` is short, ask about the quiet frames alone.
             asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
             if len(asked) < LEAST_ASKED_FRAMES or not self._network.sees_touch(asked, NO_TOUCH_STILL):
                 return self._end(touch, "released")
             touch.last = self._index - self._quiet_frames + ASK_FRAMES
         elif self._quiet_frames > SECOND_FRAMES:
-            # A quiet time longer than what is checked below is waited for.
+            # Wait for a `quiet_s` that is longer than the second checked below.
             touch.still_frames = 0
             self._network.forget_answers()
             return None
@@ -393,14 +392,14 @@ class TouchTracker:
         return None
 
     def _check_end(self, touch: Touched) -> Release | None:
-        """End the touch when the pad shows that nobody touches it, whatever it reads."""
+        """End the touch if the pad shows that nobody touches it, even above its baseline."""
         older, newer = self._recent.halves()
         change, rise = np.abs(newer - older), newer - self.baseline.counts
         level = float(self._above(rise).sum())
         touch.highest_level = max(touch.highest_level, level)
         is_still = self._is_still(change, self._recent.spread(), rise)
         touch.still_frames = touch.still_frames + CHECK_FRAMES if is_still else 0
-        # By as much as the lightest quarter rose, the whole pad may have drifted.
+        # The whole pad may have drifted by as much as its lightest quarter rose.
         drift = max(float(np.sort(rise)[TAXELS // 4]), 0.0)
         low = max(LOW_SHARE * touch.highest_level, LOW_COUNTS)
         if not is_still and float(self._above(rise - drift).sum()) > low:
@@ -408,7 +407,7 @@ class TouchTracker:
         elif self._index % ASK_FRAMES == 0:
             self._network.follow_touch(self._recent.last(SECOND_FRAMES))
 
-        # Low and still; a light touch that keeps still may be seen by the network alone.
+        # Low and still; only the network may see a light touch that keeps still.
         is_left = level <= low and touch.still_frames >= STILL_FRAMES
         if is_left and level < LOW_COUNTS:
             is_left = not self._network.sees_touch(self._recent.last(SECOND_FRAMES), DOUBT)
@@ -427,7 +426,7 @@ class TouchTracker:
     def _end_at_new_rest(self, touch: Touched, reason: EndReason) -> Release:
         """End the touch, and take the current readings as rest."""
         if reason != "released" or self._network.sees_touch(self._recent.last(SECOND_FRAMES), TOUCH):
-            # The network takes what lies there for a hand, and would begin the touch again.
+            # The network takes the object there for a hand, and would begin the touch again.
             self._network.forget_rest()
         release = self._end(touch, reason)
         self._calibrate(Quiet(), SECOND_FRAMES)
@@ -461,7 +460,7 @@ class TouchTracker:
         return median
 
     def _above(self, rise: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what of (..., 64) counts is above the noise floor."""
+        """Return by how much (..., 64) counts exceed the noise floor."""
         above: NDArray[np.float32] = np.maximum(rise - self.baseline.noise_floor, 0)
         return above
 
@@ -472,15 +471,16 @@ class TouchTracker:
 
 
 def drift_of(rise: Taxels) -> float:
-    """Return the counts by which half of the taxels rose or more: no contact, as a hand lifts some much more.
+    """Return the counts by which at least half of the taxels rose: drift, as a hand lifts some much more.
 
-    Otherwise 8 instead of 1 of the third study's 17 recordings at rest begin a touch, if the pad rests high.
+    Without this, 8 instead of 1 of the third study's 17 recordings at rest begin a touch, if the pad rests
+    high.
     """
     return max(float(np.sort(rise)[TAXELS // 2]), 0.0)
 
 
 def beyond_one_wire(above: Taxels) -> float:
-    """Sum (64,) counts, less the strongest row or column up to what a loose wire lifts."""
+    """Sum (64,) counts, without what a loose wire may lift of the strongest row or column."""
     sums = LINES.dot(above).tolist()
     return float(sum(sums[:ROWS]) - min(max(sums), WIRE_COUNTS))
 
