@@ -21,10 +21,10 @@ MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
 TRIAL_S = 10.0
 TRIAL_FRAMES = 54
-# The pads that the network learnt from rest at up to 8 counts in the mean, and 28 in a taxel.
+# Pads in the training data rest at up to 8 counts on average, and at up to 28 in a single taxel.
 KNOWN_REST_COUNTS, KNOWN_TAXEL_COUNTS = 10.0, 30.0
 
-# Every answer's event carries all of them; these limits bound its size.
+# Every prediction event carries all labels; these limits bound its size.
 MOST_LABELS, LONGEST_LABEL = 12, 24
 Label: TypeAlias = Annotated[str, msgspec.Meta(pattern=rf"^[A-Za-z0-9_-]{{1,{LONGEST_LABEL}}}$")]
 Labels: TypeAlias = Annotated[tuple[Label, ...], msgspec.Meta(min_length=1, max_length=MOST_LABELS)]

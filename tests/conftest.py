@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from rigs.live_rig import Served
     from selenium.webdriver import Chrome
 
-# Without bytecode each worker and each program that a test starts would compile every file.
+# Keep bytecode: without it, each worker and each program that a test starts would compile every file.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # Imported modules and collected tests are never freed; searching them for garbage takes a quarter of the time

@@ -40,7 +40,7 @@ class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def rebuilt(head: nn.Sequential, known: Sequence[str], labels: Sequence[str]) -> nn.Sequential:
-    """Return the head with one row a label; rows of new labels start as the mean of the known rows."""
+    """Return the head with one row per label; rows of new labels start as the mean of the known rows."""
     new = copy.deepcopy(head)
     last = cast(nn.Linear, new[-1])
     rows = [known.index(label) if label in known else None for label in labels]

@@ -133,7 +133,7 @@ def draw_accuracy(scores: Scores, path: Path) -> None:
 
 
 def draw_confusion(scores: Scores, path: Path) -> None:
-    """Draw confusions of the final answer in percent of each true gesture, a panel a set of people."""
+    """Draw confusions of the final answer in percent of each true gesture, a panel per set of people."""
     figure = Figure(figsize=(19, 4.6), layout="constrained")
     panels = figure.subplots(1, len(DETAILED), sharey=True)
     for axes, key in zip(panels, DETAILED, strict=True):

@@ -33,14 +33,14 @@ SHOTS = (1, 2, 4)
 DRAWS = 2
 FRAMES = 144
 PIECE_FRAMES = 189
-"""The third study's recordings last 12 s, two a gesture and person; cut into pieces of 3.5 s."""
+"""The third study has two recordings of 12 s per gesture and person; they are cut into pieces of 3.5 s."""
 FEW = ("L1", "L2", "S01", "S14")
 """People excluded because they made too few recordings."""
 FILE = STORED / "adapt.json"
 
 
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
-    """One network, adapted to `each` recordings a gesture of a person it never saw.
+    """One network, adapted to `each` recordings per gesture of a person it never saw.
 
     before, after: macro accuracy on that person's other recordings over 144 frames. error: calibration error.
     others: mean gain on the other people it never saw, on the same kind of pad; None if there are none.

@@ -103,7 +103,7 @@ class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Point(msgspec.Struct, frozen=True, kw_only=True):
-    """Answers told to the robot under one pair of settings; shares of the touches."""
+    """Answers told to the robot under one pair of settings, as shares of the touches."""
 
     speak_above: float
     revise_margin: float
@@ -419,7 +419,7 @@ def tables(measured: Measured) -> dict[str, str]:
 
 
 def draw(measured: Measured, path: Path) -> None:
-    """Draw accuracy over time on the challenge's windows, and right when told over told early."""
+    """Draw accuracy over time on the challenge's windows, and how often early answers come and are right."""
     figure = Figure(figsize=(10.4, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     lines = {

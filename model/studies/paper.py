@@ -214,7 +214,7 @@ def answer(network: PaperTGC, counts: NDArray[np.uint16], device: str = "cpu") -
 
 
 def macro_accuracy(named: NDArray[np.int64], labels: NDArray[np.int64]) -> float:
-    """Return the accuracy averaged over the gestures, as in the paper, of answers (N,) to windows (N,)."""
+    """Return the accuracy of answers (N,) to windows (N,), averaged over the gestures as in the paper."""
     return metrics.macro_accuracy(named, labels, len(GESTURES))
 
 

@@ -73,7 +73,7 @@ class Results:
             date=datetime.now(timezone.utc).strftime("%Y-%m-%d"),
         )
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        # One line a cell, so that a changed cell is one changed line.
+        # One line per cell, so that a changed cell is one changed line.
         lines = [b": ".join(map(msgspec.json.encode, (name, self._cells[name]))) for name in self.find()]
         with whole_file(self.path) as partial:
             partial.write_bytes(b"{\n" + b",\n".join(lines) + b"\n}\n")

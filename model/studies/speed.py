@@ -131,7 +131,7 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run(asked: Sequence[Asked], answers: int) -> Measured:
-    """Time the answers in turn."""
+    """Time the answers by turns."""
     times_ms = time_in_turn([each.answer for each in asked], answers)
     return Measured(
         machine(),
@@ -240,7 +240,7 @@ def tables(measured: Measured) -> dict[str, str]:
 
 
 def draw(measured: Measured, path: Path) -> None:
-    """Draw error against processor time, a line a network from its shortest window to its longest."""
+    """Draw error against processor time, a line per network from its shortest window to its longest."""
     figure = Figure(figsize=(7.6, 4.4), layout="constrained")
     axes = figure.subplots()
     windows = [each for each in measured.speeds if each.asked == WINDOW and each.error is not None]

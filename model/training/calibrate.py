@@ -1,6 +1,6 @@
 """Fits temperatures, so that a confidence of 0.8 is right 8 times in 10 for people the network never saw.
 
-Temperature scaling (Guo et al. 2017), one temperature a length, fitted on left-out participants: each
+Temperature scaling (Guo et al. 2017), one temperature per length, fitted on left-out participants: each
 training recording is answered by the network that was trained without its participant.
 """
 

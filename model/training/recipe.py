@@ -1,7 +1,7 @@
 """The recipe: which networks are trained, on whom, and in which order.
 
-For the shipped file: one network a seed, on all training participants. For unbiased figures on them: one
-network a fold, which never sees the fold's participants. For a pad never met: one without a study.
+For the shipped file: one network per seed, on all training participants. For unbiased figures on them: one
+per fold, which never sees the fold's participants. For the figure on an unknown pad: one without a study.
 """
 
 from dataclasses import dataclass
@@ -65,12 +65,12 @@ def fold_name(left_out: tuple[str, ...]) -> str:
 
 
 def final_jobs(recipe: Recipe) -> list[Job]:
-    """Return the networks on all training participants, one a seed, the shipped one first."""
+    """Return the networks on all training participants, one per seed, the shipped one first."""
     return [_job(recipe, seed) for seed in recipe.seeds]
 
 
 def fold_jobs(recipe: Recipe) -> list[Job]:
-    """Return the networks that hold participants out, one a fold."""
+    """Return the networks that hold participants out, one per fold."""
     return [_job(recipe, recipe.seeds[0], left_out=fold) for fold in recipe.folds]
 
 

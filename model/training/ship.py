@@ -120,7 +120,7 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
 
 
 def _temperatures(answers: Sequence[Sequence[calibrate.Answers]]) -> dict[int, float]:
-    """Return temperatures from each fold's answers, one entry a study; 1 without any fold."""
+    """Return temperatures from each fold's answers, one entry per study; without folds they are 1."""
     if not answers:
         return dict.fromkeys(LENGTHS, 1.0)
     return calibrate.modest(calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))

@@ -66,7 +66,7 @@ def memory_mb() -> float:
 
 
 class PromptStore(TouchStore):
-    """Signals when a touch is written: the soak waits, as its touches follow faster than real ones."""
+    """Signals when a touch is written. The soak waits for it, as its touches come faster than real ones."""
 
     written = threading.Semaphore(0)
 

@@ -1,4 +1,4 @@
-"""Peers that send without end or refuse what they get: memory stays, and the log says why, briefly."""
+"""Peers that send without end or refuse what they get: memory stays bounded and the log short."""
 
 import importlib.util
 import json

@@ -1,4 +1,4 @@
-"""The rules for a touch's begin and end, each on a made pad with HAART's noise, and the pad's baseline."""
+"""The rules for a touch's beginning and end, on a made pad with HAART's noise, and the pad's baseline."""
 
 from collections.abc import Callable
 

@@ -149,7 +149,7 @@ def test_a_clock_that_restarts_does_not_change_the_pace() -> None:
     with FakePort(twice, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
         data = read_to_end(port, reader)
     assert data == encoded(twice)
-    # Forty frames take 361 ms at twice the pace; the second twenty in a burst would end 170 ms early.
+    # Forty frames take 361 ms at twice the pace; with the second twenty in a burst, 170 ms less.
     assert port.sent_s[-1] - port.sent_s[0] >= 0.355
 
 

@@ -88,7 +88,7 @@ def size(request: pytest.FixtureRequest) -> int:
 
 @pytest.fixture(scope="module")
 def run(board: MakeBoard, size: int) -> Run:
-    """A pad of that size, one picture a scan."""
+    """A run of a pad of that size, with one picture per scan."""
     return board(size).run(pictures_of(size, size), RUN_S)
 
 

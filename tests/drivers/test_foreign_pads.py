@@ -1,4 +1,4 @@
-"""What public sketches and boards print: a pad's grid is found or refused, and nothing else is one."""
+"""What public sketches and boards print: a pad's grid is found or refused, nothing else is taken for one."""
 
 import json
 import math

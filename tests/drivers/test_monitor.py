@@ -1,4 +1,4 @@
-"""What is wrong with a pad is one state and a few log lines: its line, its clock, its values."""
+"""Faults of a pad's line, clock and values are reported as one state and a few log lines."""
 
 import logging
 import signal

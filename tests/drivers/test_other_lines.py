@@ -277,7 +277,7 @@ def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
 def test_a_polled_pad_is_polled_for_each_frame(described: PadFormat) -> None:
     with polled_on_a_pty(described) as (path, pad), sensing(path, parser_of(described)) as queue:
         frames = next_frames(queue, 30)
-        # One poll a frame, at most at the pad's rate.
+        # One poll per frame, at most at the pad's rate.
         steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
         # If a busy machine delays a reply, the pad is polled again; the later frames still come in order.
         replies = iter(range(len(pad.asked_s) + 1))

@@ -29,7 +29,7 @@ WINGS = (
     "touchd.daemon.convert",
     "touchd.daemon.playback",
 )
-"""What measures, reports, trains or fakes."""
+"""Code beyond the daemon's path: it measures, reports, trains or fakes."""
 
 
 def imports(path: Path) -> set[str]:

@@ -73,7 +73,7 @@ def cut(recording: Recording, frames: int) -> Recording:
 
 
 def keep(folder: Path, recordings: Sequence[Recording]) -> Path:
-    """Write a folder as `touchd record` does, one file a recording."""
+    """Write a folder as `touchd record` does, one file per recording."""
     folder.mkdir(exist_ok=True)
     for number, recording in enumerate(recordings):
         write_recordings(folder / f"{number:03}.csv.gz", [recording], {"source": "made for a test"})

@@ -22,7 +22,7 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
 )
-# No specification: the time that a very busy machine may need.
+# Not a requirement: the time that a very busy machine may need.
 LOADS_WITHIN_S = 60
 
 

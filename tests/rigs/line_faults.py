@@ -20,7 +20,7 @@ class Faults:
 
     flip_bit_every: a bit is flipped where the checksum sees it. drop_frame_every: the frame is not sent.
     repeat_frame_every: it is sent twice. cut_frame_every: it ends early. garbage_every: random bytes come
-    first. chunk_bytes: bytes a write, 0 for a frame a write.
+    first. chunk_bytes: bytes per write, 0 for a frame per write.
     """
 
     flip_bit_every: int = 0

@@ -10,7 +10,7 @@ NOISE_COUNTS = 0.76
 
 
 class MadePad:
-    """A pad with a rest of a few counts a taxel."""
+    """A pad with a rest of a few counts per taxel."""
 
     def __init__(self, seed: int = 0) -> None:
         self.rest = np.random.default_rng(seed).integers(0, 6, (8, 8)).astype(np.float64)

@@ -49,7 +49,7 @@ def build_board(folder: Path) -> Path:
 class Board:
     """A simulated Mega that runs the sketch.
 
-    rows, columns: as compiled. Its pins read raw values (pictures, rows, columns), one picture a scan,
+    rows, columns: as compiled. Its pins read raw values (pictures, rows, columns), one picture per scan,
     repeating.
     """
 

@@ -59,7 +59,7 @@ def sensing(
         sensor.stop()
         assert time.monotonic() - begun_s < AT_ONCE_S
         assert "touchd-sensor" not in [thread.name for thread in threading.enumerate()]
-        # The fake port opens its own line for a moment, again and again, until all has been read.
+        # The fake port opens its own line for a moment, repeatedly, until everything has been read.
         wait_for(lambda: len(os.listdir("/proc/self/fd")) <= before, AT_ONCE_S)
 
 

@@ -1,4 +1,4 @@
-"""A disk of some kilobytes, for programs to fill."""
+"""A disk of a few kilobytes, for programs to fill."""
 
 import os
 import subprocess

@@ -39,7 +39,7 @@ def recorded() -> Stream:
 
 
 def line(stream: Stream, settings: SensorSettings) -> Iterator[bytes]:
-    """Yield what the pad sends, for ever."""
+    """Yield what the pad sends, without end."""
     encode_frame = encoder_for(settings)
     rng = random.Random(2)
     round_ms = int(stream.sensor_ms[-1] - stream.sensor_ms[0]) + round(1000 / FRAME_RATE_HZ)

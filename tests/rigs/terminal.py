@@ -30,7 +30,7 @@ class Terminal:
         self.shown = ""
 
     def until(self, text: str) -> str:
-        """Wait until a text is shown; return all that was shown up to it, without escape sequences."""
+        """Wait until a text is shown; return everything up to it, without escape sequences."""
         until_s = time.monotonic() + SHOWS_WITHIN_S
         while text not in self._unread:
             assert self._receive(until_s), f"{text!r} was not shown; this was: {self._unread}"
@@ -54,7 +54,7 @@ class Terminal:
             self.until(text)
 
     def close(self) -> None:
-        """Close the terminal under its program."""
+        """Close the terminal while its program runs."""
         os.dup2(os.open(os.devnull, os.O_RDWR), self._master)
 
     def _receive(self, until_s: float) -> bool:

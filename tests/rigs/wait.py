@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
-# No specification: the time that a very busy machine may need.
+# Not a requirement: the time that a very busy machine may need.
 WITHIN_S = 100.0
 # The same for stopping, after which systemd would kill the daemon.
 AT_ONCE_S = 5.0

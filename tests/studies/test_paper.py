@@ -31,7 +31,7 @@ CELL = PaperCell("public", blocks=1, frames=9, epochs=2, seed=0)
 
 
 def windows(seed: int) -> Windows:
-    """Two windows a gesture; each gesture presses harder than the one before."""
+    """Two windows per gesture; each gesture presses harder than the one before."""
     rng = np.random.default_rng(seed)
     labels = np.repeat(np.arange(len(GESTURES)), 2)
     counts = rng.integers(0, 8 * (labels[:, None, None, None] + 1), size=(len(labels), 9, 8, 8))

@@ -1,4 +1,4 @@
-"""The scores beside the shipped model belong to that file, are of the right windows, and hold again."""
+"""The scores beside the shipped model belong to that file, cover the right windows, and can be reproduced."""
 
 import hashlib
 import subprocess
@@ -174,7 +174,7 @@ def tolerance(person: str | None) -> float:
 
 @pytest.fixture
 def small_haart(tmp_path: Path) -> Path:
-    """A folder with two recordings a gesture of one test person and of one training person."""
+    """A folder with two recordings per gesture of one test person and of one training person."""
     for name, person in ((haart.TEST_FILE, "T1"), (haart.TRAINING_FILE, "P3")):
         made = [replace(each, participant=person) for each in simulate([(g, 3.0) for g in haart.GESTURES], 3)]
         write_recordings(tmp_path / name, made, {})

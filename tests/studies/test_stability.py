@@ -27,7 +27,7 @@ def checks() -> list[CaseResult]:
 
 @pytest.fixture
 def passed() -> list[CaseResult]:
-    """Made-up results, one a case and property."""
+    """Made-up results, one per case and property."""
     return [CaseResult(case, measure, 1e-7, 1e-6, passed=True) for measure in TOLERANCES for case in CASES]
 
 

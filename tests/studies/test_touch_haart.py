@@ -40,7 +40,7 @@ def test_the_committed_figures_meet_the_targets_on_people_held_out(
     touches, minutes = sum(row.touches for row in points), sum(row.notouch_min for row in points)
     assert sum(row.missed for row in points) <= figures.MAX_MISSED * touches
     assert 10 * sum(row.false_touches for row in points) <= figures.MAX_FALSE_PER_10_MIN * minutes
-    # Light contact counts only once it moves, or a shifted rest would too; for one person this takes 130 ms.
+    # Light contact must move to count as a touch, which a shifted rest does not; one person takes 130 ms.
     assert statistics.median(row.delay_ms_median for row in points) <= figures.MAX_DELAY_MS
     unseen = committed.unseen[splice]
     assert unseen.missed <= figures.MAX_MISSED * unseen.touches

@@ -254,7 +254,7 @@ def run(results: Results, data: Data) -> None:
 
 
 def measure(results: Results, data: Data, system: System, seed: int, lengths: Sequence[int]) -> None:
-    """Add the cells of these lengths; settings are chosen once a system."""
+    """Add the cells of these lengths; settings are chosen once per system."""
     began = time.perf_counter()
     if not results.has(chosen_key(system)):
         results.put(chosen_key(system), system.choose(data), time.perf_counter() - began)
@@ -307,7 +307,7 @@ def tables(results: Results) -> dict[str, str]:
 
 
 def draw(results: Results, path: Path) -> None:
-    """Draw what was published, and what the reimplementations reach over 2.67 s, a line a system."""
+    """Draw each system's published accuracy, and that of its reimplementation over 2.67 s."""
     figure = Figure(figsize=(7.2, 3.8), layout="constrained")
     axes = figure.subplots()
     places = np.arange(len(SYSTEMS))[::-1]

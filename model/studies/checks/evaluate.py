@@ -1,6 +1,6 @@
 """Scores of a classifier on windows: by length, gesture, person, condition and disturbance.
 
-Windows are the paper's: 432 // L non-overlapping windows a recording, accuracy averaged over the gestures.
+As in the paper: 432 // L non-overlapping windows per recording, and accuracy averaged over the gestures.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     confusion: list[list[int]]
     """Row: true gesture; column: answer; both in the order of the labels."""
     scene_accuracy: float
-    """Windows of SCENE's gestures alone, answered with the likeliest of these."""
+    """Accuracy on windows of SCENE's gestures alone, answered with the likeliest of these."""
     scene_unrestricted_accuracy: float
     """The same windows, answered with the likeliest of all gestures."""
 
@@ -50,7 +50,7 @@ class Evaluation(msgspec.Struct, frozen=True, kw_only=True):
     published: list[Score]
     """In HAART's own framing; empty for recordings that hold whole scans."""
     disturbed: dict[str, float]
-    """Accuracy at the longest answer, realigned, after each disturbance; "none" is without."""
+    """Accuracy at the longest answer, realigned, under each disturbance; "none" is undisturbed."""
 
 
 Split = Sequence[tuple[Classifier, Sequence[Recording]]]

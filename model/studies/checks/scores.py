@@ -141,7 +141,7 @@ def read_scores(path: Path) -> Scores:
 
 
 def write_scores(scores: Scores, path: Path) -> None:
-    """Write a file of scores, one figure a line, rounded to five digits."""
+    """Write a file of scores, one figure per line, rounded to five digits."""
     rounded = json.loads(msgspec.json.encode(scores), parse_float=lambda figure: round(float(figure), 5))
     path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")
 

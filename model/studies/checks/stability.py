@@ -147,10 +147,10 @@ def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterat
     state, exact_state = None, reference.initial_state()
     for minute in range(minutes):
         counts = np.concatenate([part.counts for part in simulate(script, SEED + minute)])
-        # Odd pieces first, so that chunks begin anywhere.
+        # Pieces of various sizes first, so that chunks begin at any frame.
         for chunk in np.split(counts.astype(np.float32), [*np.cumsum(CHUNKS), *range(400, len(counts), 400)]):
             answer, state = classifier.step(chunk, state)
-            # On a busy machine several threads wait for one another and take seven times as long as one.
+            # On a busy machine several threads wait for each other and take seven times as long as one.
             with one_torch_thread():
                 expected, exact_state = reference.step(chunk, exact_state)
         yield _distance(answer, expected)
@@ -164,7 +164,7 @@ def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray
 
 
 def table(checks: Sequence[CaseResult]) -> Group:
-    """Return a table for the terminal, a property a row with its worst case, and a sentence below it."""
+    """Return a table for the terminal, with a row per property and its worst case, and a summary below."""
     shown = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for heading, justify in COLUMNS.items():
         shown.add_column(heading, justify=justify)

@@ -12,7 +12,7 @@ IN_A_ROW = 10
 
 
 def time_in_turn(asked: Sequence[Callable[[], object]], answers: int) -> list[float]:
-    """Call all in turn, IN_A_ROW times each, `answers` times in all; return each one's median in ms.
+    """Call each function IN_A_ROW times, by turns, `answers` times in all; return the medians in ms.
 
     Only this thread's processor time counts, so all work must be done by the calling thread.
     """

@@ -1,6 +1,6 @@
 """Sessions played through the daemon's pipeline: `python -m touchd.model.studies sessions FILE...`.
 
-Prints a line of scores a file. `--model` names a fold's network, `--people` the people it never saw.
+Prints a line of scores for each file. `--model` names a fold's network, `--people` the people it never saw.
 """
 
 import sys

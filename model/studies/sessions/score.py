@@ -57,9 +57,9 @@ class Detected:
 
 @dataclass(frozen=True)
 class Fate:
-    """The outcome of one touch made. answers: of the detected touch, if this began it.
+    """The outcome of one touch made. answers: of the detected touch, if no earlier touch is merged into it.
 
-    open: whether it had not ended OPEN_MS after the hand left.
+    open: whether the detected touch had not ended OPEN_MS after the hand left.
     """
 
     gesture: str

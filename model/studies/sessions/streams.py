@@ -55,7 +55,7 @@ class StreamScore(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Stream:
-    """Lines with their time since the first, and when the person began and stopped, None at rest."""
+    """Lines with their time since the first, and when the person began and ended the touch; None at rest."""
 
     participant: str
     gesture: str
@@ -154,7 +154,7 @@ def measure(folder: Path, models: dict[str, Classifier] | Classifier, rest_count
 
 
 def held_out() -> dict[str, Classifier]:
-    """Return, for each participant, the network of the fold that never saw him."""
+    """Return, for each participant, the network of the fold that never saw this person."""
     models = {
         path: Classifier.load(path)
         for path in sorted((SHIPPED_MODEL.parent / LEFT_OUT_FOLDER).glob("*.onnx"))

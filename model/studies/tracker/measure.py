@@ -118,7 +118,7 @@ def delay(case: Case, settings: TouchSettings) -> int | None:
 
 
 def outcome(case: Case, settings: TouchSettings) -> Outcome:
-    """Run one case to its end. lost_frames: with visible pressure after the first touch, in none."""
+    """Run one case to its end. lost_frames: visible frames after the first detection that are in no touch."""
     touches = {touch.detected: touch for touch in detect(case.scans, settings)}
     within = [touch for touch in touches.values() if case.start <= touch.detected < case.stop]
     if not within:
