@@ -1,4 +1,4 @@
-"""The base of all errors at an edge: one printable line that says what is wrong and what to do."""
+"""The base class of touchd's errors: one printable line that says what is wrong and what to do."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,9 +11,9 @@ def one_line(text: str, max_bytes: int = MAX_LINE_BYTES) -> str:
     """Return text from anywhere as one printable line, cut to `max_bytes` of UTF-8.
 
     Characters that a terminal or a log could act on (newlines, escape sequences, changes of the writing
-    direction, half characters) become escapes such as \\n and \\x1b.
+    direction, lone surrogates) become escapes such as \\n and \\x1b.
     """
-    # Not with a codec: that would be imported here, when there may be no file descriptor left.
+    # Do not use a codec: it would be imported here, when no file descriptor may be left.
     escaped = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:max_bytes])
     return escaped.encode()[:max_bytes].decode(errors="ignore")
 
@@ -31,7 +31,7 @@ class TouchdError(Exception):
 
 @contextmanager
 def os_errors_as(kind: type[TouchdError], what: str, advice: str = "") -> Iterator[None]:
-    """Raise an OSError as an error of ours: what cannot be done, why, and what to do."""
+    """Turn an OSError into a TouchdError that says what cannot be done, why, and what to do."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Things that fail and come back: how long to wait before another attempt, and how often to log it."""
+"""Faults that come and go: how long to wait before another attempt, and how often to log one."""
 
 import logging
 import math
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 # Minimum interval between the warnings of a fault that comes and goes: 24 lines an hour at most.
 AGAIN_S = 300.0
-# Causes reported of one fault while it lasts; they may be texts of a peer.
+# Most causes reported for one fault while it lasts: they may contain a peer's text.
 MOST_CAUSES = 8
 
 
@@ -33,7 +33,7 @@ class Backoff:
 
 @dataclass
 class _Fault:
-    """warned_s: of the last warning, -inf before the first. causes: the news since it began."""
+    """warned_s: time of the last warning, -inf before the first. causes: those reported since it began."""
 
     lasts: bool = False
     since_s: float = 0.0
@@ -46,9 +46,9 @@ class _Fault:
 class FaultLog:
     """Logs a fault when it begins and when it ends, but no new warning within AGAIN_S of the last.
 
-    A fault that comes back sooner is a warning once AGAIN_S has passed, if it still lasts. While one lasts,
-    each other cause is a warning too, once it was reported twice in a row: a single one may be passing.
-    Everything else goes to debug.
+    A fault that comes back sooner is warned about once AGAIN_S has passed, if it still lasts. While a fault
+    lasts, a new cause is warned about once it was reported twice in a row, as a single report may be passing.
+    Everything else is logged at debug level.
     log: what to log to. prefix: begins every line. Times are `time.monotonic()`, by default the current one.
     """
 
@@ -58,7 +58,7 @@ class FaultLog:
         self._faults: defaultdict[str, _Fault] = defaultdict(_Fault)
 
     def begin(self, kind: str, what: str, now_s: float | None = None, cause: str = "") -> bool:
-        """Note that a fault has begun or still lasts; to be repeated while it lasts.
+        """Note that a fault has begun or still lasts; call it repeatedly while it lasts.
 
         Returns whether this is news: the fault has just begun, or has another cause.
         """

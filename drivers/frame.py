@@ -12,7 +12,7 @@ COLUMNS = 8
 MAX_COUNT = 1023
 FRAME_RATE_HZ = 54.0
 CLOCK_MODULUS = 2**32
-"""Where the sensor's clock in ms begins again at 0."""
+"""The sensor's clock, in ms, wraps to 0 here."""
 DEFAULT_PAD = "pad"
 """The name of the only pad, if the configuration gives it none."""
 
@@ -39,7 +39,7 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
 class SensorState:
     """The state of a pad: "up", "degraded" (frames come, but not every touch is recognised) or "down".
 
-    reason: one line for people. cause: tells causes apart whatever the words.
+    reason: one line for people. cause: identifies the cause, whatever the reason's wording.
     """
 
     state: PadState

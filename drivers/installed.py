@@ -1,4 +1,4 @@
-"""How this program is installed: commands to paste, by its name or for optional libraries."""
+"""How touchd is installed: its name in commands to paste, and the commands that add optional libraries."""
 
 import importlib.util
 import json
@@ -25,7 +25,7 @@ EXTRAS = {
     "train": ("torch", "onnx", "scipy", "tqdm"),
     "studies": ("onnxscript", "sklearn", "mlxtend"),
 }
-# Torch for the processor alone; the one on PyPI brings gigabytes of CUDA.
+# The build of torch for processors alone; the build on PyPI brings gigabytes of CUDA.
 TORCH_ON_CPU = "https://download.pytorch.org/whl/cpu"
 
 
@@ -47,7 +47,7 @@ def how_to_install(extra: str) -> str:
     if extra == "train":
         pips, uvs = ["--extra-index-url", TORCH_ON_CPU], ["--torch-backend", "cpu"]
     if (here / "uv-receipt.toml").exists():
-        # A tool is installed as a whole: what the command does not name is removed.
+        # uv installs a tool as a whole: it removes extras that the command does not name.
         extras = ",".join(sorted({*installed(), extra}))
         return shlex.join(["uv", "tool", "install", *uvs, f"touchd[{extras}]{_source()}"])
     wanted = _requirements(extra)
@@ -79,7 +79,7 @@ def _source() -> str:
 
 
 def program_name() -> str:
-    """Return "touchd" if the shell finds this program by it, else a path, short if it is near."""
+    """Return "touchd" if the shell finds this program by that name, else a path, short if it is near."""
     beside = Path(sys.executable).with_name(PROGRAM)
     found = shutil.which(PROGRAM)
     if found is not None and os.path.realpath(found) == os.path.realpath(beside):
@@ -91,5 +91,5 @@ def program_name() -> str:
 
 
 if __name__ == "__main__":
-    # For an upgrade by `make install`, which keeps them.
+    # `make install` reads this, to keep the extras in an upgrade.
     sys.stdout.write(f"{' '.join(installed())}\n")

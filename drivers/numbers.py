@@ -1,4 +1,4 @@
-"""Numbers on a command line; others, or those out of range, are refused in words."""
+"""Numbers on a command line; anything else, and a number out of range, is refused with an explanation."""
 
 import argparse
 from collections.abc import Callable

@@ -11,7 +11,7 @@ Item = TypeVar("Item")
 
 
 class Signal:
-    """Wakes one waiting thread. It is a bare lock: a Condition takes five times as long."""
+    """Wakes one waiting thread. It is a bare lock, because a Condition takes five times as long."""
 
     def __init__(self) -> None:
         self._asleep = threading.Lock()

@@ -29,16 +29,16 @@ from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
 
 CELLS = ROWS * COLUMNS
 SUFFIXES = (".csv", ".csv.gz")
-# Of recordings that touchd makes.
+# Suffix of the recordings that touchd makes.
 SUFFIX = ".csv.gz"
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
-# Fewer frames show no usual step; frames further apart than this are not in milliseconds.
+# With fewer steps there is no usual one; a clock with longer steps does not count milliseconds.
 LEAST_STEPS, SLOWEST_STEP_MS = 4, 1000
 NO_TOUCH = "notouch"
 """The label of a recording in which nothing touches the pad."""
 UNLABELLED = "unlabelled"
-"""Stands in for the label, and for who touched what, where nobody has said it yet."""
+"""Placeholder for the label, and for who touched what, of a recording that nobody has labelled yet."""
 # Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.
 MOST_LINES = 1_000_000
 LONGEST_LINE = 4096
@@ -98,7 +98,7 @@ class Span:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """What a pad would send: counts (T, 8, 8) uint16, sensor_ms (T,) int64, and what is true when."""
+    """What a pad would send: counts (T, 8, 8) uint16, sensor_ms (T,) int64, and the gesture in each span."""
 
     counts: Counts
     sensor_ms: NDArray[np.int64]
@@ -114,7 +114,7 @@ def ideal_clock_ms(frames: int, first_ms: int = 0) -> NDArray[np.int64]:
 def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recording]:
     """Read the selected recordings of a .csv or .csv.gz file, in file order.
 
-    Raises RecordingError when the file is missing, no known layout, or holds a value that no pad can send.
+    Raises RecordingError if the file is missing, has no known layout, or holds a value that no pad can send.
     """
     with _lines_of(path) as lines:
         recordings = list(islice(_parse(path, lines, select), MOST_RECORDINGS + 1))
@@ -178,7 +178,7 @@ def realign(recording: Recording) -> Recording:
 
     HAART was cut 54 rows of 8 into the row stream, so that each published frame holds the last two rows of
     one scan before the first six of the next; dropping the first 2 and the last 6 rows regroups whole scans.
-    A live recording is returned as it is. Raises RecordingError for a published frame alone.
+    A live recording is returned as it is. Raises RecordingError for a single published frame.
     """
     if recording.framing == "live":
         return recording
@@ -193,9 +193,9 @@ def realign(recording: Recording) -> Recording:
 
 
 def on_grid(recording: Recording) -> Recording:
-    """Return the longest stretch of a recording that the stream would not interrupt, as the stream lays it.
+    """Return a recording's longest stretch without a gap, laid on the grid as a live stream would be.
 
-    Counts become float32, as interpolated frames lie between whole counts.
+    Counts become float32, because interpolated frames lie between whole counts.
     """
     ring = Ring(capacity=1)
     stretches: list[list[NDArray[np.float32]]] = []
@@ -242,7 +242,7 @@ def splice(recordings: Sequence[Recording]) -> Stream:
 
 
 class _Layout(NamedTuple):
-    """What a header says: its own line number, columns in a row, whether a clock is among them.
+    """What a header shows: its own line number, the columns in a row, and whether a clock is among them.
 
     separator: a semicolon where a spreadsheet saved the file in a language with a decimal comma.
     """

@@ -1,4 +1,4 @@
-"""Writes files atomically, even across a power failure; opens those to read without waiting."""
+"""Writes files atomically, even across a power failure; opens files to read without blocking."""
 
 import errno
 import os
@@ -38,7 +38,7 @@ def whole_file(path: Path, *, replace: bool = True, mode: int = 0o644) -> Iterat
 
 
 def _put_beside_none(path: Path, partial: Path) -> None:
-    """Name the new file; unlike os.replace, raises FileExistsError if the name is taken."""
+    """Give the new file its name; unlike os.replace, raises FileExistsError if the name is taken."""
     try:
         os.link(partial, path)
     except OSError as error:

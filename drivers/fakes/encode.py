@@ -15,8 +15,8 @@ def encode_frame(described: PadFormat, counts: Counts, sensor_ms: int | None) ->
 def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -> bytes:
     """Return values (rows, columns) as the pad would send them.
 
-    Text has a row in each line where `end` follows the frame, with the row's number as what is skipped; else
-    all cells in one line, after the clock where something is skipped.
+    Text with an `end` has a line for each row, other text one line for the frame. If numbers are skipped, the
+    first of them is the row's number or the clock.
     """
     time = (sensor_ms or 0) % 2**32
     if described.framing == "text":

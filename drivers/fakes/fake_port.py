@@ -98,7 +98,7 @@ class _Line(ABC):
 
 
 class LivePort(_Line):
-    """Sends a frame 54 times a second; those that nobody reads are lost, as a pad's are.
+    """Sends a frame 54 times a second; frames that nobody reads are lost, as with a real pad.
 
     scan: returns what the pad reads now, given the sensor's clock in ms. encode: as for `FakePort`.
     """
@@ -130,7 +130,7 @@ class FakePort(_Line):
 
     encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own
     pace by an absolute schedule, N is N times faster, None is flat out. loop: starts over while the clock
-    continues. At a pace, frames due while nobody reads are lost, as a pad's are; flat out, it waits.
+    continues. At a pace, frames that are due while nobody reads are lost; flat out, it waits for a reader.
     sent_s: (T,) float64, `time.monotonic()` just before a frame's last byte was written, NaN until then.
     """
 
@@ -152,7 +152,7 @@ class FakePort(_Line):
         super().__init__()
 
     def wait(self, timeout_s: float) -> bool:
-        """Return True once all was played and the reader took it; False after `timeout_s` or when it left."""
+        """Return True once the reader took everything; False after `timeout_s` or if the reader left."""
         return self._finished.wait(timeout_s) and self._drained
 
     def _run(self) -> None:

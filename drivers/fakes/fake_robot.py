@@ -1,6 +1,6 @@
 """`touchd fake-robot`: a stand-in robot on this computer, to see what a Nao would do.
 
-It is real qi services in a process, which prints a JSON object a line: its address, then every call.
+It runs real qi services, and prints its address and then every call as lines of JSON.
 """
 
 import argparse
@@ -78,7 +78,7 @@ def _serve(options: argparse.Namespace, stop: threading.Event) -> None:
                 f"cannot listen on port {options.port}: {why}; choose another with --port"
             ) from error
         for name, service in services.items():
-            # Otherwise speech would block every other call.
+            # In a single thread, speech would block every other call.
             qi.multiThreaded()(type(service))
             session.registerService(name, service)
         report({"listening": url})

@@ -45,7 +45,7 @@ DEMO_SCRIPT = (
 class Patch:
     """One round area of contact over T frames, in the hand's own directions.
 
-    along, across: (T,) centre in taxels, away from the hand's place, along the fingers and across them.
+    along, across: (T,) centre in taxels relative to the hand's place, along the fingers and across them.
     radius: standard deviation in taxels. force: (T,) counts at the centre.
     """
 
@@ -173,7 +173,7 @@ GESTURES: Mapping[str, Callable[[RandomState, Series], list[Patch]]] = {
 def pressure(gesture: str, frames: int, rng: RandomState, cells: tuple[int, int] = (ROWS, COLUMNS)) -> Series:
     """Return (frames, rows, columns) counts of pressure: from rest, through the gesture, to a release.
 
-    cells: rows and columns of a pad as large as the usual one, whose taxels all places and sizes are in.
+    cells: rows and columns of a pad of the usual size. Places and sizes are in taxels of the 8x8 pad.
     """
     time_s = np.arange(frames) / FRAME_RATE_HZ
     # Soft hand on soft pad: force grows with the square of the depth.

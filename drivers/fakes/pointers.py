@@ -3,10 +3,10 @@
 The hand has the simulated hand's palm and fingers. Its forces are set to match load, peak and area of HAART's
 still hands, pats, repeated strokes and rubs on the bare pad.
 
-In the recordings of both studies on fabric, slower passes are firmer, and the load swells along the way:
-a hand drawn one way sinks in as it goes. Its peak and second half match slow recorded passes. Its
-contact is smaller than theirs and swells later: this was chosen with the shipped network, which is
-unsure of most recorded passes cut out one at a time.
+In the recordings of both studies on fabric, slower passes are firmer, and the load swells along the way: a
+hand drawn one way sinks in as it goes. Here, a stroke's peak and second half match slow recorded passes. Its
+contact is smaller than theirs and swells later: this was chosen with the shipped network, which is unsure of
+most recorded passes if they are cut out one at a time.
 """
 
 from collections.abc import Hashable, Mapping
@@ -24,25 +24,25 @@ Series: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = Literal["hand", "finger"]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
-# So that no number of viewers makes a frame late.
+# Limited, so that many viewers do not make frames late.
 MOST_PRESSES = 20
-# Duration of touching down, and of lifting off: a hand that rests, one that moves.
+# Duration of touching down, and of lifting off for a hand that rests and for one that moves.
 EDGE_S, LIFT_S, GLIDE_S = 0.08, 0.08, 0.4
 # A click shorter than this presses for this long.
 SHORTEST_S = 0.08
-# Share of the way to the pointer that a hand moves in a frame; of a new speed that it takes on.
+# In a frame: the share of the way to the pointer that a hand moves, and the share of a new speed it takes on.
 FOLLOW, SPEED_SHARE = 0.6, 0.25
 # Share of a new force that a resting and a moving hand take on in a frame.
 PRESS_SHARE, EASE_SHARE = 0.25, 0.1
-# A hand slower than this, in taxels a second, rests; after this long it begins to press down, for this long.
+# A hand slower than this, in taxels a second, rests. After PAUSE_S it begins to press down, over DWELL_S.
 MOVING_SPEED = 1.2
 PAUSE_S, DWELL_S = 0.15, 0.4
-# A hand that comes back by this much no longer strokes, in taxels: it rubs or scratches.
+# A hand that comes back by this many taxels no longer strokes: it rubs or scratches.
 TURN = 0.3
 # A stroking hand rolls from flat onto its fingertips within this time.
 ROLL_S = 0.2
-# A stroke is firmest after this way, in taxels; it begins with this share of its force. Recorded loads rise
-# over the first third to half of a pass, however long it takes.
+# A stroke is firmest after this distance, in taxels; it begins with this share of its force. Recorded loads
+# rise over the first third to half of a pass, however long it takes.
 SWELL, FIRST_SHARE = 4.0, 0.15
 # A stroke slower than this, in taxels a second, is firm. In the recordings the median peak of a pass is 14
 # counts above 6 taxels a second and 26 below.
@@ -67,9 +67,9 @@ class Pointer(NamedTuple):
 class Shape:
     """A hand or a fingertip, as parts with a place and a share of the force.
 
-    tips: the parts while it strokes. landing, still, stroke: counts as it comes down, where it stays, and
-    where a slow stroke is firmest. slow, fast: counts when moving to and fro, and more for each taxel a
-    second. slip: counts by which the force of a part that moves so varies, as fabric sticks and slips.
+    tips: the parts while it strokes. landing, still, stroke: force in counts as it comes down, where it
+    stays, and where a slow stroke is firmest. slow, fast: force when it moves to and fro, and what each taxel
+    a second adds. slip: how much a part's force then varies, in counts, as fabric sticks and slips.
     """
 
     parts: tuple[Part, ...]
@@ -83,7 +83,7 @@ class Shape:
 
 
 FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
-# The network is surest of two fingers.
+# Two fingers, because the network is surest of them.
 TWO_TIPS = tuple(
     part._replace(along=0.0, radius=FINGERTIP.radius, share=share)
     for part, share in zip(FLAT_HAND, (0.0, 0.0, 1.0, 1.0, 0.0), strict=True)
@@ -141,7 +141,7 @@ class _Press:
         self._velocity = np.zeros(2)
         self._heading = -np.pi / 2 + rng.normal(0.0, 0.3)
         self._force = self._still_s = self._down_s = self._edge = 0.0
-        # The way from where it landed, at most; the share by which it is on its fingertips.
+        # The largest distance from where it landed; how far it has rolled onto its fingertips, 0 to 1.
         self._way = self._rolled = 0.0
         self._has_turned = self._is_stroking = False
 
@@ -172,7 +172,7 @@ class _Press:
         return self._pressure()
 
     def _notice_stroke(self) -> None:
-        """A hand strokes while it moves on from where it landed, and has never come back."""
+        """Note whether the hand strokes: it moves away from where it landed, and has never come back."""
         way = float(np.hypot(*(self._at - self._landed)))
         self._way = max(self._way, way)
         self._has_turned = self._has_turned or way < self._way - TURN
@@ -192,7 +192,7 @@ class _Press:
         return self._pressure()
 
     def _wanted(self, pointer: Pointer) -> float:
-        """Return the force that the hand goes for, in counts."""
+        """Return the force that the hand approaches, in counts."""
         shape = self._shape
         moving = shape.slow + shape.fast * self._speed
         if pointer.pressure is not None:

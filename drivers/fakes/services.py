@@ -23,7 +23,7 @@ class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 def as_kept(value: object) -> object:
     """Return a value as ALMemory keeps it; raises ValueError for what it cannot hold.
 
-    Its integers and floats have four bytes: an integer beyond them is refused, a float loses its precision.
+    ALMemory's integers and floats have four bytes: larger integers are refused, floats lose precision.
     """
     if isinstance(value, (bool, str)):
         return value

@@ -5,7 +5,7 @@ from collections import Counter
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.protocol import parser_of
 
-# Bytes that are not printable: damage, or another encoding.
+# The largest share of unprintable characters in text: damage, or another encoding.
 FEW_SHARE = 0.02
 EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 
@@ -30,7 +30,7 @@ def looks_like(data: bytes) -> str:
 
 
 def why_no_frame(port: str, described: PadFormat, data: bytes) -> tuple[str, str]:
-    """Return the cause, in a word or two and in a line, why bytes that a port sent hold no frame."""
+    """Return why bytes from a port hold no frame: the cause in a word or two, and a line for people."""
     # A telnet server doubles each FF.
     if port.startswith("tcp://") and parser_of(described).feed(data.replace(b"\xff\xff", b"\xff"), 0.0):
         return "telnet", (

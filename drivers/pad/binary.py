@@ -1,11 +1,11 @@
 """Binary frames: bytes in, frames out, no I/O.
 
-Which frames are intact: read from the left, a window of one frame's length is well-formed when it begins with
+Which frames are intact: read from the left, a window of one frame's length is well-formed if it begins with
 the header and its checksum, if any, is right; the sensor's clock, if any, then decides (see `clock.py`).
-Some windows are well-formed only if another header follows them, because lost bytes look the same: those
-with values above full scale and, without a checksum, those in which the header comes again and the first one
-after a gap where the header is short.
-A window that is refused is given up by its first byte only, so a true frame that begins inside is found. Some
+Some windows are well-formed only if another header follows them, because lost bytes look the same: those with
+values above full scale and, without a checksum, those that contain the header again and, if the header is
+short, the first one after a gap.
+Refusing a window skips only its first byte, so that a true frame that begins inside it is found. Some
 damage cannot be detected: the fabric pad's checksum sums low bytes only, so a flip in the upper byte of a
 value passes.
 """
@@ -19,9 +19,9 @@ from touchd.drivers.pad.format import PadFormat, Values
 from touchd.drivers.pad.framing import Damage, Reading
 from touchd.drivers.pad.parser import FrameParser
 
-# A header of as many bytes is hardly ever met among cells.
+# A header this long hardly ever occurs among cells.
 LONG_HEADER = 3
-# A pad that has not answered by then is polled again.
+# A pad that has not answered after this long is polled again.
 REPLY_S = 0.2
 CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 PLAIN_CELLS = {
@@ -48,7 +48,7 @@ def frame_bytes(described: PadFormat) -> int:
 class BinaryFrames(FrameParser):
     """Parser for frames with a header or a footer; keeps less than two frames' bytes between calls.
 
-    A footer is taken for the header of the next frame: what came before the first one is never used.
+    A footer is read as part of the next frame's header, so bytes before the first footer are never used.
     """
 
     def __init__(self, described: PadFormat) -> None:
@@ -74,7 +74,7 @@ class BinaryFrames(FrameParser):
         return max(0.0, self._asked_s + 1 / self.format.rate_hz - now_s)
 
     def ask(self, now_s: float) -> None:
-        """Note that the pad was polled now; an incomplete reply is given up."""
+        """Note that the pad was polled now, and drop an incomplete reply."""
         if self._asked and self._buffer:
             self.counts.refuse("bad_framing", len(self._buffer))
         self._buffer = b""
@@ -110,7 +110,7 @@ class BinaryFrames(FrameParser):
     def _sound(self, window: bytes) -> Values | Damage:
         """Return the values (cells,) of a well-formed window, or what is wrong with it."""
         described = self.format
-        # Quick in a long run of header bytes; cells may begin with the bytes of a short header.
+        # A quick way through a long run of header bytes. Cells may begin with the bytes of a short header.
         if len(self._header) >= LONG_HEADER and window.startswith(self._header, self._cells_at):
             return "bad_framing"
         values = self.values_in(window)
@@ -123,7 +123,7 @@ class BinaryFrames(FrameParser):
         return "bad_checksum" if checksum(described, body, total) != window[-1] else values
 
     def _is_followed(self, window: bytes, highest: float) -> bool | None:
-        """Whether the next header confirms a window where it has to; None when more bytes are needed."""
+        """Whether a window counts, because the next header confirms it or need not; None: not known yet."""
         header = self._header
         is_sure = self.format.checksum != "none" or (
             window.find(header, 1) < 0 and (self._in_step or len(header) >= LONG_HEADER)
@@ -154,7 +154,7 @@ class BinaryFrames(FrameParser):
         return False
 
     def _take(self, host_s: float) -> list[Reading] | None:
-        """Judge the window at the position: the readings it lets out, or None when it takes more bytes."""
+        """Judge the window at the position; return the readings to deliver, None if bytes are missing."""
         window = self._buffer[self._position : self._position + self._size]
         if len(window) < self._size:
             return None
@@ -162,7 +162,7 @@ class BinaryFrames(FrameParser):
         if isinstance(values, str):
             self._refuse(values)
             return []
-        # The reader wakes with cold caches: a list takes half as long as NumPy's reduction.
+        # Caches are cold when the reader wakes: the maximum of a list takes half as long as NumPy's.
         highest = max(values.tolist())
         is_followed = self._is_followed(window, highest)
         if is_followed is None:
@@ -186,9 +186,9 @@ class BinaryFrames(FrameParser):
         return self._judge(sensor_ms, host_s, values, highest)
 
     def _hides_another(self) -> bool | None:
-        """Whether a well-formed window begins inside the one at the position, None when it takes more bytes.
+        """Whether a well-formed window begins inside the one at the position; None: more bytes are needed.
 
-        Then the outer one, whose clock jumps, is false.
+        If so, the outer one, whose clock jumps, is not a frame.
         """
         inner = self._position
         while (inner := self._buffer.find(self._header, inner + 1, self._position + self._size)) >= 0:
@@ -200,7 +200,7 @@ class BinaryFrames(FrameParser):
         return False
 
     def _refuse(self, damage: Damage) -> None:
-        """Give up the window at the position by its first byte; one run of header bytes is counted once."""
+        """Refuse the window at the position and skip its first byte; a run of header bytes counts once."""
         if not self._in_refused_run:
             self.counts.refuse(damage)
             self._claimed = self._size
@@ -208,7 +208,7 @@ class BinaryFrames(FrameParser):
         self._in_refused_run = bool(self._header)
 
     def _drop(self, count: int) -> None:
-        """Skip bytes outside frames; each frame's length that no refusal explains counts as one lost."""
+        """Skip bytes outside frames; those without a refusal count as lost frames, by their length."""
         if count == 0:
             return
         self._position += count

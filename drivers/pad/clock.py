@@ -1,21 +1,21 @@
-"""The time of each frame: by the pad's clock where that can be believed, otherwise by its arrival.
+"""Dates each frame: by the pad's clock if that is plausible, otherwise by arrival.
 
-A clock is believed in milliseconds until three windows of half a second show what it counts. If that is
-milliseconds, microseconds or seconds of arrival, it is believed in that unit; if it shows the pad's stated
-rate, in milliseconds, for a recording may be played faster. Any other number is skipped: a frame number,
-an index, a temperature. A unit is changed only after ten seconds of evidence.
+A clock is taken as milliseconds until three windows of half a second show what it counts. If that agrees with
+arrival in milliseconds, microseconds or seconds, the clock is used in that unit. If it agrees with the pad's
+stated rate, it is used in milliseconds, for a recording may be played faster. Any other number is not used: a
+frame number, an index, a temperature. The unit changes only after ten seconds of evidence.
 
-A frame is on time when its clock is 1 to 250 ms after that of the last one taken (modulo 2^32, so the wrap
-after 49.7 days is nothing special). One that repeats the last clock is a duplicate. Any other is held: it may
-be damaged in a way the checksum does not see, or be the first after a reboot, a long gap or the start. A
-later frame decides:
+A frame is on time if its clock is 1 to 250 ms after that of the last accepted one (modulo 2^32, so the wrap
+after 49.7 days needs no special case). A frame that repeats the last clock is a duplicate. Any other is held:
+it may be damaged in a way the checksum does not see, or be the first after a reboot, a long gap or the start.
+A later frame decides:
 
-- the next frame is on time for the clock followed so far: what is held was damage, and is refused;
-- a later frame is 1 to 250 ms after a held one: those two (and held ones that lead up to them in the same
-  steps) are the sensor's new clock; they are delivered in order, and the rest of what is held is refused.
+- if the next frame is on time for the clock followed so far, the held ones were damaged and are refused;
+- if a later frame is 1 to 250 ms after a held one, those two (and held ones that lead up to them in such
+  steps) show the sensor's new clock; they are delivered in order, and the other held ones are refused.
 
 So a real reset delays the first frame by one frame time and loses none, even with damaged frames in between.
-A pad that restarts within 250 ms of its last start cannot be told from one that did not.
+A restart within 250 ms of the last one cannot be detected.
 """
 
 import math
@@ -25,9 +25,9 @@ from dataclasses import dataclass
 from touchd.drivers.frame import CLOCK_MODULUS, Counts
 from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
-# Milliseconds in what a clock may count.
+# The units in which a clock may count, in milliseconds.
 UNITS_MS = (1.0, 0.001, 1000.0)
-# What a window shows may be off by this share: frames come late, and quartzes differ by far less.
+# A window's rate may be off by this share: frames come late, while quartz clocks differ by far less.
 CLOSE = 0.2
 # Windows of arrival, and how many must agree to choose a unit at first and to change it later.
 WINDOW_S, LEAST_FRAMES = 0.5, 5
@@ -73,7 +73,7 @@ class FrameClock:
         return self._unit_ms is None or self._check.is_on_time(_as_ms(stamp, self._unit_ms))
 
     def judge(self, stamp: float | None, host_s: float, pressure: Counts) -> list[Reading]:
-        """Return what can be delivered now: nothing, this frame, or it after held ones that it confirms.
+        """Return what can be delivered now: nothing, this frame, or this frame after held ones it confirms.
 
         stamp: the frame's clock as sent, None for a pad without one.
         """
@@ -81,7 +81,7 @@ class FrameClock:
             return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
         self._look(stamp, host_s)
         if not self._is_chosen and stamp % 1:
-            # What has a fraction counts no milliseconds.
+            # A clock with a fraction does not count milliseconds.
             self._unit_ms = None
         if self._unit_ms is None:
             return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
@@ -115,9 +115,9 @@ class FrameClock:
         self._windows = deque(maxlen=LATER_WINDOWS)
 
     def _chosen(self) -> tuple[float | None, str | None]:
-        """Return the unit that the windows show, None to skip the clock, and why.
+        """Return the unit that the windows show (None: do not use the clock) and a note.
 
-        Why is None where the windows show nothing, "" where the clock is used.
+        The note is None if the windows show nothing, "" if there is nothing to report.
         """
         rates = sorted(window.rate for window in self._windows)
         stands = any(window.standing > window.frames // 4 for window in self._windows)
@@ -187,7 +187,7 @@ class ClockCheck:
         return self._last_ms is not None and _steps_on(self._last_ms, sensor_ms)
 
     def judge(self, reading: Reading) -> list[Reading]:
-        """Return what can be delivered now: nothing, this reading, or it after the held ones it confirms."""
+        """Return what can be delivered now: nothing, this reading, or held ones it confirms and this."""
         now_ms = reading.sensor_ms
         if self.is_on_time(now_ms):
             self._last_ms = now_ms
@@ -222,19 +222,19 @@ def _steps_on(earlier_ms: int, later_ms: int) -> bool:
     return 0 < (later_ms - earlier_ms) % CLOCK_MODULUS <= MAX_STEP_MS
 
 
-# Shares of a frame's arrival error by which phase and period follow. A jitter of 16 ms
-# (a USB adapter's) becomes 1.6 ms; a pad 5 % off its stated rate is followed within a second.
+# Phase and period follow by these shares of a frame's arrival error. A jitter of 16 ms (a USB adapter's)
+# becomes 1.6 ms; a pad 5 % off its stated rate is followed within a second.
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 0.005
 LOST_S = 0.25
-# Frames that flood in are stamped a millisecond apart; restart the clock once it leads arrival by this much.
+# Frames that flood in are stamped a millisecond apart; the clock restarts once it leads by this much.
 AHEAD_MS = 1000
 
 
 class ArrivalClock:
-    """Stamps frames of a pad without a clock by their arrival, jitter smoothed: a phase-locked fit.
+    """Stamps frames of a pad without a clock by their arrival; a phase-locked loop smooths the jitter.
 
-    rate_hz: of the pad, as far as it is known. A frame more than LOST_S late resets it.
+    rate_hz: the pad's rate, as far as it is known. A frame more than LOST_S late resets it.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -248,7 +248,7 @@ class ArrivalClock:
         self._expected_s = None
 
     def stamp_ms(self, host_s: float) -> int:
-        """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; they rise, but after a flood."""
+        """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it rises but after a flood."""
         expected_s = self._expected_s
         off_s = 0.0 if expected_s is None else host_s - expected_s
         if expected_s is None or abs(off_s) > LOST_S:

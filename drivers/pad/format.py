@@ -13,7 +13,7 @@ from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 SHORTEST_SIDE, LONGEST_SIDE = 4, 64
 Side = Annotated[int, msgspec.Meta(ge=SHORTEST_SIDE, le=LONGEST_SIDE)]
 Few = Annotated[int, msgspec.Meta(ge=0, le=64)]
-# The largest value of a cell; a float has none that matters.
+# The largest value of a cell; a float has no relevant limit.
 CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
 
 Grid = NDArray[np.float32]
@@ -26,7 +26,7 @@ class FormatError(TouchdError, ValueError):
 
 
 def _check_hex(name: str, text: str) -> None:
-    """Refuse what is not bytes in hex; white space alone would be no bytes at all."""
+    """Refuse a text that is not bytes in hex; white space alone would be no bytes."""
     try:
         is_empty = not bytes.fromhex(text)
     except ValueError:
@@ -40,16 +40,16 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     """How a pad's bytes become pressure.
 
     framing: "text" (numbers in lines) or "binary".
-    rows, columns: the grid as sent. Text may hold a frame in one line, or in several lines of as many numbers
-    each. skip: numbers that lead each line, or bytes between a binary frame's header (and clock) and its
+    rows, columns: the grid as sent. Text may hold a frame in one line, or in several lines with equally many
+    numbers. skip: numbers that lead each line, or bytes between a binary frame's header (and clock) and its
     cells, that are not cells. tail: numbers or bytes after the cells, unchecked.
     end: text with which the last line of a frame ends, or a separate line after each frame. Without it, any
-    line with another count of numbers parts frames.
+    line with another count of numbers separates frames.
     header, footer: bytes that begin or end a binary frame, in hex as in "aa ab ac".
     clock: milliseconds since boot, uint32, follow the header. cell: u8, u16, u12 (two in three bytes), i16
     or f32. order: of the bytes in clock and cells. checksum: a last byte: "values" sums the cells and the
     clock, "sum8" and "xor8" take all bytes after the header.
-    poll: bytes to ask for each frame with, in hex, for a pad that only answers. rate_hz: of the pad.
+    poll: bytes that request a frame, in hex, for a pad that only answers. rate_hz: frames a second.
     full_scale: a cell's value under the firmest press; larger values are cut to it, negative ones to 0.
     invert: full_scale means no pressure. crop: cells left out on every side. turn: degrees to turn the pad
     by, clockwise. mirror: left and right are swapped after that.
@@ -112,7 +112,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
-        # Text pads have the same line as a preset by chance.
+        # A text pad may have the same line as a preset by chance.
         is_binary = self.framing == "binary"
         alike = (name for name, preset in PRESETS.items() if is_binary and preset.line == self.line)
         return f"{next(alike, self.framing)} {self.rows}x{self.columns}"
@@ -130,7 +130,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def first_bytes(self) -> bytes:
-        """The bytes before every frame but perhaps the first: the previous one's footer and its header."""
+        """The bytes before a frame: the previous frame's footer (none before the first frame), its header."""
         return bytes.fromhex(self.footer) + bytes.fromhex(self.header)
 
 
@@ -147,7 +147,7 @@ PRESETS = {
 
 
 class Layout:
-    """Lays a grid onto (8, 8) pressure, by area where it is finer, interpolated where coarser."""
+    """Resamples a grid to (8, 8) pressure: by area if the grid is finer, by interpolation if coarser."""
 
     def __init__(self, described: PadFormat) -> None:
         self._format = described
@@ -185,7 +185,7 @@ class Layout:
 
 @lru_cache(maxsize=32)
 def layout_of(described: PadFormat) -> Layout:
-    """Return the layout of a format, made once."""
+    """Return the layout of a format, cached."""
     return Layout(described)
 
 

@@ -1,4 +1,4 @@
-"""The model's 54 Hz grid: frames of a pad laid on it by the sensor's own clock.
+"""Resamples a pad's frames to the model's 54 Hz grid, by the sensor's own clock.
 
 A pad whose frames keep step with the grid (54 Hz within about 1 %, whole-millisecond stamps and a little
 jitter allowed for) passes unchanged, one sensor frame to one grid frame: interpolating it would only blur it.
@@ -19,16 +19,16 @@ from touchd.drivers.pad.vibration import Vibration
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
 # At 5 Hz, faster than a hand pats, a frame 2 ms off its time errs by 6 %; linear interpolation errs by 4 %.
 IN_STEP_MS = 2.0
-# A phase that follows each frame by a fifth lags a pad 1 % off 54 Hz by 0.9 ms; the rest is for jitter.
+# A phase that follows by a fifth a frame is 0.9 ms off if the pad is 1 % off 54 Hz; the rest is for jitter.
 PHASE_GAIN = 0.2
 IN_STEP_FRAMES = 27
 # Frames further apart than this have one missing between them, at 50 to 60 Hz.
 LOST_MS = 1.75 * PERIOD_MS
-# The longest gap bridged by interpolation, which marks the touch degraded. A longer one ends it. At 0.15 s
-# 9 % of the third study's touches are detected as more than one, at 0.2 s 8 %.
+# The longest gap bridged by interpolation, which marks the touch as degraded. A longer gap ends the touch. At
+# 0.15 s, 9 % of the third study's touches are detected as more than one; at 0.2 s, 8 %.
 MAX_GAP_S = 0.2
 MAX_GAP_MS = 1000 * MAX_GAP_S
-# A clock that runs back by less is a frame that comes late; by more, the sensor has restarted.
+# If the clock runs back by less, a frame came late; if by more, the sensor has restarted.
 LATE_MS = 1000
 
 
@@ -39,7 +39,7 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
     sensor_ms: the sensor's clock at this point of the grid, unwrapped.
     host_s: arrival of the sensor frame that completed it, `time.monotonic()`.
     pressure: (8, 8) float32 counts, read-only.
-    bridged: stands in for a lost frame. restarted: what came before is not contiguous with this.
+    bridged: stands in for a lost frame. restarted: not contiguous with the frame before.
     """
 
     index: int
@@ -68,8 +68,8 @@ class Ring:
     def push(self, frame: Frame) -> list[GridFrame]:
         """Take the sensor's next frame; return the grid frames that it completes, oldest first.
 
-        None for a duplicate or a late frame; one marked `restarted` at the first, after a gap too long to
-        bridge, and when the sensor's clock has restarted.
+        Return none for a duplicate or a late frame; one, marked `restarted`, for the first frame, after a gap
+        too long to bridge, and if the sensor's clock has restarted.
         """
         pressure = frame.pressure.astype(np.float32)
         if self._sensor_ms is None:
@@ -105,7 +105,7 @@ class Ring:
     def frames(self, start_index: int, stop_index: int) -> list[GridFrame]:
         """Return the frames start_index <= index < stop_index; raises ValueError unless all are there.
 
-        They are one stretch of time unless a frame after the first is marked `restarted`.
+        They are contiguous unless a frame after the first is marked `restarted`.
         """
         oldest = self._next_index - len(self._history)
         if not oldest <= start_index < stop_index <= self._next_index:

@@ -1,4 +1,4 @@
-"""What is wrong with a pad: decides on its state (up, degraded, down) and logs each fault, not too often.
+"""Monitors a pad: decides on its state (up, degraded, down) and logs its faults, at a limited rate.
 
 Faults are seen in four places: by the reader (no frames), in the frames' clock and gaps, in what the parser
 refuses, and in the values at rest (broken wires, a short, noise). Here they become one state and one log.
@@ -30,35 +30,35 @@ from touchd.drivers.pad.parser import FrameParser
 
 log = logging.getLogger(__name__)
 
-# Faults that last are noted again so often, by the frames' arrival.
+# Interval at which lasting faults are noted again, by the frames' arrival.
 NOTE_S = 1.0
 # With these no touch, or no light one, is recognised; other faults cost a part of the pad or some frames.
 DEGRADING = ("gaps", "frozen", "noise")
 
-# Recognising a touch takes half a second of frames without a gap; a fault if there was none for DEAF_S.
+# Recognising a touch takes half a second of frames without a gap; none of that for DEAF_S is a fault.
 WITHOUT_GAP_FRAMES = 27
 DEAF_S = 3.0
-# After a pause as long as this in their arrival, frames say nothing: the daemon may have been stopped.
+# After a pause this long in their arrival, frames prove nothing: the daemon may have been suspended.
 PAUSE_S = 2.0
 
-# The parser's counts are compared so often. One lost frame in fifty is a fault that will grow.
+# Interval at which the parser's counts are compared. One lost frame in fifty is a fault that will grow.
 LOOK_S = 10.0
 MANY_SHARE = 0.02
 
 # Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
-# three seconds; a pad is noisy if it is for five.
+# three seconds; a pad counts as noisy after five.
 REST_FRAMES = 6
 NOISY_LOOKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
 
 # The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
-# From there it takes a taxel about 8 s to count as still, and half a second to count as lively again.
+# If a taxel stops changing, it counts as still after about 8 s, and as lively half a second after it moves.
 AVERAGE_S = 2.0
 # Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
 BLOCK_FRAMES = 27
 STILL_SHARE = 0.01
 UNKNOWN_SHARE = 0.05
 LIVELY_SHARE = 0.1
-# On a pad with noise, a taxel that stands still is broken. It has noise if this many taxels change in this
+# On a pad with noise, a taxel that stands still is broken. A pad has noise if this many taxels change in this
 # share of the first three seconds' frames, as on HAART's and the robot's pads; later a hand may move them.
 FIRST_BLOCKS = 6
 LIVELY_TAXELS = 48
@@ -72,7 +72,7 @@ SETTLE_S = 2.0
 class PadMonitor:
     """Follows a pad's frames and states; each method returns the pad's state if it has changed.
 
-    name: the pad's, for the log. parser: whose counts tell what the line damages. where: the pad's port.
+    name: the pad's, for the log. parser: its counts show damage on the line. where: the pad's port.
     """
 
     def __init__(self, name: str = DEFAULT_PAD, parser: FrameParser | None = None, where: str = "") -> None:
@@ -108,7 +108,7 @@ class PadMonitor:
         return state
 
     def on_frame(self, frame: Frame, *, restarted: bool) -> SensorState | None:
-        """Take the next frame. restarted: whether it follows no other on the grid."""
+        """Take the next frame. restarted: whether the grid restarted with it."""
         self._gaps.update(frame, restarted)
         self._taxels.update(frame)
         if self._line is not None:
@@ -165,7 +165,7 @@ class _Gaps:
 
     def _why(self) -> str:
         first, last = self._frames[0], self._frames[-1]
-        # Frames that were read together all arrived at once.
+        # Frames that were read together have the same arrival time.
         rate_hz = (len(self._frames) - 1) / max(last.host_s - first.host_s, 0.001)
         steps_ms = [(b.sensor_ms - a.sensor_ms) % CLOCK_MODULUS for a, b in pairwise(self._frames)]
         if max(steps_ms) > CLOCK_MODULUS // 2:
@@ -309,7 +309,7 @@ class TaxelFaults:
         return found
 
     def _follow(self, found: Mapping[str, str]) -> None:
-        """Take over what has begun or ended and stayed so for SETTLE_S."""
+        """Update `faults` with what has begun or ended, and stayed so for SETTLE_S."""
         changing = sorted(found.keys() ^ self.faults.keys())
         self._changing_since_s = {kind: self._changing_since_s.get(kind, self._clock_s) for kind in changing}
         for kind, since_s in self._changing_since_s.items():

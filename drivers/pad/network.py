@@ -11,8 +11,8 @@ from touchd.drivers.pad.port import READ_BYTES
 log = logging.getLogger(__name__)
 
 CONNECT_S = 3.0
-# Over UDP another board is read once the one that is read has sent no frame for GONE_S; one of which no frame
-# has come yet, for TURN_S.
+# Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
+# not sent any frame yet.
 GONE_S, TURN_S = 2.0, 0.5
 
 

@@ -17,7 +17,7 @@ COMPARABLE_S = 1.5
 class Pace:
     """Frames a second, the standard deviation of the steps between them, and lost frames.
 
-    Steps in which a frame was lost count for neither.
+    Steps in which a frame was lost count for neither rate nor jitter.
     """
 
     rate_hz: float

@@ -1,4 +1,4 @@
-"""What every parser does: counts, clock and layout."""
+"""The base class of parsers: counts, clock and layout."""
 
 import math
 from abc import ABC, abstractmethod
@@ -12,7 +12,7 @@ from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
 
 class FrameParser(ABC):
-    """A parser: drops and counts what is damaged, never raises on it, keeps a bounded number of bytes."""
+    """A parser: drops and counts damaged frames, never raises on them, keeps a bounded number of bytes."""
 
     def __init__(self, described: PadFormat) -> None:
         self.counts = ProtocolCounts()

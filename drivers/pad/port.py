@@ -50,7 +50,7 @@ def at_baud(port: str, baud: int) -> str:
 
 
 def check_port(port: str, baud: int) -> None:
-    """Raise SensorError when `port` can be seen to be unusable.
+    """Raise SensorError if `port` is unusable, as far as can be seen.
 
     port: a device, tcp://host:port, udp://address:port to listen at, or any `serial_for_url` address.
 
@@ -80,8 +80,8 @@ def open_port(port: str, baud: int) -> Line:
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, LookupError, re.error, termios.error) as error:
         raise _explained(port, error) from error
-    # The lock above keeps only those programs out that ask for it too. A pseudo-terminal would stay closed to
-    # others after touchd was killed.
+    # The lock above keeps out only programs that lock, too. A pseudo-terminal is left out, because it would
+    # stay closed to others if touchd were killed.
     if isinstance(opened, serial.Serial) and not os.path.realpath(port).startswith("/dev/pts/"):
         with contextlib.suppress(OSError):
             fcntl.ioctl(opened.fileno(), termios.TIOCEXCL)
@@ -101,7 +101,7 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
             _ask(opened, parser)
         if not isinstance(opened, serial.SerialBase):
             return opened.read(is_text=parser.format.framing == "text")
-        # pyserial's own reading takes five system calls where two do.
+        # pyserial's own read takes five system calls; two are enough.
         if type(opened) is serial.Serial:
             return _read(opened.fileno())
         first = opened.read(1)

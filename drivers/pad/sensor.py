@@ -21,13 +21,13 @@ from touchd.drivers.queue import DroppingQueue, Signal
 log = logging.getLogger(__name__)
 
 FIRST_RETRY_S = 0.1
-# After bytes without a frame for this long, set the line again: another program may have changed it.
+# After bytes without a frame for this long, open the port again: another program may have set it differently.
 FRAMELESS_S = 30.0
 # A loop that took longer was suspended, so missing bytes prove nothing about the pad.
 PAUSED_S = 1.0
-# The reader of a pad that sends far too much rests this many times as long as parsing a read took.
+# After a read of this many bytes, the reader rests this many times as long as parsing took, up to a limit.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
-# Enough to hold a few frames, of a server that may speak telnet.
+# Enough for a few frames, even if a telnet server doubles their bytes FF.
 RECENT_BYTES = 32768
 
 
@@ -35,7 +35,7 @@ class FrameQueue(DroppingQueue[Frame | SensorState]):
     """Passes frames and states from the reader to the daemon's loop, in order; bounded.
 
     When it is full, the oldest frame is dropped. States are dropped only when the queue holds nothing else.
-    filled: set when something is put; of several queues, one thread can wait on the same.
+    filled: set when something is put; several queues can share one, for a thread that waits on all.
     """
 
     def __init__(self, capacity: int = 540, filled: Signal | None = None) -> None:
@@ -167,7 +167,7 @@ class Sensor:
             self._report_down(cause, f"{self.where}: {why}")
 
     def _report_down(self, cause: str, reason: str) -> None:
-        """Report that no frames come, unless told to stop: another reader may fill the queue by now."""
+        """Report that no frames come, unless stopped: another reader may fill the queue by now."""
         if not self._stop.is_set():
             self._is_up = False
             self._queue.put(SensorState("down", reason, cause))

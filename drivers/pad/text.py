@@ -48,7 +48,7 @@ def lines_in(text: bytes) -> Iterator[bytes]:
 
 
 def ended_at(text: bytes) -> int:
-    """Return where the last line that has ended ends; a CR ends a line once something else follows."""
+    """Return the end of the last complete line; a CR ends a line once something else follows."""
     return max(text.rfind(b"\n"), text.rstrip(b"\r").rfind(b"\r")) + 1
 
 
@@ -77,7 +77,7 @@ def _numbers_among_words(line: bytes) -> tuple[list[float], int | None]:
 
 
 class TextFrames(FrameParser):
-    """Parser for lines of numbers; keeps a bounded number of bytes a number whatever comes in."""
+    """Parser for lines of numbers; the bytes that it keeps are limited by the frame's size."""
 
     def __init__(self, described: PadFormat) -> None:
         super().__init__(described)
@@ -85,8 +85,8 @@ class TextFrames(FrameParser):
         self._longest = CHARACTERS_A_NUMBER * (described.cells + self._around) + CHARACTERS_A_LINE
         self._end = described.end.encode()
         self._skipping = True
-        # The lines since the last place that parts frames: how many numbers each has, the cells, what led the
-        # last one, and when it came. The first such run may have begun earlier.
+        # The run of lines since the last separator: its cells, how many numbers each line has, what led the
+        # last line, and when that came. The first run may have begun before we listened.
         self._run: list[float] = []
         self._run_width = 0
         self._run_leads: Sequence[float] = ()
@@ -164,7 +164,7 @@ class TextFrames(FrameParser):
 
     def _add(self, numbers: list[float], leads: Sequence[float], host_s: float) -> None:
         self._run_width, self._run_s, self._run_leads = len(numbers), host_s, leads
-        # One line too many is enough to know.
+        # One surplus line shows that the run is not one frame.
         if len(self._run) <= self.format.cells:
             self._run += numbers[self.format.skip : len(numbers) - self.format.tail]
 

@@ -50,7 +50,7 @@ LIGHT = 19
 ENDED_FRAMES, ENDED = 18, 4.0
 
 # Weights are learned from frames in which the sine is positive. If a period takes two to four frames, these
-# may all have the same value; then from all frames.
+# may all have the same value; then all frames are used.
 LEAST_SPREAD = 0.03
 LEAST_SCALE = 0.1
 
@@ -65,7 +65,7 @@ WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
 
 @dataclass
 class _Wave:
-    """A sine: its turn a frame in radians, its value at the newest frame in counts, and how taxels follow it.
+    """A sine: its turn per frame (radians), its newest value (counts), and how the taxels follow it.
 
     weights, rest: (64,), the sine's share in each taxel, and its counts without the sine. fitted: the
     amplitude of a fit to the light taxels, which is below the true one where counts are cut off at 0.
@@ -169,7 +169,7 @@ class Vibration:
 def _find(frames: Counts, common: NDArray[np.float64]) -> tuple[float, complex] | None:
     """Return the turn and the newest value of the sine that all taxels follow, if there is one.
 
-    common: (T,), the taxels' mean, without its own.
+    common: (T,), the mean of the taxels, less its mean over time.
     """
     common = common - SLOPE * (SLOPE @ common / (SLOPE @ SLOPE))
     found = WAVES @ common
@@ -203,7 +203,7 @@ def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
         above, upper = values, frames
     off = above - above.mean()
     slopes = off @ upper / (off @ off)
-    # 0 where more than half of the taxels are cut off at the top.
+    # The median slope is 0 if more than half of the taxels are cut off at the top.
     scale = max(float(np.median(slopes)), LEAST_SCALE)
     weights = np.where(_is_alive(frames), np.clip(slopes / scale, 0.3, 2.0), 0.0)
     rest = upper.mean(axis=0) - weights * scale * above.mean()

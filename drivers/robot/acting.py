@@ -1,4 +1,4 @@
-"""The robot's reactions to answers: which rules an answer triggers, and carrying out what they say."""
+"""Chooses the rules that an answer triggers, and has the robot carry out their actions."""
 
 import logging
 import math
@@ -14,13 +14,13 @@ from touchd.drivers.robot.worker import Worker
 
 log = logging.getLogger(__name__)
 
-# Touches that may go on at once, with room to spare.
+# Touches that are remembered: more than can go on at once.
 MOST_TOUCHES = 64
 
 
 @dataclass
 class _Reported:
-    """The answer that the robot was last sent for a touch, and the rules that this answer has set off."""
+    """The last answer to a touch that the robot was sent, and the rules that this answer has set off."""
 
     gesture: str | None = None
     rules: set[int] = field(default_factory=set)
@@ -100,7 +100,7 @@ class ReactionWorker(Worker[Reaction]):
         open_session: Callable[[threading.Event], RobotSession],
         limits: RobotLimits,
     ) -> None:
-        # The worker that raises events reports whether the robot is there.
+        # Without on_state: the worker that raises events reports whether the robot is there.
         super().__init__("touchd-robot-actions", open_session, limits)
         self._chosen = {pad: Reactions(rules) for pad, rules in actions.items()}
         self._words = words
@@ -113,7 +113,7 @@ class ReactionWorker(Worker[Reaction]):
             self.put(reaction)
 
     def handle(self, session: RobotSession, item: Reaction) -> None:
-        """Carry out a reaction; what the robot refuses is left out, and raised as RobotRefused at the end."""
+        """Carry out a reaction; refused actions are skipped, and raised as RobotRefused at the end."""
         refused: list[RobotRefused] = []
         for left, action in zip(range(len(item.actions) - 1, -1, -1), item.actions, strict=True):
             try:

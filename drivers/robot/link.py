@@ -81,7 +81,7 @@ class RobotLink:
 
     @property
     def counts(self) -> Counter[str]:
-        """What became of the messages published."""
+        """How many of the published messages were sent, dropped and so on; see `Worker`."""
         return self._events.counts
 
     def start(self) -> None:

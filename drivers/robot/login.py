@@ -1,4 +1,4 @@
-"""The login for a robot that asks for one (NAOqi 2.9): reads the token, and checks who could get it."""
+"""The login for a robot that asks for one (NAOqi 2.9): reads the token, and checks who else could get it."""
 
 import ipaddress
 import logging

@@ -32,7 +32,7 @@ UNCERTAIN = "uncertain"
 Measure: TypeAlias = Literal[
     "duration_s", "peak", "mean", "area", "row", "column", "path", "down", "right", "rhythm_hz"
 ]
-# Not a NaN, which no measure is above or below.
+# Excludes NaN, which no measure is above or below.
 Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
 COLORS = {
@@ -55,7 +55,7 @@ Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 
 @dataclass(frozen=True, slots=True)
 class RobotMessage:
-    """One answer to what a touch was.
+    """One answer about a touch.
 
     gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
     stage: early, revised, final, released, ongoing or uncertain.
@@ -74,7 +74,7 @@ class RobotMessage:
 
 
 class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a gesture is called ("pat"), and how it is spoken of ("a pat")."""
+    """What a gesture is called ("pat"), and how it reads in a sentence ("a pat")."""
 
     name: Name
     phrase: Name
@@ -123,16 +123,16 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the robot does what.
+    """When the robot carries out which actions.
 
     do: the actions, in order.
     gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
     stages: the stages that this is for, whether the answer is told at that stage or was told before.
     Empty means any stage at which the answer is news: the first of its touch, or another than the last.
-    Either way an answer sets a rule off once in a touch: [final, released] acts once on what each settles on.
+    Either way, an answer sets a rule off once in a touch: with [final, released], once on the settled answer.
     changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
     with changed: true if any fits, and only otherwise those without.
-    above, below: only for a touch of which a measure is at least, or below, so much: docs/events.md.
+    above, below: only for a touch whose measures are at least these, or less than these (docs/events.md).
     refractory_s: how long the rule rests after it was set off, in seconds.
     """
 

@@ -64,9 +64,9 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     url: tcp://host:9559 for NAOqi up to 2.8, tcps://host:9503 for 2.9. libqi encrypts the latter, but checks
     no certificate. prefix: of the ALMemory events raised.
-    user, and token_file, which holds the token: for NAOqi 2.9, which asks.
-    trust_network: libqi takes any certificate for the robot's, so whoever can step in between gets the token;
-    it is sent beyond this computer only where this says that nobody can.
+    user, and token_file, which holds the token: for NAOqi 2.9, which requires a login.
+    trust_network: libqi accepts any certificate, so whoever can step in between gets the token. The token is
+    sent beyond this computer only if this says that nobody can.
     """
 
     url: str
@@ -88,9 +88,9 @@ def without_password(address: str) -> str:
 
 
 def read_login(settings: RobotSettings) -> Login | None:
-    """Return whom to log in as, None where no user is set; raises RobotError with one line.
+    """Return the login, None if no user is set; raises RobotError with one line.
 
-    The token is in no text made of the result.
+    No text made of the result contains the token.
     """
     address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
     if address is None or int(address[2]) > 65535:
@@ -126,7 +126,7 @@ class RobotSession(Protocol):
         """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
 
     def close(self) -> None:
-        """Give the connection up, at once and whatever state it is in."""
+        """Give the connection up at once, in whatever state it is."""
 
 
 # Takes the URL, the login, the limits, and an event after which no call may take longer than HURRY_S.
@@ -140,9 +140,9 @@ def qi_installed() -> bool:
 
 def load_qi() -> Any:
     """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
-    # Read once, when libqi is loaded: a network that drops everything is noticed after 10 s, not 30.
+    # libqi reads this when it is loaded: a network that drops everything is then noticed after 10 s, not 30.
     os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
-    # libqi allocates what a message's header claims. The longest answers here list a service's methods.
+    # libqi allocates what a header claims: limit it. The longest answers here list a service's methods.
     os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
     try:
         qi = importlib.import_module("qi")
@@ -185,7 +185,7 @@ class QiSession:
         except RobotRefused as refused:
             raise RobotLost(str(refused)) from refused
         except RobotLost as lost:
-            # libqi says the same for no robot, a wrong token, and tcp:// mixed up with tcps://.
+            # libqi's error is the same for no robot, a wrong token, and tcp:// mixed up with tcps://.
             if str(lost).endswith(("disconnected", "stream truncated")):
                 advice = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
                 raise RobotLost(f"{lost}; {advice}") from lost
@@ -222,7 +222,7 @@ class QiSession:
         try:
             return future.value()
         except RuntimeError as error:
-            # qi raises the same for a lost link and for an error on the robot.
+            # qi raises the same error for a lost link and for an error on the robot.
             first_line = (str(error).splitlines() or [type(error).__name__])[0]
             because = one_line(f"{what}: {first_line}")
             raise (RobotRefused if self.connected() else RobotLost)(because) from error

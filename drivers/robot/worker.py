@@ -66,7 +66,7 @@ class Worker(ABC, Generic[Item]):
         return False
 
     def end(self, session: RobotSession) -> None:
-        """Leave the robot tidy before the session is given up."""
+        """Clean up on the robot before the session is closed."""
 
     @property
     def counts(self) -> Counter[str]:
@@ -105,7 +105,7 @@ class Worker(ABC, Generic[Item]):
             except (RobotLost, RobotRefused) as error:
                 self._note("down", str(error))
             except Exception as error:
-                # Retry after any error: a link that ends without a word needs a restart to come back.
+                # Retry after any error: a dead worker would not come back until the daemon is restarted.
                 log.exception("internal error in the link to the robot")
                 self._note("down", f"{type(error).__name__}: {error}")
             self._stopping.wait(self._backoff.pause_s())

@@ -1,7 +1,7 @@
-"""What grids the bytes of binary frames may form.
+"""Guesses the grids that the bytes of binary frames may form.
 
-Frames of one length have at least one byte that never changes, at one distance: the header. Where the cells
-begin, what they are and which grid they form is what neighbours that move together say.
+Frames of one length have a header: at least one byte that never changes, at a constant distance. Neighbours
+that move together show where the cells begin, of which type they are and which grid they form.
 """
 
 from collections.abc import Iterator
@@ -23,35 +23,35 @@ Order = Literal["little", "big"]
 
 LONGEST_FRAME = 17_000
 LEAST_CELLS = 16
-# Bytes of a frame beside its cells.
+# Most bytes of a frame besides its cells.
 MOST_AROUND = 32
 LONGEST_HEADER = 8
 GRAMS = (1, 2, 3, 4)
-# Share of the bytes that lie between two equal grams at one distance, for it to be a frame's length.
+# A distance is a frame's length if this share of the bytes lies between equal n-grams that far apart.
 COVERED = 0.6
 MOST_ANCHORS = 3
 MOST_LENGTHS = 64
 STEADY_SHARE = 0.985
-# Bytes that are looked at to find the length.
+# Number of bytes in which a frame's length is searched for.
 LENGTH_BYTES = 400_000
-# A header may be met among the cells, too, as often as random bytes hold one of a single byte.
+# A header may also occur among the cells, by chance, as a single byte does among random bytes.
 STRAY, STRAY_A_BYTE = 1.5, 0.01
-# Frames in which replaced zeros are looked for.
+# Number of frames that are searched for replaced zeros.
 COBS_FRAMES = 200
 CHECKSUMS = ("values", "sum8", "xor8")
 ORDERS: tuple[Order, ...] = ("little", "big")
 CLOCK_TOLERANCE = 0.1
-# The upper part of a cell changes at most by this share of how often its lower byte does.
+# The upper part of a cell changes at most this many times as often as its lower byte.
 BUSIER = 0.9
 # Floats of a pad are zero or of a size between these.
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
-# Without this share of a number's own movement shared with the next, nothing is a grid.
+# In a grid, a number shares at least this part of its movement with the next one.
 LEAST_LAG = 0.05
-# Bytes are signed if they then change by less than this share.
+# Bytes are signed if, read as such, they change by less than this share.
 SIGNED_SHARE = 0.5
 # A byte that wraps changes by more than this at once.
 WRAP = 192
-# Halves of a byte that mostly move the same way are two cells.
+# If the halves of a byte move the same way this often, they are two cells.
 SAME_WAY = 0.7
 KINDS: tuple[tuple[str, Order], ...] = (
     ("u8", "little"),
@@ -61,10 +61,9 @@ KINDS: tuple[tuple[str, Order], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Frames of one length, (frames, bytes), from any byte on.
+    """Frames of one length, (frames, bytes), which begin at an arbitrary byte.
 
-    steady: which bytes never change. marks: which of those tell frames apart, as such bytes are hardly met
-    elsewhere.
+    steady: which bytes never change. marks: which of those mark a frame, because they hardly occur elsewhere.
     """
 
     data: Bytes
@@ -83,7 +82,7 @@ class Frames:
         return usual
 
     def tells(self, header: bytes) -> bool:
-        """Whether these bytes come once a frame and hardly ever else."""
+        """Whether these bytes occur once a frame and hardly ever elsewhere."""
         if not header:
             return False
         if header not in self.counts:
@@ -91,7 +90,7 @@ class Frames:
         return self.counts[header] <= _stray(self.length) * len(self.data)
 
     def header_in(self, start: int, around: int) -> tuple[int, bytes]:
-        """Return where the header of `around` bytes from `start` on begins, and the header; b"" if none."""
+        """Find the header in the `around` bytes from `start` on; return its offset and bytes, b"" if none."""
         if (start, around) not in self.headers:
             places = np.arange(start, start + around) % self.length
             usual = self._usual[places].tobytes()
@@ -108,7 +107,7 @@ def guesses(data: bytes) -> Iterator[Guess]:
     """Yield the grids that binary frames may form."""
     tried: list[int] = []
     for length in _lengths(data):
-        # Several frames in a row say no more than one.
+        # A multiple of a frame's length adds nothing.
         if any(length % shorter == 0 for shorter in tried):
             continue
         frames = _frames_of(data, length)
@@ -123,7 +122,7 @@ def guesses(data: bytes) -> Iterator[Guess]:
 
 
 def has_frames(data: bytes) -> bool:
-    """Whether bytes of one place in frames of one length never change, and mark them."""
+    """Whether there are frames of one length, marked by bytes that never change."""
     return any(_frames_of(data, length) is not None for length in _lengths(data))
 
 
@@ -132,7 +131,7 @@ def is_cobs(data: bytes) -> bool:
     frames = data.split(b"\0")[1:-1][-COBS_FRAMES:]
     found = [_distances(frame) for frame in frames]
     right = [each for each in found if each]
-    # Frames that always hold one distance are as good as plain ones.
+    # Frames that all have the same distances may as well be plain ones.
     return len(frames) >= LEAST_FRAMES and len(right) >= STEADY_SHARE * len(frames) and len(set(right)) > 1
 
 
@@ -147,7 +146,7 @@ def _distances(frame: bytes) -> tuple[int, ...]:
 
 
 def _lengths(data: bytes) -> list[int]:
-    """Return likely lengths of a frame: distances at which the same bytes come again and again."""
+    """Return likely lengths of a frame: distances at which the same bytes recur."""
     part = np.frombuffer(data[-LENGTH_BYTES:], np.uint8).astype(np.uint32)
     found: dict[int, float] = {}
     for size in GRAMS:
@@ -163,12 +162,12 @@ def _lengths(data: bytes) -> list[int]:
         ):
             at = int(length) + LEAST_CELLS
             found[at] = max(found.get(at, 0.0), counts[at] * at / len(part))
-    # A multiple of a frame's length comes after it.
+    # Sort them, so that a frame's length comes before its multiples.
     return sorted(sorted(found, key=lambda length: -found[length])[:MOST_LENGTHS])
 
 
 def _frames_of(data: bytes, length: int) -> Frames | None:
-    """Return the frames of a length, if a byte of each never changes; the first bytes may be anything."""
+    """Return the frames of a length, if bytes mark them; the first half of the data may be anything."""
     for skipped in (0.0, 0.25, 0.5):
         first = int(skipped * len(data))
         count = (len(data) - first) // length
@@ -185,7 +184,7 @@ def _frames_of(data: bytes, length: int) -> Frames | None:
 
 
 def _marks(data: bytes, usual: Bytes, steady: NDArray[np.bool_], frames: int) -> NDArray[np.bool_]:
-    """Return which steady bytes, alone or with their neighbours, come once a frame and hardly ever else."""
+    """Return which steady bytes, alone or with neighbours, occur once a frame and hardly ever elsewhere."""
     marks = np.zeros(len(usual), np.bool_)
     around, length = np.append(usual, usual).tobytes(), len(usual)
     counts: dict[bytes, int] = {}
@@ -202,13 +201,13 @@ def _marks(data: bytes, usual: Bytes, steady: NDArray[np.bool_], frames: int) ->
 
 
 def _stray(length: int) -> float:
-    """Return how often a header may be met in a frame of this length."""
+    """Return how often a header may occur in a frame of this length."""
     return STRAY + STRAY_A_BYTE * length
 
 
 def _of_length(frames: Frames) -> Iterator[Guess]:
     for anchor, run in _runs(frames.marks)[:MOST_ANCHORS]:
-        # The cells may begin in what is steady, and end in it.
+        # The cells may begin and end among the steady bytes.
         more = min(run, MOST_AROUND)
         begun = np.hstack([frames.data[:-1, anchor:], frames.data[1:, :anchor]])
         table = np.hstack([begun[:-1], begun[1:, :more]])
@@ -258,7 +257,7 @@ def _of_kind(
 
 
 def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first byte and the length of each run of marks, the longest first; a frame has no end."""
+    """Return the first byte and the length of each run of marks, the longest first; runs may wrap around."""
     if marks.all():
         return [(0, len(marks))]
     turn = int(np.argmin(marks))
@@ -270,7 +269,7 @@ def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
-    """Return (frames, numbers) as one kind of cell; None where they can hardly be such."""
+    """Return (frames, numbers) as one kind of cell; None if they are unlikely to be such cells."""
     bits = CELL_BITS[kind]
     width = table.shape[1] * 8 // bits
     if kind == "u12":
@@ -278,7 +277,7 @@ def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
         loose = np.unpackbits(used, axis=1, bitorder=order)[:, : width * 12]
         placed = loose.reshape(len(table), width, 12).astype(np.uint16) << U12_BITS[order]
         packed = placed.sum(axis=2, dtype=np.uint16)
-        # Check each position of four by itself: where 16-bit cells are read as packed ones, these differ.
+        # Check each of four positions separately: if 16-bit cells are read as packed ones, these differ.
         return (
             packed.astype(np.float64) if all(_lower_is_busier(packed[:, at::4]) for at in range(4)) else None
         )
@@ -328,12 +327,12 @@ def _headers(
 
 
 def unlike_bytes(values: Numbers) -> str:
-    """Say why (frames, cells) of a byte each are not readings of a byte each; "" if they may be."""
+    """Say why one-byte cells (frames, cells) are not readings of one byte each; "" if they may be."""
     steps = np.diff(values, axis=0)
     signed = np.diff((values + 128) % 256, axis=0)
     if np.abs(signed).sum() < SIGNED_SHARE * np.abs(steps).sum():
         return "its bytes seem to be signed; touchd reads unsigned bytes only: send 0 to 255"
-    # What wraps goes on before and after as if it had not.
+    # Before and after a wrap, a number moves against the jump.
     before, jumps, after = steps[:-2], steps[1:-1], steps[2:]
     jump = np.abs(jumps) > WRAP
     wraps = jump & (before * jumps < 0) & (after * jumps < 0)
@@ -341,7 +340,7 @@ def unlike_bytes(values: Numbers) -> str:
         return "its bytes seem to be the lower halves of larger numbers: send both bytes of a cell together"
     upper, lower = np.divmod(values, 16)
     moves = np.diff(upper, axis=0) * np.diff(lower, axis=0)
-    # At either end of the range a true reading's halves do move the same way.
+    # At either end of the range, the halves of a true reading do move the same way: leave these out.
     inside = (np.minimum(upper[1:], upper[:-1]) > 0) & (np.maximum(upper[1:], upper[:-1]) < 15) & (moves != 0)
     if inside.sum() >= LEAST_FRAMES and (moves[inside] > 0).mean() > SAME_WAY:
         return "its bytes seem to hold two cells each: send a byte for each cell"

@@ -15,61 +15,61 @@ from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE
 
 Numbers = NDArray[np.float64]
 
-# Frames that are compared; more bring nothing but time.
+# Most frames that are compared; more only take time.
 MOST_FRAMES = 360
-# Stretches of the time in which something moves; a difference between two grids has to show in most of them.
+# Stretches of the time in which something moves; one grid has to be better than another in most of them.
 STRETCHES = 12
-# A better grid gains in nearly all of them, and at least what one pair of cells brings.
+# A better grid wins this many times what it loses, and at least what one pair of cells adds.
 MOSTLY_WON = 8.0
 PAIRS_WON = 1.0
 SHUFFLES = 100
 # Standard deviations by which neighbours must exceed shuffled cells, in total and along each side.
-# By contact, shuffled cells of a real pad reach 3.7 in total; that pad along its weaker side reaches 2.
+# By contact, shuffled cells of a real pad reach 3.7 in total; the pad itself reaches 2 along its weaker side.
 SURE_Z, SURE_Z_A_SIDE, CONTACT_Z_A_SIDE = 5.0, 3.2, 2.0
-# Within as many, a movement is noise; noise drifts along the wires, too.
+# A movement within this many noises is noise, which also drifts along the wires.
 QUIET_NOISES = 4.0
 # A number is pressed if it rises by more noises than this. A frame in which far fewer numbers are pressed
 # than this share of the most weighs less than the others.
 CONTACT_NOISES, FEW_PRESSED = 2.0, 0.05
-# Where a hand presses for most of the time, a pad is at rest for this share of it.
+# If a hand presses for most of the time, the pad is at rest for at least this share of it.
 SELDOM_AT_REST = 0.25
-# The 30th percentile of a normal distribution's deviations: half a pad's time may be pressed.
+# The 30th percentile of a normal distribution's absolute deviations; a pad may be pressed half the time.
 NORMAL_30 = 0.385
-# Below, the movement is the pad's noise.
+# A movement within this many noises is the pad's own, not a press.
 PRESSED_NOISES = 8.0
-# Parts of the time, in one of which nothing presses a cell.
+# Parts of the time; in at least one of them, nothing presses a given cell.
 CALM_PARTS = 16
-# While a hand is on the pad, what it moves moves by so much more.
+# A number that a hand moves moves this many times as much, on average, as in calm frames.
 FOLLOWS = 2.0
-# From one frame to the next, it keeps this share of its movement.
+# From one frame to the next, such a number keeps this share of its movement.
 LASTS = 0.5
 # A number that moves farther than the cells by this factor is a total of them.
 MOST_OVER = 2.0
-# A cell is hardly so much noisier than most.
+# A number that is this many times as noisy as most is hardly a cell.
 WILD_NOISES = 20.0
-# Between two rows lies a seam if cells move together across it by less than this share of the usual, and both
-# rows move by this share of the mean.
+# There is a seam between two rows if cells across it move together by less than this share of the usual, and
+# both rows move by this share of the mean.
 SEAM_SHARE, BUSY_SHARE = 0.45, 0.25
-# The nearest rows that move are compared across a seam, up to so far apart.
+# Across a seam, the nearest rows that move are compared, up to this many rows apart.
 SEAM_ROWS = 3
 # A total, mean or maximum equals that of the other rows in this share of the frames in which they move.
 MOSTLY_EQUAL = 0.95
 # Numbers that are unlike the cells are fewer than this share of what a hand moves.
 FEW_BEYOND = 0.2
-# Rows are of several kinds by turns if two of one turn miss so much less of what they could share than two of
-# different turns, or if a row shares so much more with the next of its kind than with the next one.
+# Rows are of several kinds by turns if those of one turn fall short of moving alike by less than this share
+# of what those of different turns do, or share this much more with the next of their kind than with the next.
 ALTERNATES, SHARES_MORE = 0.33, 0.45
 MOST_KINDS = 4
-# A checksum is the cells' sum less multiples of a modulus, which has at least this many steps of a cell.
+# A checksum is the cells' sum modulo a number that is at least this many times a cell's step.
 LEAST_MODULUS = 16
 # A hand has to reach this share of the cells, and half of the rows and columns.
 REACHED = 0.3
-# It reaches a row if that moves by this share of the farthest; of the outer ones on a side, it may miss one.
+# It reaches a row that moves by this share of the farthest, and may miss this many outer rows on a side.
 FAINT = 0.05
 MOST_MISSED = 1
-# Numbers that go below 0 by this share of what they go above it do both under a hand.
+# Numbers that fall by more than this share of what they rise do both under a hand.
 BOTH_WAYS = 0.5
-# A later frame that resembles a frame by so much more than the next one does: frames of two kinds by turns.
+# Frames are of several kinds by turns if a later one differs less than this share of the next one's change.
 TURNS_SHARE = 0.8
 MOST_TURNS = 64
 NOT_TOGETHER = "neighbouring cells do not move together: press one place at a time while I listen"
@@ -97,7 +97,7 @@ class Fold:
         return self.rows * self.columns
 
     def beats(self, other: "Fold") -> bool:
-        """Whether this grid explains the movement better than another one of the same frames, surely."""
+        """Whether this grid explains the movement surely better than another grid of the same frames."""
         gain = self.by_stretch - other.by_stretch
         lost = -float(np.minimum(gain, 0).sum())
         won = float(np.maximum(gain, 0).sum())
@@ -106,7 +106,7 @@ class Fold:
 
 
 def sides(cells: int) -> list[tuple[int, int]]:
-    """Return the grids that these many cells can form, as (rows, columns)."""
+    """Return the grids that this many cells can form, as (rows, columns)."""
     return [
         (rows, cells // rows)
         for rows in range(SHORTEST_SIDE, LONGEST_SIDE + 1)
@@ -125,7 +125,7 @@ def is_counter(numbers: Numbers) -> NDArray[np.bool_]:
 
 
 class Movement:
-    """How (frames, numbers) move about their rest, on a scale on which noise is small and firm is not huge.
+    """How (frames, numbers) move about their rest, on a scale that compresses firm presses and omits noise.
 
     Numbers that only count are left out, and so is what all numbers have in common.
     by_contact: compare which numbers are pressed instead of how far they move. That finds the neighbours on a
@@ -146,11 +146,11 @@ class Movement:
         left_out = counts | self.wild
         self.goes_negative = bool(chosen[:, ~left_out].min(initial=0.0) < -CONTACT_NOISES * self.noise)
         if self.goes_negative and _skew(off) < 0:
-            # Signed counts do not fall under a hand, so it pressed for most of the time.
+            # Signed counts do not fall under a hand, so the hand pressed for most of the time.
             off = np.where(left_out, 0.0, chosen - np.quantile(chosen, SELDOM_AT_REST, axis=0))
         self.farthest = np.abs(off).max(axis=0, initial=0.0)
         self.largest = float(self.farthest.max(initial=0.0))
-        # A pad whose largest value means no pressure moves down.
+        # The values of a pad whose largest value means no pressure fall when it is pressed.
         self.falls = bool(_skew(off) < 0)
         moved = _beyond_noise(off, self.noise)
         # Numbers that a hand moves.
@@ -171,12 +171,12 @@ class Movement:
         self.follows = self.pressed & ~_is_switch(chosen) & _follows(off, moved, energy)
         self._like_cells = self.follows | resembling
         self._all_like_cells = int(self._like_cells.sum())
-        # Where less moves, every grid scores 0.
+        # If too little moves, there are no stretches, and every grid scores 0.
         self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
         total = np.square(self.moved).sum(axis=1)
         self._total = np.array([total[part].sum() for part in self._stretches])
         self._whole_total = max(float(total.sum()), 1e-9)
-        # What two numbers share by chance: without their mean, nothing.
+        # What two numbers share by chance; 0 once their mean is subtracted.
         self._chance = np.zeros(len(self._stretches))
         if by_contact:
             others = max(np.count_nonzero(~counts), 2) * max(np.count_nonzero(~counts) - 1, 1)
@@ -191,7 +191,7 @@ class Movement:
         return self.largest > PRESSED_NOISES * self.noise and len(self._stretches) > 0
 
     def fold(self, start: int, rows: int, columns: int) -> Fold:
-        """Return how much neighbours move together in a grid from number `start` on, of 1 at most."""
+        """Return how much neighbours move together, at most 1, in a grid from number `start` on."""
         if not self._stretches:
             return Fold(start, rows, columns, np.zeros(STRETCHES))
         stop = start + rows * columns
@@ -212,7 +212,7 @@ class Movement:
         return outside + self.odd_in(start, rows, columns)
 
     def odd_in(self, start: int, rows: int, columns: int) -> int:
-        """Return how many cells of a grid are hardly cells; a border that never changes may be."""
+        """Return how many cells of a grid are hardly cells, not counting a border that never changes."""
         if not self.odd.any():
             return 0
         stop = start + rows * columns
@@ -238,7 +238,7 @@ class Movement:
 
     @cached_property
     def lags(self) -> Numbers:
-        """How much numbers at each distance move together, of 1 at most."""
+        """How much numbers at each distance move together, at most 1."""
         width = self.moved.shape[1]
         shared = np.zeros(width)
         for part in self._stretches:
@@ -330,7 +330,7 @@ def _is_wild(off: Numbers) -> NDArray[np.bool_]:
 
 
 def _resembles(rest: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether each number changes, with a rest and a spread that pressed ones have, as a cell at an edge."""
+    """Whether each number changes and has a rest and a spread like pressed ones, as a cell at an edge."""
     if not pressed.any():
         return pressed
     spread = off.std(axis=0)
@@ -342,8 +342,8 @@ def _resembles(rest: Numbers, off: Numbers, pressed: NDArray[np.bool_]) -> NDArr
 def _is_odd(
     numbers: Numbers, rest: Numbers, pressed: NDArray[np.bool_], still: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Whether each number is unlike the pressed ones: it never changes, but those do at rest, too, or rest at
-    other values; or it always lies beyond what they reach; or it has a fraction."""
+    """Whether each number is unlike the pressed ones: it never changes, while they change even at rest or
+    rest at other values; or it always lies beyond their range; or it alone has a fraction."""
     if not pressed.any():
         return pressed
     cells, rests = numbers[:, pressed], rest[pressed]
@@ -352,9 +352,9 @@ def _is_odd(
     is_no_rest = (rest < rests.min()) | (rest > rests.max()) | bool(np.median(at_calmest) > 0)
     is_beyond = numbers.min(axis=0) > np.median(cells.max(axis=0))
     is_beyond |= numbers.max(axis=0) < np.median(cells.min(axis=0))
-    # Cells that rest at values of their own lie beyond one another.
+    # Cells that rest at different values lie beyond one another, too.
     is_beyond &= is_beyond[pressed].mean() < FEW_BEYOND
-    # Where cells are whole numbers, a number with a fraction is none.
+    # If the cells are whole numbers, a number with a fraction is not a cell.
     has_fraction = _has_fraction(numbers)
     is_other = has_fraction & (has_fraction[pressed].mean() < FEW_BEYOND)
     odd: NDArray[np.bool_] = (still & is_no_rest) | is_beyond | is_other
@@ -392,7 +392,7 @@ def _beyond_noise(off: Numbers, noise: float) -> Numbers:
 
 
 def _contacts(off: Numbers, noise: float) -> Numbers:
-    """Return which numbers are pressed; each frame weighs the same, but for those in which hardly any is."""
+    """Return which numbers are pressed; frames weigh the same, but those with hardly any press less."""
     pressed = off > CONTACT_NOISES * noise
     pressed_at_once = pressed.sum(axis=1, keepdims=True)
     contacts: Numbers = pressed / np.sqrt(pressed_at_once + max(FEW_PRESSED * pressed_at_once.max(), 1e-9))
@@ -432,7 +432,7 @@ def _runs_to_and_fro(together: NDArray[np.float32], rows: int, columns: int) -> 
 
 
 def _missed(reached: NDArray[np.bool_]) -> int:
-    """Return how many rows in a line, from the first or the last one on, a hand did not reach."""
+    """Return how many consecutive rows a hand missed, from the first or the last one on."""
     return int(max(reached.argmax(), reached[::-1].argmax()))
 
 
@@ -444,7 +444,7 @@ def _shared(together: NDArray[np.float32], cells: NDArray[np.int_]) -> tuple[Num
 
 
 def _has_seam(together: NDArray[np.float32], cells: NDArray[np.int_], share: Numbers, own: Numbers) -> bool:
-    """Whether one half repeats the other, or where equal parts meet, rows do not move together as others do.
+    """Whether one half repeats the other, or rows move apart where equal parts meet.
 
     Parts too short for a pad are not compared. share, own: see `_shared`.
     """
@@ -518,7 +518,7 @@ def _has_total(grid: Numbers, noise: float) -> bool:
 
 
 def _is_checksum(total: Numbers, others: Numbers) -> bool:
-    """Whether a row of whole numbers is the sum of the others but for multiples of a number, or their XOR."""
+    """Whether a row of whole numbers is the sum of the others modulo some number, or their XOR."""
     unit = _usual_step(others)
     for off in (others.sum(axis=1) - total, others.sum(axis=1) + total):
         modulus = _usual_step(off)
@@ -532,14 +532,14 @@ def _is_checksum(total: Numbers, others: Numbers) -> bool:
 
 
 def _usual_step(numbers: Numbers) -> float:
-    """Return by how much whole numbers most often change, if they do; 0 if they never change."""
+    """Return the most frequent change between two frames of whole numbers; 0 if they never change."""
     steps = np.abs(np.diff(numbers, axis=0))
     sizes, times = np.unique(steps[steps > 0], return_counts=True)
     return float(sizes[times.argmax()]) if len(sizes) else 0.0
 
 
 def _takes_turns(numbers: Numbers) -> bool:
-    """Whether a later frame resembles a frame more than the next one does."""
+    """Whether some later frame resembles a frame more than the next one does."""
     off = numbers - np.median(numbers, axis=0)
     moved = _beyond_noise(off, _noise_of(off))
     energy = np.square(moved).sum(axis=1)

@@ -14,7 +14,7 @@ from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
 from touchd.drivers.search.binary import has_frames
 from touchd.drivers.search.search import MOST_BYTES, Chunk
 
-# The usual ones, the likeliest first; 512000 is the lab's Mega build.
+# The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
 USUAL_BAUDS = (
     *(115_200, 9_600, 512_000, 1_000_000, 921_600, 460_800, 230_400, 57_600, 38_400, 19_200),
     *(250_000, 500_000, 2_000_000, 3_000_000, 4_000_000),
@@ -62,7 +62,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
             opened.baudrate = baud
             opened.reset_input_buffer()
             data = _sample(opened, first_byte_s)
-            # A pad that is silent at one rate is silent at all.
+            # If one rate yields no bytes, none will.
             if not data and not likely:
                 return None
             first_byte_s = LONGEST_SAMPLE_S
@@ -78,7 +78,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
 
 
 def likelihood(data: bytes) -> float:
-    """Rate a sample: numbers in text are certain; then frames of one length, with single bits."""
+    """Rate a sample: text with numbers is certain; next come frames of one length, then single bits."""
     if is_text(data):
         lines = list(lines_in(data[: ended_at(data)]))
         return SURE if any(numbers_in(line)[0] for line in lines) else 2.5
@@ -86,14 +86,14 @@ def likelihood(data: bytes) -> float:
 
 
 def has_single_bits(data: bytes) -> bool:
-    """Whether single bits occur; at twice a pad's baud rate or more there are none, each is read twice."""
+    """Whether single bits occur; at twice the pad's baud rate or more, each bit is read at least twice."""
     bits = np.frombuffer(data, dtype=np.uint8)
     edges = (bits ^ bits >> 1) & 0x7F
     return bool(len(data) and np.mean(edges & edges >> 1 > 0) > FEW_BYTES)
 
 
 def _sample(opened: Line, first_byte_s: float) -> bytes:
-    """Return a moment's bytes, enough to judge them if the pad sends that many."""
+    """Return the bytes of a moment: enough to judge them, if the pad sends that many."""
     chunks = listen(opened, first_byte_s, lambda chunks: bool(chunks))
     begun_s = time.monotonic()
 

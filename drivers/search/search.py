@@ -20,14 +20,14 @@ from touchd.drivers.search import binary, text
 from touchd.drivers.search.coupling import KINDS, NOT_TOGETHER, TOO_LITTLE, Movement, Numbers, objection
 from touchd.drivers.search.text import Guess
 
-# More bytes than a search looks at, and more than any pad sends in a second.
+# Most bytes that a search uses, the latest ones; more than any pad sends in a second.
 MOST_BYTES = 1_000_000
 EXPLAINED = 0.98
 SLOWEST_HZ, FASTEST_HZ = 9.5, 525.0
 # Frames come evenly if no part of the time has fewer or more than its share by this factor.
 PARTS = 8
 UNEVEN = 3.0
-# A pad that sends nothing for so long sends only while it is pressed.
+# A pad that sends nothing for this long sends only while it is pressed.
 LONGEST_PAUSE_S = 1.5
 FULL_SCALES = (1023, 4095, 65535)
 MOSTLY = 0.9
@@ -39,13 +39,13 @@ NO_FRAMES_IN_BYTES = (
     "no frames of one length: a wrong baud rate, no header, or nothing presses the pad while I listen"
 )
 MOST_RANKED = 40
-# A grid that leaves out numbers that a hand moves has to be so much better than one that does not.
+# A grid that leaves out numbers that a hand moves must be this many times as good as one that does not.
 MISFIT_GAIN = 1.15
 # A right checksum decides between grids of nearly the same score.
 NEAR = 0.85
 
 
-# A press has to move a cell by as many counts of the model's scale: less is felt, but not recognised.
+# A press must move a cell by this many counts of the model's scale: less is detected, but not recognised.
 LEAST_PRESS = 16.0
 
 TIED = "both explain what came equally well"
@@ -55,7 +55,7 @@ PRESSED_LONG = (
     "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
     "go of the pad between presses"
 )
-# After one of these, contacts may still show what the movement does not; after any, a longer time may.
+# After these, comparing contacts may still prove a grid; after UNSURE ones, a longer recording may.
 BY_CONTACT = (TIED, NOT_TOGETHER, TOO_LITTLE, PRESSED_LONG)
 UNSURE = (*BY_CONTACT, KINDS)
 
@@ -71,8 +71,8 @@ class Chunk(NamedTuple):
 class Finding:
     """What a search found.
 
-    proposed: the description, if it is proven. likely: at most two that it may be, the best first. missing:
-    what stands against a proposal, "" if nothing. saw: what arrived, in words.
+    proposed: the description, if it is proven. likely: at most two descriptions that may be right, the best
+    first. missing: why nothing is proposed, "" if something is. saw: what arrived, in words.
     """
 
     proposed: PadFormat | None
@@ -91,7 +91,7 @@ class Finding:
 
 
 def search(chunks: Sequence[Chunk]) -> Finding:
-    """Return what the bytes of an unknown pad are."""
+    """Search for the description of an unknown pad in its bytes."""
     kept = _latest(chunks)
     data = b"".join(chunk.data for chunk in kept)
     if not data:
@@ -114,7 +114,7 @@ def search(chunks: Sequence[Chunk]) -> Finding:
 
 @dataclass(frozen=True)
 class _Arrived:
-    """What arrived. times_s: when each byte did. saw: what it is, in words. lines: those of a text."""
+    """What arrived. times_s: when each byte arrived. saw: what it is, in words. lines: those of a text."""
 
     chunks: Sequence[Chunk]
     data: bytes
@@ -125,7 +125,7 @@ class _Arrived:
 
 
 def _searched(arrived: _Arrived, by_contact: bool) -> Finding:
-    """Return what bytes are by one measure of what moves together."""
+    """Search, with one measure of what moves together: movement, or contact."""
     data, seconds, saw = arrived.data, arrived.seconds, arrived.saw
     printed = arrived.lines is not None
 
@@ -150,7 +150,7 @@ def _searched(arrived: _Arrived, by_contact: bool) -> Finding:
         ranked = _confirmed(ranked, data, arrived.times_s)
         best = ranked[0] if best not in ranked else best
     ties = [each for each in ranked if not (_is_same(best, each) or _outdoes(best, each))]
-    # Cells of another kind may hide the distance at which numbers agree.
+    # Cells of another type may hide the length of a row, so compare such guesses, too.
     others = [each for each in paced if not each.is_folded and each.described.cell != best.described.cell]
     ties += [each for each in nsmallest(MOST_RANKED, others, key=_rank) if not _outdoes(best, each)]
     ties += [each for each in paced if _rivals(best, each)]
@@ -185,7 +185,7 @@ def _rank(guess: Guess) -> tuple[float, int]:
 
 
 def _outdoes(best: Guess, other: Guess) -> bool:
-    """Whether a guess is surely better than another one; much better if it leaves out what a hand moves."""
+    """Whether a guess is surely better than another; if it leaves out what a hand moves, by far."""
     if other.misfits < best.misfits:
         return best.fold.score > MISFIT_GAIN * other.fold.score
     return best.fold.beats(other.fold) or other.misfits > best.misfits
@@ -210,7 +210,7 @@ def _variation(guess: Guess) -> float:
 
 
 def _confirmed(ranked: Sequence[Guess], data: bytes, times_s: Numbers) -> list[Guess]:
-    """Return those of nearly equal guesses that a checksum among the skipped bytes confirms; else all."""
+    """Return the nearly equal guesses that a checksum among the skipped bytes confirms; if none, all."""
     near = [guess for guess in ranked if guess.fold.score > NEAR * ranked[0].fold.score]
     summed = [guess for guess in near if binary.complete(_finished(guess), data, times_s).checksum != "none"]
     return summed or list(ranked)
@@ -231,7 +231,7 @@ def _is_same(best: Guess, other: Guess) -> bool:
 
 
 def _finished(guess: Guess) -> PadFormat:
-    """Return a description with range and direction."""
+    """Return a guess's description with its full_scale and invert set."""
     described, values = guess.described, guess.values
     largest = float(values.max())
     is_whole = bool((values == np.round(values)).all())
@@ -293,7 +293,7 @@ def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) ->
         came_s += [chunk.host_s] * (after - before)
     if len(came_s) < text.LEAST_FRAMES:
         return "too few frames come"
-    # A clock that is not one may hold frames back; what comes must be the cells that were found.
+    # A number taken for a clock may hold frames back; those that come must be the cells that were found.
     if as_expected < MOSTLY * min(parser.counts.frames, len(guess.values)):
         return "other bytes look like the header of its frames"
     if delivered < EXPLAINED * (delivered + held):
@@ -317,7 +317,7 @@ def _unexplained(described: PadFormat, guess: Guess, chunks: Sequence[Chunk]) ->
 
 
 def _as_preset(described: PadFormat) -> PadFormat:
-    """Return the preset with the same line, grid and direction; a text only if the preset knows a border."""
+    """Return the preset with the same line, grid and direction; for text, only if the preset has a crop."""
     for preset in PRESETS.values():
         is_text_without_border = preset.framing == "text" and not preset.crop
         same = (preset.line, preset.rows, preset.columns, preset.invert)

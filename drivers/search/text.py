@@ -1,4 +1,4 @@
-"""What grids the numbers of a text may form."""
+"""Guesses the grids that the numbers of a text may form."""
 
 import re
 from collections import Counter
@@ -16,21 +16,21 @@ from touchd.drivers.search.coupling import Fold, Movement, Numbers, sides
 LEAST_FRAMES = 8
 LEAST_NUMBERS = 16
 Flags = NDArray[np.bool_]
-# Leading and trailing numbers of a line that may not be cells; by contact, more cannot be told from cells.
+# Most numbers before and after a line's cells; by contact, more cannot be distinguished from cells.
 MOST_SKIP, MOST_TAIL = 8, 8
 CONTACT_SKIP, CONTACT_TAIL = 4, 2
 MOSTLY = 0.9
 MOST_ENDS = 3
-# What may follow a number directly, as a unit; 0x leads a number in hex.
+# A number and the letters that follow it directly, such as a unit; 0x begins a number in hex.
 LETTERS = re.compile(
     rb"(?<![\w.]) (?!0[xX]) [-+]? (?: \d+\.?\d* | \.\d+ ) (?: [eE][-+]?\d+ )? (\w*)", re.VERBOSE
 )
 DIGIT_LETTER = re.compile(rb"\d[A-Za-z_]")
-# Numbers of a line whose letters change.
+# Least numbers of a line whose letters change.
 LEAST_CHANGING = 4
 # Numbers with a comma each, and something else between them.
 COMMAS = re.compile(rb"[-+]?\d+,\d+%?(?:[;\t ]+[-+]?\d+,\d+%?){3,}[;\t ]*")
-# Numbers with something else than a number between them.
+# Two numbers with dashes or dots in place of a number between them.
 LEFT_OUT = re.compile(rb"\d[ \t,;|]+(?:-{2,}|\.{2,})[ \t,;|]+\d")
 NO_DIGITS = bytes(set(range(256)) - set(b"0123456789"))
 
@@ -48,10 +48,10 @@ class Line:
 class Guess:
     """A description that may be right, what it reads, and how well its neighbours move together.
 
-    misfits: numbers that a hand moves but that are none of its cells, and cells that are unlike the others.
+    misfits: how many numbers a hand moves outside the cells, and how many cells are unlike the others.
     is_cut: such a number stands beside the cells. is_short: a whole row or column beside the cells may be
-    cells, too. is_folded: its rows have the length at which numbers move together more than a little nearer
-    or farther.
+    cells, too. is_folded: at the distance of its rows, numbers move together more than a little nearer or
+    farther.
     """
 
     described: PadFormat
@@ -134,7 +134,7 @@ def _in_one_line(frames: Sequence[Sequence[float]], by_contact: bool) -> Iterato
                 fold = movement.fold(skip, rows, columns)
                 beside = numbers[:, max(skip - columns, 0) : skip], numbers[:, width - tail :][:, :columns]
                 is_short = any(each.shape[1] == columns and _may_be_cells(each, values) for each in beside)
-                # A number among the cells that is none shifts one of them out.
+                # A number that is wrongly among the cells shifts one of them out.
                 next_to = numbers[:, max(skip - 1, 0) : skip], numbers[:, width - tail :][:, :1]
                 is_shifted = movement.odd_in(skip, rows, columns) > 0
                 is_short |= is_shifted and any(each.size and _may_be_cells(each, values) for each in next_to)
@@ -163,7 +163,7 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
                 continue
             cells = numbers[:, :, skip:stop].reshape(len(numbers), -1)
             movement = Movement(cells, np.zeros(cells.shape[1], np.bool_), by_contact)
-            # Cells that are left out must not make a grid look better.
+            # Leaving cells out must not make a grid look better.
             share = float(np.square(flat[:, :, skip:stop]).sum()) / max(total, 1e-9)
             grids = sides(cells.shape[1])
             natural = (numbers.shape[1], columns)
@@ -179,7 +179,7 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
 
 
 def _are_alike(beside: Numbers, cells: Numbers) -> bool:
-    """Whether numbers beside the cells of each line may be columns of them: no two lines differ."""
+    """Whether the numbers beside the cells may be columns of cells: they are the same in every line."""
     return bool(beside.size and (np.ptp(beside, axis=1) == 0).all() and _may_be_cells(beside, cells))
 
 
@@ -191,7 +191,7 @@ def _may_be_cells(beside: Numbers, cells: Numbers) -> bool:
 
 
 def _leads(numbers: Numbers, still: Flags, skip: int, stop: int) -> bool:
-    """Whether the first or last column is not a cell: it never changes, but differs in each line, or nearly
+    """Whether the first or last column is not a cell: it never changes, but differs between lines, or nearly
     all others change."""
     first = numbers[0]
     never_changes = still[:, skip:stop].all(axis=0)
