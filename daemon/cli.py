@@ -83,7 +83,7 @@ def _run(words: Sequence[str]) -> int:
         return 0 if words else USERS_MISTAKE
     name, *rest = words
     if name in ("--version", "version"):
-        # Imported only where needed, here and below: it would delay the daemon's start.
+        # Here and below, import only where needed: at the top, it would delay the daemon's start.
         from importlib import metadata
 
         sys.stdout.write(f"touchd {metadata.version('touchd')}\n")

@@ -101,7 +101,7 @@ class Decision:
         """Return the answer to (labels,) calibrated probabilities at a stage.
 
         At "released", the answer's stage becomes "uncertain" if nothing was told before and this answer may
-        not be told. At "uncertain", for a touch that ended with nothing told, it is always that. may_tell:
+        not be told. At "uncertain", for a touch that ended with nothing told, it always is. may_tell:
         False when it is too late to tell. An "ongoing" answer is reported, and stands, only if it is told.
         """
         scene = self.weigh(probabilities)

@@ -43,7 +43,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
     stage: see `daemon.decide`. frames: length of the window asked about.
     elapsed_s: from the touch's first frame to the window's last.
-    gesture, confidence: the answer that stands now; "uncertain" at stage "uncertain".
+    gesture, confidence: the current answer; "uncertain" at stage "uncertain".
     probabilities: per label, renormalised over the scene's gestures; 0 for those it leaves out.
     changed: the answer differs from the touch's previous one. told: the robot is told now.
     degraded: frames of this touch were lost and bridged.
@@ -83,7 +83,7 @@ class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"
 
 
 class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_ended"):
-    """The hand is gone, or can no longer be followed.
+    """A touch has ended: the hand is gone, or can no longer be followed.
 
     gesture: what the robot was last told, else "uncertain".
     frames: from first to last contact, on the 54 Hz grid.

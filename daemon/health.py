@@ -55,7 +55,7 @@ class Health:
 
     def __init__(self, notifier: Notifier) -> None:
         self._notifier = notifier
-        # Until when each pad counts as alive: for ever while it is known to be away.
+        # The time until which each pad counts as alive; infinite while it is known to be away.
         self._alive_until_s: dict[str, float] = {}
         self._frames = 0
         self._reported = 0

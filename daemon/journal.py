@@ -90,7 +90,7 @@ class Journal:
         # If an earlier attempt moved the files but could not open the new one, do not move them again.
         if self._path.exists():
             numbered = (self._numbered(number) for number in range(self._keep + 1))
-            # A folder of somebody else may have one of these names.
+            # A folder may have one of these names: leave it alone.
             files = [file for file in numbered if not file.is_dir()]
             for newer, older in reversed(list(pairwise(files))):
                 if newer.exists():

@@ -217,7 +217,7 @@ def splice(recordings: Sequence[Recording]) -> Stream:
     """Join recordings end to end into one stream, as one pad would send it.
 
     The clock runs on without a jump. Where participant, substrate or cover change, it restarts, as after the
-    pad was set up again, because its rest differs. Raises RecordingError when there is none to join.
+    pad was set up again, because its rest differs. Raises RecordingError when there are no recordings.
     """
     if not recordings:
         raise RecordingError("no recording to play: none matches what was selected")

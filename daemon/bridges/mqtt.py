@@ -153,7 +153,7 @@ class MqttBridge(ConnectedBridge):
 
 
 class _Client(mqtt.Client):
-    """A paho client for one connection. why: why it ended. frames: those that paho has not written yet."""
+    """A paho client for one connection. why: reason for its end. frames: not yet written by paho."""
 
     def __init__(self, name: str, version: MQTTProtocolVersion) -> None:
         super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)

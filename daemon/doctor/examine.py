@@ -31,8 +31,8 @@ Say = Callable[[str], None]
 def examine(settings: Settings, seconds: float, say: Say, talk: Console | None = None) -> Iterator[Check]:
     """Yield each check as soon as it is made.
 
-    seconds: how long to listen to the pad. say: shows a line to the user. talk: a terminal at which somebody
-    can be asked to press the pad, if there is one.
+    seconds: how long to listen to the pad. say: shows a line to the user. talk: the terminal of a user who
+    can press the pad, if there is one.
     """
     yield from _examine_pad(settings, seconds, say, talk)
     say("Loading the model ...")

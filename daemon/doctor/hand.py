@@ -41,7 +41,7 @@ TURNS = {
 
 
 def can_ask() -> bool:
-    """Whether somebody sits at a terminal."""
+    """Whether there is a user at a terminal to ask."""
     return sys.stdin.isatty()
 
 

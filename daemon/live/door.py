@@ -15,7 +15,7 @@ class Door:
     """Closes connections beyond the limit, and any that sends too much.
 
     Beyond the limit, the connection that has waited longest without finishing its request is closed, so that
-    half-open connections lock nobody out; if there is none, the new connection is closed.
+    half-open connections cannot lock others out; if there is none, the new connection is closed.
     The server answers every ping and keeps every fragment, so limiting what a viewer sends limits its cost.
 
     limit: number of connections. bytes_per_s: what each may send. kind: the connections' class, for `serve`.

@@ -26,7 +26,7 @@ from touchd.drivers.fakes.hand import SimulatedHand
 from touchd.drivers.fakes.pointers import PressingHands
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
 
-# The simulated hand goes on when nobody has touched the page for this long.
+# The simulated hand resumes when nobody has touched the page for this long.
 ALONE_S = 20.0
 RETRY_S = 0.2
 STOP_S = 1.0

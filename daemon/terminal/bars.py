@@ -20,7 +20,7 @@ def bars(
 ) -> list[Line]:
     """Return one bar for each gesture, only the likeliest where (width, height) has no room for all.
 
-    names: display names, in order. shares: probabilities, empty for empty bars. stands: the gesture answered.
+    names: display names, in order. shares: probabilities, empty for empty bars. stands: the answer now.
     """
     width, height = size
     likeliest = sorted(names, key=lambda gesture: -shares.get(gesture, 0.0))[:height]

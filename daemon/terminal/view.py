@@ -42,7 +42,7 @@ NOTES = 50
 # Time constant of the rest in frames, and four times the noise in counts, as on the live page.
 REST_FRAMES = 54
 NOISE_COUNTS = 3.0
-# A touch begins this many frames before it is noticed.
+# A touch begins this many frames before it is detected.
 LATE_FRAMES = 3
 LONGEST_TRACE = 60 * 54
 NARROWEST, LOWEST = 40, 16

@@ -165,7 +165,7 @@ class Maybe:
 
 @dataclass(slots=True)
 class Touched:
-    """A touch goes on.
+    """An ongoing touch.
 
     first, last: the first frame, and the last with contact. highest_level: the largest contact of a half
     second. still_frames: for how many frames the pad has kept still.

@@ -123,7 +123,7 @@ class BinaryFrames(FrameParser):
         return "bad_checksum" if checksum(described, body, total) != window[-1] else values
 
     def _is_followed(self, window: bytes, highest: float) -> bool | None:
-        """Whether a window counts, because the next header confirms it or need not; None: not known yet."""
+        """Whether the next header confirms a window, or need not; None if more bytes are needed to know."""
         header = self._header
         is_sure = self.format.checksum != "none" or (
             window.find(header, 1) < 0 and (self._in_step or len(header) >= LONG_HEADER)
@@ -208,7 +208,7 @@ class BinaryFrames(FrameParser):
         self._in_refused_run = bool(self._header)
 
     def _drop(self, count: int) -> None:
-        """Skip bytes outside frames; those without a refusal count as lost frames, by their length."""
+        """Skip bytes outside frames; what no refusal covers counts as one lost frame per frame length."""
         if count == 0:
             return
         self._position += count

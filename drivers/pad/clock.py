@@ -38,7 +38,7 @@ PAUSE_S = 0.4
 ALIKE = 1.3
 NOT_USED = "; it is not used, and frames are dated by their arrival"
 
-# Below 256 ms, the least by which a flipped bit that the checksum cannot see moves the clock.
+# Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at least that.
 MAX_STEP_MS = 250
 MAX_HELD = 8
 
@@ -248,7 +248,7 @@ class ArrivalClock:
         self._expected_s = None
 
     def stamp_ms(self, host_s: float) -> int:
-        """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it rises but after a flood."""
+        """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it falls only after a flood."""
         expected_s = self._expected_s
         off_s = 0.0 if expected_s is None else host_s - expected_s
         if expected_s is None or abs(off_s) > LOST_S:

@@ -35,7 +35,7 @@ NOTE_S = 1.0
 # With these no touch, or no light one, is recognised; other faults cost a part of the pad or some frames.
 DEGRADING = ("gaps", "frozen", "noise")
 
-# Recognising a touch takes half a second of frames without a gap; none of that for DEAF_S is a fault.
+# Recognising a touch takes half a second of frames without a gap. If DEAF_S pass without it, that is a fault.
 WITHOUT_GAP_FRAMES = 27
 DEAF_S = 3.0
 # After a pause this long in their arrival, frames prove nothing: the daemon may have been suspended.

@@ -28,7 +28,7 @@ LOOK_FRAMES = 36
 # sine; its pad shakes.
 LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
-# If the pad's mean varies by less, the pad is calm, and no sine is searched.
+# If the pad's mean varies by less, the pad is calm, and no sine is searched for.
 LEAST_VARIANCE = LEAST_COUNTS**2 / 4
 # How well all taxels follow the sine: the lower tenth and quarter must reach these shares of the upper tenth.
 # Constant taxels, such as a row with a broken wire, do not count; at least LEAST_ALIVE must vary.

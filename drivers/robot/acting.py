@@ -100,7 +100,7 @@ class ReactionWorker(Worker[Reaction]):
         open_session: Callable[[threading.Event], RobotSession],
         limits: RobotLimits,
     ) -> None:
-        # Without on_state: the worker that raises events reports whether the robot is there.
+        # Pass no on_state: the worker that raises events reports whether the robot is there.
         super().__init__("touchd-robot-actions", open_session, limits)
         self._chosen = {pad: Reactions(rules) for pad, rules in actions.items()}
         self._words = words

@@ -46,7 +46,7 @@ class RobotLink:
     settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from a worker's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot; real qi by default.
-    on_act: called from a worker's thread when the robot begins to speak, move or shine, with what and how.
+    on_act: called from a worker's thread when the robot begins an action: its kind, its words or name.
     actions: what the robot does on an answer, for each pad. words: of the gestures, for what it says.
     """
 

@@ -83,7 +83,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def without_password(address: str) -> str:
-    """Return an address to show: what stands before an @ may be a password."""
+    """Return an address that may be shown: what is before an @ may be a password."""
     return re.sub(r"//.*@", "//***@", address)
 
 
@@ -123,7 +123,7 @@ class RobotSession(Protocol):
         """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        """Return what the robot's service answers to builtins; raises RobotLost or RobotRefused."""
+        """Call a service with builtin types and return its answer; raises RobotLost or RobotRefused."""
 
     def close(self) -> None:
         """Give the connection up at once, in whatever state it is."""

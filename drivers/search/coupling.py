@@ -69,7 +69,7 @@ FAINT = 0.05
 MOST_MISSED = 1
 # Numbers that fall by more than this share of what they rise do both under a hand.
 BOTH_WAYS = 0.5
-# Frames are of several kinds by turns if a later one differs less than this share of the next one's change.
+# Frames alternate between kinds if a later frame differs by less than this share of what the next one does.
 TURNS_SHARE = 0.8
 MOST_TURNS = 64
 NOT_TOGETHER = "neighbouring cells do not move together: press one place at a time while I listen"

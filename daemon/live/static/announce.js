@@ -1,4 +1,4 @@
-// What a screen reader announces by itself: new answers and troubles, one at a time.
+// Announcements for screen readers: new answers and troubles, one at a time.
 
 const PAUSE_MS = 2000;
 
@@ -11,7 +11,7 @@ export class Announcer {
     this.#element = element;
   }
 
-  /** Say a text when the last one has had its time; of several of a kind meanwhile only the newest. */
+  /** Announce a text once the last one has had its time; of several pending texts of a kind, only the newest. */
   say(kind, text) {
     this.#next.set(kind, text);
     if (this.#timer === 0) this.#speak();

@@ -1,6 +1,6 @@
 // A canvas that keeps its memory and its size from one picture to the next.
 
-/** A canvas with a pixel for each of the screen's. Its size is watched: to ask for it lays out the page. */
+/** A canvas at the screen's resolution. It observes its size, because asking for the size forces a layout. */
 export class SharpCanvas {
   #canvas;
   #isEmpty = true;
@@ -8,7 +8,7 @@ export class SharpCanvas {
   width;
   #height;
 
-  /** onResize: called when it has another size, to draw it again. */
+  /** onResize: called when the size has changed, to draw it again. */
   constructor(canvas, onResize) {
     this.#canvas = canvas;
     [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
@@ -23,7 +23,7 @@ export class SharpCanvas {
     const ratio = devicePixelRatio || 1;
     const [width, height] = [this.width, this.#height].map((length) => Math.round(length * ratio));
     const context = this.#canvas.getContext("2d");
-    // To set the size takes new memory, even if it is the same.
+    // Setting the size allocates new memory, even if it is the same size.
     if (this.#canvas.width !== width || this.#canvas.height !== height) {
       [this.#canvas.width, this.#canvas.height] = [width, height];
     } else if (!this.#isEmpty) {

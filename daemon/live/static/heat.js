@@ -10,10 +10,10 @@ const STOPS = 6;
 // below the first of these counts and ends at the second.
 const LIGHT_COUNTS = 4;
 const FIRM_COUNTS = 250;
-// Who wants little motion sees the last third of a second.
+// With reduced motion, pressure is averaged over about a third of a second.
 const CALM_SHARE = 1 / 18;
 
-/** The four taxels that each of 128 pixels shows, and the share of each, by Catmull and Rom's cubic. */
+/** For each of 128 pixels, the four taxels that it shows and the weight of each, by the Catmull-Rom cubic. */
 const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
   const at = ((pixel + 0.5) * SIDE) / PIXELS - 0.5;
   const first = Math.floor(at) - 1;
@@ -116,7 +116,7 @@ export class HeatMap {
     this.useTheme();
   }
 
-  /** Take the colours anew: the page has turned dark or light. */
+  /** Read the colours again: the page has switched between dark and light. */
   useTheme() {
     this.#shades = shades();
     if (!this.#scale) return;

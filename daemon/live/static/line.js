@@ -1,11 +1,11 @@
-// The time line of a touch: its pressure, the marks at which answers fall due, and what was said.
+// The time line of a touch: its pressure, the marks at which answers fall due, and the answers.
 
 import { SharpCanvas } from "./canvas.js";
 import { nameOf, percent, seconds } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
-// Counts in all that fill half of the height, unless a touch is firmer.
+// The total of counts that fills half of the height, unless a touch is firmer.
 const LIGHT_LOAD = 300;
 const ROWS = 4;
 
@@ -48,7 +48,7 @@ export class TimeLine {
     context.globalAlpha = 1;
   }
 
-  /** Show which marks were passed, and what was said at each. */
+  /** Show which marks were passed, and the answers. */
   show(store) {
     this.#showMarks(store);
     const said = onLine(store);
@@ -104,7 +104,7 @@ function flag(prediction, before, scene) {
     textContent: nameOf(prediction.gesture),
   });
   const share = prediction.gesture === "uncertain" ? "" : percent(prediction.confidence);
-  // What was said after the line's end says when.
+  // An answer after the line's end shows its time.
   const told = [at > 1 ? `at ${seconds(prediction.elapsed_s)}` : "", prediction.told ? "✓" : ""].join(" ").trim();
   const small = Object.assign(document.createElement("small"), { textContent: told });
   const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";

@@ -2,12 +2,12 @@
 
 const FIRST_RETRY_MS = 250;
 const LONGEST_RETRY_MS = 4000;
-// touchd says how it goes twice a second; silence for this long is a line that is gone.
+// touchd sends its status twice a second; after this long without a message, the connection is lost.
 const SILENCE_MS = 2500;
 
 /**
  * Hand over each message as it comes: events and the like as objects, frames as ArrayBuffer.
- * onState gets why there is no line. Returns what sends a message.
+ * onState gets the reason when the connection is lost. Returns a function that sends a message.
  */
 export function connect(onMessage, onState) {
   let socket = null;
@@ -49,7 +49,7 @@ export function connect(onMessage, onState) {
     retryMs = Math.min(retryMs * 1.7, LONGEST_RETRY_MS);
   }
 
-  // Timers sleep in a page that nobody sees; who looks again shall not wait for them.
+  // Timers sleep in a hidden page; once it is shown again, do not wait for them.
   document.addEventListener("visibilitychange", () => {
     if (!document.hidden && socket === null) open();
   });

@@ -1,4 +1,4 @@
-// Joins what comes with what shows it, and draws only when something has come.
+// Passes messages to the parts that show them, and draws only when something has arrived.
 
 import { Announcer } from "./announce.js";
 import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
@@ -11,7 +11,7 @@ import { Touch } from "./touch.js";
 import { Visitors } from "./visitors.js";
 import { answerOf, useNames } from "./words.js";
 
-// Frames come every 18 ms; without one for this long, what is seen is old.
+// Frames come every 18 ms; without one for this long, the picture is outdated.
 const STALE_AFTER_S = 0.5;
 const WATCH_MS = 250;
 const WORDS_MS = 1000;
@@ -74,7 +74,7 @@ function watch() {
   }
 }
 
-/** Announce a touch's answer when it is the first, or another. */
+/** Announce a touch's answer if it is the first one, or has changed. */
 function announce(prediction) {
   const said = `${prediction.pad} ${prediction.touch} ${prediction.gesture}`;
   if (said === announced) return;
@@ -99,7 +99,7 @@ function onMessage(message) {
     return;
   }
   if (message.type === "state") {
-    // Served by another version of touchd than this page: its messages may not be for us.
+    // Another version of touchd serves these messages, and the page may not understand them.
     if (stamp !== null && stamp !== message.page) location.reload();
     stamp = message.page;
     link = "live";

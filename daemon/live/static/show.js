@@ -1,4 +1,4 @@
-// Everything in words and bars: the answer, the probabilities, the last touches, and how it goes.
+// Everything in words and bars: the answer, the probabilities, the last touches, and the status.
 
 import { answerOf, nameOf, percent, seconds, timeOfDay } from "./words.js";
 
@@ -19,7 +19,7 @@ function make(tag, className, ...children) {
   return element;
 }
 
-/** Set a text only where it differs, so that nothing is laid out or read anew for nothing. */
+/** Set a text only if it differs, to avoid needless layouts and announcements by screen readers. */
 function say(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
@@ -42,7 +42,7 @@ export function showAnswer(store) {
   gesture.classList.toggle("changed", Boolean(answer?.changed && previous && isTouched));
   gesture.classList.toggle("over", !isTouched);
   const after = answer ? `after ${seconds(answer.elapsed_s)}` : "";
-  // The confidence is the likeliest gesture's, and says nothing about being unsure.
+  // The confidence is the likeliest gesture's, not that of being unsure.
   const certainty =
     answer?.gesture === "uncertain" ? [after] : answer ? [make("b", "", percent(answer.confidence)), ` sure, ${after}`] : [];
   $("certainty").replaceChildren(...certainty);
@@ -50,7 +50,7 @@ export function showAnswer(store) {
   showAction(store.action);
 }
 
-/** What the robot says, as a bubble, or what it does. */
+/** Show what the robot says, as a bubble, or what it does. */
 function showAction(action) {
   const isSaid = action?.action === "say" || action?.action === "animated_say";
   const isShown = isSaid || action?.action === "behavior";
@@ -60,7 +60,7 @@ function showAction(action) {
   $("says").style.setProperty("--letters", $("says").textContent.length);
 }
 
-/** Why the answer that stands is not the likeliest gesture; "" where it is. */
+/** Return why the current answer is not the likeliest gesture; "" if it is. */
 function whyItStands({ touch, isTouched, scene }, shown, best) {
   const answer = touch?.predictions.at(-1);
   if (!answer || !isTouched || best === answer.gesture || !(answer.gesture in shown.probabilities)) return "";
@@ -90,7 +90,7 @@ function remarks({ scene, reported, touch }, said, previous) {
   return [...parts, remark, degraded];
 }
 
-/** The probabilities: as they are now, or as they were when it last answered. */
+/** Show the current probabilities, or those of the last answer. */
 export function showChances(store) {
   const answer = store.touch?.predictions.at(-1);
   const shown = store.live ?? answer;
@@ -150,7 +150,7 @@ function row({ began, predictions, ended }, scene) {
   );
 }
 
-/** How it goes; `link` is "live", or why there is no line; `age` is of the newest frame, in seconds. */
+/** Show the status. `link`: "live", or why there is no connection. `age`: of the newest frame, in seconds. */
 export function showVitals(store, link, age) {
   const isLive = link === "live";
   const { sensor, robot, scene, status } = store;
@@ -183,7 +183,7 @@ function vital(name, text, mood) {
   else delete element.dataset.mood;
 }
 
-/** What stands in the way, in one line; "" where nothing does. */
+/** Return the current trouble in one line; "" if there is none. */
 export function troubleOf(store, link, age, staleAfter) {
   if (link !== "live") {
     return link ? `touchd sends nothing: ${link}. Trying again.` : "No connection to touchd. Trying again.";

@@ -1,20 +1,20 @@
-// What is known: the scene, the last touches, and the pad's last frames.
+// A pad's data: the scene, the last touches, and the last frames.
 
 export const TAXELS = 64;
 const TOUCHES = 12;
 const PAD_AT = 4 + 2 * TAXELS;
 const FRAME_BYTES = PAD_AT + 1;
-// A touch is noticed a little after it began: its first frames are fetched from here.
+// A touch is detected a little after it began: its first frames are taken from this many recent ones.
 const RECENT_FRAMES = 54;
 const REST_FRAMES = 54;
 // Four times the noise of the pad.
 const NOISE_COUNTS = 3;
-// The sum of counts from which the middle of the pressure is that of a hand.
+// The sum of counts from which the centroid of pressure is that of a hand.
 const LIGHTEST_LOAD = 12;
-// Share of the way to the middle of the pressure that the trail moves in a frame.
+// Share of the way to the centroid of pressure that the trail moves in a frame.
 const FOLLOW = 0.3;
 
-/** The place of the pad that a frame is of. */
+/** The index of a frame's pad. */
 export const padOf = (buffer) => new DataView(buffer).getUint8(PAD_AT);
 
 export class Store {
@@ -22,7 +22,7 @@ export class Store {
   sensor = null;
   robot = null;
   status = null;
-  /** What the robot did last about the last touch. */
+  /** The robot's latest action on the last touch. */
   action = null;
   touches = [];
   live = null;
@@ -32,15 +32,15 @@ export class Store {
   trail = [];
   /** Pressure above rest of each taxel, in counts. */
   pressure = new Float32Array(TAXELS);
-  /** The sensor's clock at the last frame, and when it came by ours; null before the first. */
+  /** The sensor's clock at the last frame, and when that arrived by our clock; null before the first. */
   frameMs = null;
   frameAt = null;
-  /** The touch's pressure over time: [seconds since it began, counts in all]. */
+  /** The touch's pressure over time: [seconds since it began, total counts]. */
   trace = [];
   #rest = null;
   #recent = [];
 
-  /** The touch that goes on, or else the last one; undefined before the first. */
+  /** The ongoing touch, or else the last one; undefined before the first. */
   get touch() {
     return this.touches.at(-1);
   }
@@ -128,7 +128,7 @@ export class Store {
     if (this.trace.length > 60 * this.scene.frame_rate_hz) this.trace.shift();
   }
 
-  /** Under a light hand, noise moves the middle of the pressure: the trail follows it smoothly. */
+  /** Under a light hand, noise moves the centroid of pressure, so the trail follows it smoothly. */
   #followHand([row, column]) {
     const [, lastRow, lastColumn] = this.trail.at(-1) ?? [0, null, null];
     const follow = (last, now) => (now === null || last === null ? now : last + FOLLOW * (now - last));
@@ -136,7 +136,7 @@ export class Store {
     if (this.trail.length > RECENT_FRAMES) this.trail.shift();
   }
 
-  /** What each taxel reads untouched is followed while nothing touches, and taken for little until then. */
+  /** Follow each taxel's rest while nothing touches; if a touch came first, assume a low rest. */
   #followRest(counts) {
     if (this.isTouched) {
       this.#rest ??= new Float32Array(TAXELS).fill(NOISE_COUNTS);

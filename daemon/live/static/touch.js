@@ -1,11 +1,11 @@
 // A pad that can be touched: what mouse, fingers and pens press on its picture is sent to touchd.
 
-// The simulated hand goes on when nobody has touched for this long.
+// The simulated hand resumes when nobody has touched for this long.
 const ALONE_MS = 20_000;
 // Pointers that are held still are sent again, so that touchd knows that they still press.
 const AGAIN_MS = 100;
 const MOST_POINTERS = 10;
-// A screen of 120 pictures a second would send more than touchd takes.
+// Without this limit, a screen of 120 pictures a second would send more than touchd accepts.
 const LEAST_MS = 15;
 
 export class Touch {
@@ -57,7 +57,7 @@ export class Touch {
   }
 
   #up(event) {
-    // A click that begins and ends between two pictures is sent as it was.
+    // Send the press of a click that begins and ends between two pictures.
     if (this.#isDue) this.#tell();
     if (!this.#pointers.delete(event.pointerId)) return;
     clearTimeout(this.#alone);

@@ -24,7 +24,7 @@ export class Visitors {
     this.#show(location.hash === HASH);
   }
 
-  /** Take the words and marks of the scene. */
+  /** Fill the legend with the scene's marks. */
   use(scene) {
     const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
     const list = new Intl.ListFormat("en", { style: "long" }).format(marks);
@@ -39,7 +39,7 @@ export class Visitors {
   #toggle() {
     const isShown = !this.#isShown;
     this.#show(isShown);
-    // Refused where a page may not; the view is good without.
+    // A page may be refused full screen; the view works without it.
     if (isShown) document.documentElement.requestFullscreen?.().catch(() => {});
     else if (document.fullscreenElement) document.exitFullscreen();
   }

@@ -1,8 +1,8 @@
-// How gestures, shares and times are written.
+// Formats gestures, shares and times.
 
 let names = { notouch: "no touch" };
 
-/** Call gestures as the configuration says. */
+/** Use the gesture names of the configuration. */
 export function useNames(configured) {
   names = configured;
 }
@@ -11,7 +11,7 @@ export function nameOf(gesture) {
   return names[gesture] ?? gesture;
 }
 
-/** A gesture and how sure it is; being unsure has no share. */
+/** A gesture and its confidence; "uncertain" has none. */
 export function answerOf({ gesture, confidence }) {
   return gesture === "uncertain" ? nameOf(gesture) : `${nameOf(gesture)} ${percent(confidence)}`;
 }
@@ -20,7 +20,7 @@ export function percent(share) {
   return `${Math.round(100 * share)}\u00a0%`;
 }
 
-/** 1 s, 1.5 s, 2.67 s: never broken between two lines. */
+/** 1 s, 1.5 s, 2.67 s; never broken across two lines. */
 export function seconds(value, least = 0) {
   const digits = { minimumFractionDigits: least, maximumFractionDigits: 2, useGrouping: false };
   return `${value.toLocaleString("en", digits)}\u00a0s`;
