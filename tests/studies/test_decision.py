@@ -150,8 +150,9 @@ def test_confidence_is_calibrated_at_every_stage(measured: Measured) -> None:
     assert all(stage.calibration_error <= 0.05 for stage in measured.studies[HAART].stages)
 
 
-def test_the_figure_is_drawn_from_the_figures(late: Streams, tmp_path: Path) -> None:
-    made = measure({HAART: late, "made up": late}, late)
+def test_the_figure_is_drawn_from_the_figures(tmp_path: Path) -> None:
+    few = streams_sure_from([28, 29, 30, 31], 0.9)
+    made = measure({HAART: few, "made up": few}, few)
     assert [each.limit for each in made.challenge] == list(LIMITS)
     draw(made, tmp_path / "decision.png")
     assert (tmp_path / "decision.png").stat().st_size > 10_000
