@@ -64,7 +64,7 @@ Older model files have no such inputs; for them the state is the frames themselv
 
 @dataclass(frozen=True)
 class Classifier:
-    """Classifies a window: (T, 8, 8) counts to probabilities (7,), any T from 1 to `metadata.max_length`."""
+    """Classifies a window: counts (T, 8, 8) to probabilities (labels,), any T up to `metadata.max_length`."""
 
     metadata: ModelMetadata
     session: onnxruntime.InferenceSession
@@ -98,7 +98,7 @@ class Classifier:
         return self.metadata.name
 
     def probabilities(self, frames: NDArray[np.generic]) -> NDArray[np.float64]:
-        """Return calibrated probabilities (7,) for counts (T, 8, 8), integers or floats in 0 to 1023.
+        """Return calibrated probabilities (labels,) for counts (T, 8, 8), integers or floats in 0 to 1023.
 
         Raises ModelInputError for any other shape, length or value.
         """
@@ -106,14 +106,14 @@ class Classifier:
         return probabilities
 
     def batch_probabilities(self, windows: NDArray[np.generic]) -> NDArray[np.float64]:
-        """Return probabilities (B, 7) for B windows of equal length, counts (B, T, 8, 8)."""
+        """Return probabilities (B, labels) for B windows of equal length, counts (B, T, 8, 8)."""
         (probabilities,) = self.session.run(["probabilities"], {"counts": self._checked(windows)})
         return np.asarray(probabilities, dtype=np.float64)
 
     def step(
         self, frames: NDArray[np.generic], state: State | None = None
     ) -> tuple[NDArray[np.float64], State]:
-        """Return probabilities (7,) over all frames of a touch so far, and the next state.
+        """Return probabilities (labels,) over all frames of a touch so far, and the next state.
 
         frames: the touch's next (T, 8, 8) counts; state: from the previous call, None at first. The result
         equals `probabilities` of all the frames, up to rounding. Raises ModelInputError.

@@ -29,7 +29,7 @@ export class Visitors {
     const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
     const list = new Intl.ListFormat("en", { style: "long" }).format(marks);
     this.#legend.textContent =
-      `The stronger the colour, the firmer the touch. What your hand does is said after ${list}; ↻ a change of mind, ✓ told to the robot.`;
+      `The stronger the colour, the firmer the touch. touchd names what your hand does after ${list}. ↻ marks a change of mind, ✓ what the robot was told.`;
   }
 
   get #isShown() {
