@@ -100,6 +100,16 @@ def test_ctrl_c_at_any_moment_leaves_no_trace(tmp_path: Path, imported: str) -> 
     assert done.stderr == ""
 
 
+def test_a_second_ctrl_c_at_the_end_of_a_command_leaves_no_trace() -> None:
+    program = (
+        f"import atexit, os, signal, sys; atexit.register(lambda: {CTRL_C}); sys.argv[1:] = ['docs']; "
+        "from touchd.daemon.__main__ import program; program()"
+    )
+    done = ran([sys.executable, "-c", program])
+    assert done.returncode == -signal.SIGINT
+    assert done.stderr == ""
+
+
 @pytest.mark.parametrize("command", ["classify", "convert --out x.csv", "plot"])
 def test_a_pipe_or_device_is_refused_as_a_recording(
     tmp_path: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch, command: str

@@ -3,6 +3,7 @@
 import base64
 import csv
 import json
+import stat
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,12 @@ def test_a_journal_as_csv_has_a_row_an_event(journal: Path) -> None:
         "True",
         "head",
     )
+
+
+def test_a_converted_file_is_closed_to_other_users(journal: Path, tmp_path: Path) -> None:
+    for source in (journal, DEMO):
+        out = converted(source, tmp_path / f"{source.name}.csv")
+        assert stat.S_IMODE(out.stat().st_mode) == 0o640
 
 
 def test_journal_lines_that_are_not_events_are_skipped_and_counted(

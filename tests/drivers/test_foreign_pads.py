@@ -41,7 +41,7 @@ TEXTS: dict[str, Callable[[Grid, int], str]] = {
     "plotter": lambda v, n: "\t".join(f"s{i}:{x}" for i, x in enumerate(v.ravel())) + "\r\n",
     "JSON keys": lambda v, n: json.dumps({f"f{i}": int(x) for i, x in enumerate(v.ravel())}) + "\n",
     "date and time": lambda v, n: f"2026-11-25T10:00:{n / 50:06.3f}Z,{line(v)}\n",
-    "six leading numbers": lambda v, n: f"1,2,3,4,5,{n},{line(v)}\n",
+    "eight numbers on either side": lambda v, n: f"1,2,3,4,5,6,7,{n},{line(v)}{8 * ',0.71'}\n",
     "pressure map": lambda v, n: f"Frame,{n}\r\nTime,{n / 50:.2f}\r\nRaw Sum,{v.sum()}\r\n{table(v)}@@\r\n",
     "ROS": lambda v, n: f"header:\n  seq: {n}\n  secs: {n // 50}\ndata: {v.ravel().tolist()}\n---\n",
     "0x": lambda v, n: ", ".join(f"0x{x:03X}" for x in v.ravel()) + "\r\n",
@@ -66,6 +66,14 @@ def test_grids_printed_as_plain_text_are_read(printed: Callable[[Grid, int], str
     assert (proposed.rows, proposed.columns, proposed.invert) == (8, 10, False)
 
 
+@pytest.mark.parametrize(("rows", "columns"), [(64, 4), (4, 64)])
+def test_a_grid_of_the_longest_side_is_found(rows: int, columns: int) -> None:
+    values = a_hand_on(rows, columns)
+    proposed = found_in(lambda number: f"{line(values[number])}\n", 4 * RATE_HZ).proposed
+    assert proposed is not None
+    assert (proposed.rows, proposed.columns) == (rows, columns)
+
+
 def around(values: Grid, row: NDArray[np.int_]) -> str:
     return f"{table(values)}{line(row)}\r\n\r\n"
 
@@ -73,6 +81,7 @@ def around(values: Grid, row: NDArray[np.int_]) -> str:
 REST = np.random.default_rng(4).integers(18_000, 23_000, (8, 10))
 UNPROVEN: dict[str, tuple[Callable[[Grid, int], str], str]] = {
     "column sums": (lambda v, n: around(v, v.sum(0)), "total"),
+    "column sums first": (lambda v, n: f"{line(v.sum(0))},{line(v)}\r\n", "total"),
     "column means": (lambda v, n: around(v, v.mean(0).astype(np.int_)), "total"),
     "column maxima": (lambda v, n: f"{line(v)},{line(v.max(0))}\r\n", "maximum"),
     "row sums": (lambda v, n: f"{table(np.hstack([v, v.sum(1)[:, None]]))}\r\n", "total"),
@@ -294,6 +303,15 @@ def test_no_constant_bytes_around_any_cells_are_taken_for_cells(
     cell: str, before: bytes, after: bytes
 ) -> None:
     check_constants(cell, before, after)
+
+
+def test_the_upper_bytes_of_a_counter_are_not_part_of_the_header() -> None:
+    values = a_hand_on(6, 5, 250).astype("u1")
+    proposed = found_in(
+        lambda number: b"\xaa\x55" + struct.pack(">I", number) + values[number].tobytes()
+    ).proposed
+    assert proposed is not None
+    assert (proposed.header, proposed.rows, proposed.columns) == ("aa55", 6, 5)
 
 
 def test_row_numbers_in_a_line_are_not_a_column() -> None:

@@ -179,10 +179,11 @@ def test_port_and_file_give_the_model_the_same_frames(tmp_path: Path, rate_hz: f
     np.testing.assert_array_equal(ring.window(len(laid), len(laid)), from_file.counts)
 
 
-def test_a_recording_gives_its_longest_stretch_without_a_gap() -> None:
+@pytest.mark.parametrize(("gap", "longest"), [(40, slice(40, None)), (120, slice(120))])
+def test_a_recording_gives_its_longest_stretch_without_a_gap(gap: int, longest: slice) -> None:
     (recording,) = simulate([("pat", 3.0)], seed=1)
     clock_ms = recording.sensor_ms.copy()
-    clock_ms[40:] += 400
+    clock_ms[gap:] += 400
     laid = on_grid(replace(recording, sensor_ms=clock_ms))
-    np.testing.assert_array_equal(laid.counts, recording.counts[40:])
+    np.testing.assert_array_equal(laid.counts, recording.counts[longest])
     np.testing.assert_array_equal(laid.sensor_ms, ideal_clock_ms(len(laid.counts)))

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from rigs.coarse_pad import JUDGED_ON, printed, third_study
 from rigs.haart_folder import needs_third_study
 from rigs.pressing import chunks_of, pressed
 
+from touchd.drivers.fakes.encode import encode_values
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import has_single_bits, likelihood
@@ -120,6 +122,22 @@ def test_the_labs_pad_is_found_with_clock_checksum_and_border() -> None:
     fabric = PRESETS["fabric-grid"]
     chunks = chunks_of(fabric, seed=1)
     assert search(chunks).proposed == fabric
+
+
+def test_a_preset_is_not_proposed_for_values_that_go_the_other_way() -> None:
+    found = search(chunks_of(replace(PRESETS["csv"], invert=False), seed=4)).proposed
+    assert found is not None
+    assert (found.rows, found.columns, found.invert) == (10, 10, False)
+
+
+def test_a_clock_that_wraps_during_the_search_is_found() -> None:
+    described = PadFormat(header="ff55", clock=True, cell="u8", rows=6, columns=5, full_scale=255)
+    values = np.floor(pressed(6, 5, 255, np.random.default_rng(4)))
+    chunks = [
+        Chunk(encode_values(described, frame, (20 * number - 1500) % 2**32), number / 50)
+        for number, frame in enumerate(values)
+    ]
+    assert search(chunks).proposed == described
 
 
 def streamed(data: bytes, size: int = 256, every_s: float = 0.02) -> list[Chunk]:

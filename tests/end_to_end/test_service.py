@@ -106,6 +106,22 @@ def test_the_status_shows_rate_touches_and_drops(
     assert status.endswith(" frames/s, arm away, 3 touches, 7 frames dropped")
 
 
+def test_each_status_and_warning_counts_from_the_one_before(
+    manager: Manager, health: Health, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    now_s = time.monotonic()
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    for passed_s, frames, dropped in ((10, 540, 7), (10, 270, 9), (10, 0, 9)):
+        for _ in range(frames):
+            health.frame_processed("pad")
+        now_s += passed_s
+        health.report(touches=0, dropped={"pad": dropped})
+    rates = [line.split()[0] for line in manager.heard() if line.startswith("STATUS=")]
+    assert rates[1:] == ["STATUS=27.0", "STATUS=0.0"]
+    warned = [record.getMessage().partition(":")[2].split(":")[0] for record in caplog.records]
+    assert warned == [" 7 frames dropped", " 2 frames dropped"]
+
+
 def needs(program: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
 
