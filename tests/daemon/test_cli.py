@@ -1,5 +1,6 @@
 """The command line: its commands, and for every mistake one clear line and the right exit code."""
 
+import errno
 import json
 import os
 import re
@@ -100,14 +101,28 @@ def test_ctrl_c_at_any_moment_leaves_no_trace(tmp_path: Path, imported: str) -> 
     assert done.stderr == ""
 
 
-def test_a_second_ctrl_c_at_the_end_of_a_command_leaves_no_trace() -> None:
-    program = (
-        f"import atexit, os, signal, sys; atexit.register(lambda: {CTRL_C}); sys.argv[1:] = ['docs']; "
-        "from touchd.daemon.__main__ import program; program()"
-    )
+def with_signals_at_the_end(begin: str) -> tuple[int, str]:
+    """Run a command that gets SIGINT and SIGHUP once it has ended; return its exit status and errors."""
+    program = f"""
+import atexit, os, signal, sys
+{begin}
+for number in (signal.SIGHUP, signal.SIGINT):
+    atexit.register(os.kill, os.getpid(), number)
+sys.argv[1:] = ["docs"]
+from touchd.daemon.__main__ import program
+program()
+"""
     done = ran([sys.executable, "-c", program])
-    assert done.returncode == -signal.SIGINT
-    assert done.stderr == ""
+    return done.returncode, done.stderr
+
+
+def test_a_second_ctrl_c_at_the_end_leaves_no_trace() -> None:
+    assert with_signals_at_the_end("") == (-signal.SIGINT, "")
+
+
+def test_a_command_in_the_background_keeps_ignoring_signals() -> None:
+    ignored = "for number in (signal.SIGINT, signal.SIGHUP): signal.signal(number, signal.SIG_IGN)"
+    assert with_signals_at_the_end(ignored) == (0, "")
 
 
 @pytest.mark.parametrize("command", ["classify", "convert --out x.csv", "plot"])
@@ -181,16 +196,18 @@ def test_a_library_that_the_system_lacks_is_named(tmp_path: Path) -> None:
     assert done.returncode == 2
 
 
+@pytest.mark.parametrize("error", [KeyError("oops"), OSError(errno.EIO, "Input/output error")])
 def test_an_internal_error_is_one_line_and_exit_1(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception
 ) -> None:
     def fail(words: Sequence[str]) -> int:
-        raise KeyError("oops")
+        raise error
 
     monkeypatch.setattr(cli, "_run", fail)
     assert cli.main(["run"]) == 1
-    assert capsys.readouterr().err == "touchd: internal error: KeyError: 'oops'; --debug shows the trace\n"
-    with pytest.raises(KeyError):
+    said = f"internal error: {type(error).__name__}: {error}; --debug shows the trace"
+    assert capsys.readouterr().err == f"touchd: {said}\n"
+    with pytest.raises(type(error)):
         cli.main(["run", "--debug"])
 
 

@@ -17,7 +17,7 @@ from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from touchd.daemon.cli import main
 from touchd.daemon.events import TouchBegan, decode, encode, epoch_s
-from touchd.drivers.recording import read_recordings, write_recordings
+from touchd.drivers.recording import read_provenance, read_recordings, write_recordings
 
 EVENTS = [
     TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),
@@ -118,6 +118,7 @@ def test_a_recording_as_csv_is_read_back_the_same(tmp_path: Path) -> None:
     copies = read_recordings(converted(DEMO, tmp_path / "demo.csv"))
     for ours, theirs in zip(copies, read_recordings(DEMO), strict=True):
         np.testing.assert_array_equal(ours.counts, theirs.counts)
+    assert read_provenance(tmp_path / "demo.csv") == read_provenance(DEMO) != {}
 
 
 def test_haarts_frames_are_whole_scans_in_the_converted_file(tmp_path: Path) -> None:

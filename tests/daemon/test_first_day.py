@@ -189,6 +189,15 @@ def test_the_nearest_configuration_is_taken(homes: dict[str, Path]) -> None:
     assert find_settings(homes["user"]).settings.sensor.port == "user"
 
 
+def test_a_configuration_that_only_root_reads_is_named(
+    homes: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    homes["service"].write_text("sensor: {port: service}")
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    said = f"settings: the defaults; {homes['service']} can be read only with sudo"
+    assert str(find_settings(None)) == said
+
+
 def test_commands_say_which_configuration_they_found(
     homes: dict[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:

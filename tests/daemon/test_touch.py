@@ -337,6 +337,22 @@ def test_a_touch_that_only_the_network_sees_is_detected(seen: TrackedPad, networ
     assert isinstance(release, Release)
 
 
+def test_above_the_default_threshold_the_network_alone_begins_no_touch(network: Network) -> None:
+    pad = TrackedPad(TouchSettings(onset_threshold=20.0), network)
+    assert pad.feel(2.0) == []
+    network.no_touch = 0.02
+    assert pad.feel(faint(1.5)) == []
+
+
+def test_a_hand_below_the_default_threshold_keeps_its_touch() -> None:
+    pad = TrackedPad(TouchSettings(onset_threshold=1.0))
+    assert pad.feel(2.0) == []
+    noise_floor = float(pad.tracker.baseline.noise_floor.max())
+    swell = np.where(np.arange(4 * 54) % 54 < 27, 1.0, 3.0)
+    onset, release = pad.touched(palm(1.0), at(nothing(4.0), 4, 3, noise_floor + swell), 2.0)
+    assert (release.last_index - onset.first_index) / 54 > 4.5
+
+
 @pytest.mark.parametrize("hand", [palm(1.0, counts=60.0), palm(3.0, counts=300.0)])
 def test_an_object_that_looks_like_a_hand_becomes_rest(
     seen: TrackedPad, network: Network, hand: Scans

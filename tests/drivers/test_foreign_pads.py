@@ -305,7 +305,7 @@ def test_no_constant_bytes_around_any_cells_are_taken_for_cells(
     check_constants(cell, before, after)
 
 
-def test_the_upper_bytes_of_a_counter_are_not_part_of_the_header() -> None:
+def test_a_counters_upper_bytes_are_not_in_the_header() -> None:
     values = a_hand_on(6, 5, 250).astype("u1")
     proposed = found_in(
         lambda number: b"\xaa\x55" + struct.pack(">I", number) + values[number].tobytes()

@@ -231,19 +231,33 @@ def test_a_replaced_file_keeps_its_permissions(before: Path) -> None:
     assert (before.read_text(), before.stat().st_mode & 0o777) == ("after", 0o640)
 
 
+def test_a_file_is_on_the_disk_before_it_takes_its_name(
+    before: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[tuple[bytes, str]] = []
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append((os.pread(file, 99, 0), before.read_text())))
+    with whole_file(before) as partial:
+        partial.write_text("after")
+    assert synced == [(b"after", "before")]
+
+
 @pytest.mark.parametrize("may_write", [True, False])
 def test_a_writable_file_of_another_user_is_replaced(
     before: Path, monkeypatch: pytest.MonkeyPatch, may_write: bool
 ) -> None:
+    groups: list[int] = []
+
     def chown(path: Path, user: int, group: int) -> None:
         if user != -1:
             raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+        groups.append(group)
 
     monkeypatch.setattr(os, "chown", chown)
     monkeypatch.setattr(os, "access", lambda *_: may_write)
     with nullcontext() if may_write else pytest.raises(PermissionError), whole_file(before) as partial:
         partial.write_text("after")
     assert before.read_text() == ("after" if may_write else "before")
+    assert groups == ([before.stat().st_gid] if may_write else [])
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS])

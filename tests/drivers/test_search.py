@@ -124,7 +124,7 @@ def test_the_labs_pad_is_found_with_clock_checksum_and_border() -> None:
     assert search(chunks).proposed == fabric
 
 
-def test_a_preset_is_not_proposed_for_values_that_go_the_other_way() -> None:
+def test_a_presets_line_with_opposite_values_is_not_the_preset() -> None:
     found = search(chunks_of(replace(PRESETS["csv"], invert=False), seed=4)).proposed
     assert found is not None
     assert (found.rows, found.columns, found.invert) == (10, 10, False)

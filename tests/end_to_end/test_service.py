@@ -4,6 +4,7 @@ import fcntl
 import os
 import shutil
 import signal
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -50,6 +51,17 @@ def test_without_a_service_manager_nothing_fails(environ: dict[str, str]) -> Non
     notifier.send(READY=1)
     assert notifier.watchdog_s == 0
     notifier.close()
+
+
+def test_a_service_manager_in_the_abstract_namespace_is_notified() -> None:
+    name = f"touchd-test-{os.getpid()}"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(f"\0{name}")
+        manager.setblocking(False)
+        notifier = Notifier({"NOTIFY_SOCKET": f"@{name}"})
+        notifier.send(READY=1)
+        notifier.close()
+        assert manager.recv(100) == b"READY=1"
 
 
 def test_a_watchdog_for_another_process_is_ignored() -> None:
