@@ -337,6 +337,18 @@ def test_a_touch_that_only_the_network_sees_is_detected(seen: TrackedPad, networ
     assert isinstance(release, Release)
 
 
+def test_a_hand_that_leaves_slowly_hides_the_next_only_briefly(seen: TrackedPad, network: Network) -> None:
+    network.no_touch = 0.02
+    assert isinstance(seen.feel(palm(1.0))[0], Onset)
+    network.no_touch = 0.9
+    assert isinstance(seen.feel(1.2)[0], Release)
+    leaving = palm(24 / 54, 6.0, trembling=False) * np.sin(np.pi * np.arange(24) / 24)[:, None, None]
+    assert seen.feel(leaving.astype(np.float32), 3.2) == []
+    # Between the network's limits for a pad at rest and for contact that moves.
+    network.no_touch = 0.4
+    assert isinstance(seen.feel(palm(0.8, 4.5))[0], Onset)
+
+
 def test_above_the_default_threshold_the_network_alone_begins_no_touch(network: Network) -> None:
     pad = TrackedPad(TouchSettings(onset_threshold=20.0), network)
     assert pad.feel(2.0) == []
