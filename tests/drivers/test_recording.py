@@ -5,6 +5,7 @@ import gzip
 import hashlib
 import os
 import shutil
+import threading
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import fields
@@ -26,7 +27,7 @@ from touchd.drivers.recording import (
     splice,
     write_recordings,
 )
-from touchd.drivers.whole_file import whole_file
+from touchd.drivers.whole_file import whole_file, without_waiting
 
 CELL_NAMES = [f"cell{i}" for i in range(1, 65)]
 CONDITION = ["Substrate", "Cover", "Gesture"]
@@ -275,6 +276,16 @@ def test_a_new_file_is_written_without_hard_links(
         partial.write_text("other")
     assert path.read_text() == "ours"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_pipe_is_read_until_its_writer_closes_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    writer = os.fdopen(os.open(tmp_path / "pipe", os.O_RDWR), "wb")
+    with open(tmp_path / "pipe", "rb", opener=without_waiting) as pipe:
+        late = threading.Timer(0.05, lambda: (writer.write(b"late"), writer.close()))
+        late.start()
+        assert pipe.read() == b"late"
+        late.join()
 
 
 def test_an_error_while_writing_leaves_the_old_file_alone(before: Path) -> None:
