@@ -33,7 +33,7 @@ SUFFIXES = (".csv", ".csv.gz")
 SUFFIX = ".csv.gz"
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
-# With fewer steps there is no usual one; a clock with longer steps does not count milliseconds.
+# Fewer steps do not show the usual one; a clock with longer steps does not count milliseconds.
 LEAST_STEPS, SLOWEST_STEP_MS = 4, 1000
 NO_TOUCH = "notouch"
 """The label of a recording in which nothing touches the pad."""

@@ -26,7 +26,7 @@ class FormatError(TouchdError, ValueError):
 
 
 def _check_hex(name: str, text: str) -> None:
-    """Refuse a text that is not bytes in hex; white space alone would be no bytes."""
+    """Refuse a text that is not bytes in hex, or that holds only white space."""
     try:
         is_empty = not bytes.fromhex(text)
     except ValueError:

@@ -74,7 +74,7 @@ class RobotMessage:
 
 
 class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a gesture is called ("pat"), and how it reads in a sentence ("a pat")."""
+    """A gesture's name ("pat"), and its form in a sentence ("a pat")."""
 
     name: Name
     phrase: Name

@@ -56,8 +56,8 @@ SEAM_ROWS = 3
 MOSTLY_EQUAL = 0.95
 # Numbers that are unlike the cells are fewer than this share of what a hand moves.
 FEW_BEYOND = 0.2
-# Rows are of several kinds by turns if those of one turn fall short of moving alike by less than this share
-# of what those of different turns do, or share this much more with the next of their kind than with the next.
+# Rows alternate between kinds if rows of one kind differ in movement by less than this share of what rows of
+# different kinds differ by, or share this much more with the next row of their kind than with the next row.
 ALTERNATES, SHARES_MORE = 0.33, 0.45
 MOST_KINDS = 4
 # A checksum is the cells' sum modulo a number that is at least this many times a cell's step.
@@ -171,7 +171,7 @@ class Movement:
         self.follows = self.pressed & ~_is_switch(chosen) & _follows(off, moved, energy)
         self._like_cells = self.follows | resembling
         self._all_like_cells = int(self._like_cells.sum())
-        # If too little moves, there are no stretches, and every grid scores 0.
+        # If too little moves, no stretches are made, and every grid scores 0.
         self._stretches = np.array_split(busy, STRETCHES) if len(busy) >= STRETCHES else []
         total = np.square(self.moved).sum(axis=1)
         self._total = np.array([total[part].sum() for part in self._stretches])

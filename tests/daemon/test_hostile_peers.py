@@ -98,7 +98,7 @@ def children(pid: int) -> list[int]:
 
 
 def resident_mb(pid: int) -> float:
-    """Return the resident memory of a process and its children, any of which may end meanwhile."""
+    """Return the resident memory of a process and its children; one that has ended counts 0."""
     with suppress(FileNotFoundError, ProcessLookupError):
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
         return pages * resource.getpagesize() / 1e6 + sum(map(resident_mb, children(pid)))

@@ -41,6 +41,7 @@ TEXTS: dict[str, Callable[[Grid, int], str]] = {
     "plotter": lambda v, n: "\t".join(f"s{i}:{x}" for i, x in enumerate(v.ravel())) + "\r\n",
     "JSON keys": lambda v, n: json.dumps({f"f{i}": int(x) for i, x in enumerate(v.ravel())}) + "\n",
     "date and time": lambda v, n: f"2026-11-25T10:00:{n / 50:06.3f}Z,{line(v)}\n",
+    "six leading numbers": lambda v, n: f"1,2,3,4,5,{n},{line(v)}\n",
     "eight numbers on either side": lambda v, n: f"1,2,3,4,5,6,7,{n},{line(v)}{8 * ',0.71'}\n",
     "pressure map": lambda v, n: f"Frame,{n}\r\nTime,{n / 50:.2f}\r\nRaw Sum,{v.sum()}\r\n{table(v)}@@\r\n",
     "ROS": lambda v, n: f"header:\n  seq: {n}\n  secs: {n // 50}\ndata: {v.ravel().tolist()}\n---\n",
