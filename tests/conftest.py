@@ -43,13 +43,15 @@ TRAINING = (
     "test_speed.py",
     "test_paper.py",
 )
+# These share a browser, which takes a processor's seconds to start.
+BROWSING = ("test_live_page.py", "test_live_touch.py")
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
     *TRAINING,
     "test_fake_pad.py",
     "test_init.py",
     "test_hostile_peers.py",
-    "test_live_page.py",
+    *BROWSING,
     "test_search.py",
     "test_end_to_end.py",
     "test_scores.py",
@@ -60,7 +62,6 @@ LONGEST = (
     "test_sessions.py",
     "test_stability.py",
     "test_sensor_faults.py",
-    "test_live_touch.py",
     "test_bridges.py",
     "test_robot_faults.py",
     "test_monitor.py",
@@ -86,11 +87,12 @@ def pytest_collection_finish() -> None:
 
 
 class ByFile(LoadFileScheduling):
-    """Gives each file to one worker, and all files that train networks to the same worker."""
+    """Gives each file to one worker; all files that train networks, and all that browse, to the same one."""
 
     def _split_scope(self, nodeid: str) -> str:
         file = super()._split_scope(nodeid)
-        return "training" if file.rpartition("/")[2] in TRAINING else file
+        name = file.rpartition("/")[2]
+        return "training" if name in TRAINING else "browsing" if name in BROWSING else file
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -307,7 +307,9 @@ def test_run_reads_what_replay_plays() -> None:
         assert replay.wait(WITHIN_S) == 0
 
 
-@pytest.mark.parametrize("with_qi", [pytest.param(True, marks=needs_qi), False])
+@pytest.mark.parametrize(
+    "with_qi", [pytest.param(True, marks=needs_qi), pytest.param(False, marks=pytest.mark.slow)]
+)
 def test_the_demo_shows_touch_answers_and_robot_and_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], with_qi: bool
 ) -> None:

@@ -209,7 +209,7 @@ assert found == {False, True}, found
 """
 
 
-@pytest.mark.parametrize("whose", ["own", "service"])
+@pytest.mark.parametrize("whose", ["own", pytest.param("service", marks=pytest.mark.slow)])
 def test_a_kill_while_setting_the_model_leaves_whole_files(tmp_path: Path, config: Path, whose: str) -> None:
     model = tmp_path / "home" / "lab.onnx"
     model.parent.mkdir()

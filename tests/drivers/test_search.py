@@ -289,7 +289,7 @@ def test_light_touches_prove_a_coarse_pads_grid_or_nothing(step: int) -> None:
     judged = third_study(*JUDGED_ON)
     touching, still = ([each for _, touched, each in judged if touched is wanted] for wanted in (True, False))
     touches = [search(printed(each)).proposed for each in touching[::step]]
-    rests = [search(printed(each)).proposed for each in still]
+    rests = [search(printed(each)).proposed for each in still[::step]]
     found = [each for each in touches if each is not None]
     assert len(found) >= len(touches) // 10
     assert {(each.rows, each.columns, each.skip, each.tail, each.invert) for each in found} == {

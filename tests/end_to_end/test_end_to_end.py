@@ -81,8 +81,8 @@ def test_touches_of_a_session_stay_apart_through_a_port(
     hand = simulate([("notouch", 7.0), ("constant", 4.0), ("pat", 4.0), ("scratch", 4.0)], seed=5)
     session = next(sessions(hand, SessionSettings(seconds=3.0, noise=noise)))
     events = run(Stream(session.counts, ideal_clock_ms(len(session.counts)), ()))
-    felt = score([judge(session, events)])
-    assert (felt.n, felt.missed, felt.merged, felt.split, felt.false) == (3, 0, 0, 0, 0)
+    result = score([judge(session, events)])
+    assert (result.n, result.missed, result.merged, result.split, result.false) == (3, 0, 0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -102,11 +102,11 @@ def test_damaged_frames_mark_the_touches_degraded(
 ) -> None:
     stream = beginning(stream_of(LENGTHS))
     emitted = run(stream, faults=Faults(flip_bit_every=50))
-    felt, sent = (
+    result, sent = (
         [event.touch for event in events if isinstance(event, TouchEnded)]
         for events in (emitted, answers(stream, classifier))
     )
-    assert felt == sent
+    assert result == sent
     assert any(event.degraded for event in emitted if isinstance(event, Prediction))
 
 
@@ -133,6 +133,7 @@ def four_seconds_of(recording: Recording) -> Recording:
     return replace(recording, counts=recording.counts[:216], sensor_ms=recording.sensor_ms[:216])
 
 
+@pytest.mark.slow
 @needs_haart
 def test_each_gestures_real_recording_is_one_touch(
     run: Callable[..., list[Event]], classifier: Classifier, tmp_path: Path

@@ -23,6 +23,7 @@ def final(touch: int = 1, **changes: Any) -> Prediction:
     return msgspec.structs.replace(PREDICTION, touch=touch, **(values | changes))
 
 
+@pytest.mark.slow
 def test_a_short_soak_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHD_HAART", raising=False)
     with pad() as line:

@@ -197,6 +197,7 @@ def test_a_kill_while_writing_leaves_a_whole_model_or_none(tmp_path: Path, disk:
     assert len(done.stdout.splitlines()) > 8
 
 
+@pytest.mark.slow
 def test_a_half_written_model_has_another_name(
     pretrained: Pretrained, adapted: Adapted, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

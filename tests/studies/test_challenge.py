@@ -255,9 +255,7 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     "system",
     [
-        pytest.param(
-            each, marks=[pytest.mark.slow] * (isinstance(each, DeepSystem) or each.key == "balli-forest")
-        )
+        pytest.param(each, marks=[pytest.mark.slow] * (each.key not in ("gaus-forest", "gaus-boosting")))
         for each in TRAINED
     ],
     ids=lambda system: system.key,

@@ -171,7 +171,7 @@ def test_bfloat16_is_used_only_where_the_processor_has_it(
     assert seen == {dtype}
 
 
-@pytest.mark.parametrize("steps_before", [1, 5])
+@pytest.mark.parametrize("steps_before", [1, pytest.param(5, marks=pytest.mark.slow)])
 def test_interrupted_trainings_end_in_the_same_networks(tmp_path: Path, steps_before: int) -> None:
     data = recordings(PEOPLE)
     jobs = [Job(f"network{i}", each) for i, each in enumerate(SIDE_BY_SIDE)]
