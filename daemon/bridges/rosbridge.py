@@ -62,7 +62,7 @@ class RosbridgeBridge(ConnectedBridge):
                     connection.send(msgspec.json.encode(advertised).decode())
                 self.connected()
                 for message in connection:
-                    self._heed(message)
+                    self._read_status(message)
             reason = "the connection was closed"
         except WebSocketException as error:
             reason = str(error)
@@ -83,7 +83,7 @@ class RosbridgeBridge(ConnectedBridge):
         if self._connection is not None:
             self._connection.close()
 
-    def _heed(self, message: str | bytes) -> None:
+    def _read_status(self, message: str | bytes) -> None:
         """Note what the server refuses; anything else that it sends is ignored."""
         # RecursionError: lists nested too deeply.
         with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):

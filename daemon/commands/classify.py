@@ -54,7 +54,7 @@ class Tally:
         self._words = words
         self._frame = 0
         self._recorded = ""
-        self._felt: set[int] = set()
+        self._detected: set[int] = set()
         self._touches: Counter[tuple[str, str]] = Counter()
 
     def at(self, frame: int) -> None:
@@ -65,7 +65,7 @@ class Tally:
         """Count a touch."""
         if isinstance(event, TouchBegan):
             place = next(i for i, span in enumerate(self._spans) if self._frame < span.stop)
-            self._felt.add(place)
+            self._detected.add(place)
             self._recorded = self._spans[place].gesture
         elif isinstance(event, TouchEnded):
             self._touches[self._recorded, event.gesture] += 1
@@ -85,6 +85,6 @@ class Tally:
         touches = sum(self._touches.values())
         share = f" ({right / touches:.0%})" if touches else ""
         lines.append(f"{right} of {touches} touches right{share}")
-        if missed := len(set(touched) - self._felt):
+        if missed := len(set(touched) - self._detected):
             lines.append(f"no touch was detected in {missed} of {len(touched)} recordings of touches")
         return "\n".join([*lines, ""])

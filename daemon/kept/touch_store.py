@@ -53,7 +53,7 @@ LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 
 
 @dataclass(frozen=True, eq=False)
-class FeltTouch:
+class EndedTouch:
     """A touch that is over, and the pad's frames around it, in order of arrival.
 
     noticed: number of these frames that had arrived when the touch was detected. end_ms: the sensor's clock
@@ -98,27 +98,27 @@ class TouchPieces:
         ]
 
 
-def cut(felt: FeltTouch) -> TouchPieces:
+def cut(touch: EndedTouch) -> TouchPieces:
     """Return the touch from its true first frame to its last contact, with the rest before and after it.
 
     The part before lasts at most LEAD_MS and holds nothing of an earlier touch. The part after is kept only
     if the touch was released, and not if it was lost or taken for the pad's rest.
     """
-    frames = felt.frames
-    began_ms = felt.began.sensor_ms
-    first = _walk_back(frames, felt.noticed - 1, began_ms)
+    frames = touch.frames
+    began_ms = touch.began.sensor_ms
+    first = _walk_back(frames, touch.noticed - 1, began_ms)
     lead_ms = LEAD_MS
-    if felt.quiet_from_ms is not None:
-        lead_ms = min(LEAD_MS, (began_ms - felt.quiet_from_ms) % CLOCK_MODULUS - 1)
+    if touch.quiet_from_ms is not None:
+        lead_ms = min(LEAD_MS, (began_ms - touch.quiet_from_ms) % CLOCK_MODULUS - 1)
     start = _walk_back(frames, first, began_ms - lead_ms)
     stop = first + 1
-    while stop < len(frames) and _is_next(frames, stop) and _is_from(felt.end_ms, frames[stop].sensor_ms):
+    while stop < len(frames) and _is_next(frames, stop) and _is_from(touch.end_ms, frames[stop].sensor_ms):
         stop += 1
     return TouchPieces(
         before=frames[start:first],
         touch=frames[first:stop],
-        after=frames[stop:] if felt.ended.reason == "released" else (),
-        is_whole=stop < len(frames) or _is_from(frames[-1].sensor_ms, felt.end_ms),
+        after=frames[stop:] if touch.ended.reason == "released" else (),
+        is_whole=stop < len(frames) or _is_from(frames[-1].sensor_ms, touch.end_ms),
     )
 
 
@@ -177,7 +177,7 @@ class TouchStore:
         prepare(folder)
         self._count: int | None = None
 
-    def add(self, touch: FeltTouch) -> None:
+    def add(self, touch: EndedTouch) -> None:
         """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
         try:
             # A user may have deleted the touches with their folder.
@@ -203,7 +203,7 @@ class TouchStore:
             _delete(self._folder.glob(f"{PARTIAL}*"))
         return max((kept.count for kept in kept_touches(self._folder)), default=0)
 
-    def _provenance(self, touch: FeltTouch, pieces: TouchPieces) -> dict[str, str]:
+    def _provenance(self, touch: EndedTouch, pieces: TouchPieces) -> dict[str, str]:
         return {
             "source": f"touchd run, touchd {metadata.version('touchd')}",
             "recorded": touch.began.time,
@@ -282,7 +282,7 @@ def read_frames(kept: KeptTouch) -> KeptFrames:
     return KeptFrames(before[-1] if before else None, parts[place], after[0] if after else None)
 
 
-class TouchSink(QueuedSink[FeltTouch]):
+class TouchSink(QueuedSink[EndedTouch]):
     """A sink that keeps the frames of touches on pads that have a store; it ignores other pads.
 
     Frames and the events that they cause must come from one thread, a frame before its events.
@@ -299,7 +299,7 @@ class TouchSink(QueuedSink[FeltTouch]):
         if pad in self._stores:
             self._pads[pad].take(frame)
 
-    def put(self, item: Event | FeltTouch) -> None:
+    def put(self, item: Event | EndedTouch) -> None:
         """Note that a touch began, or queue a touch that ended for writing; returns at once."""
         match item:
             case TouchBegan() if item.pad in self._pads:
@@ -312,7 +312,7 @@ class TouchSink(QueuedSink[FeltTouch]):
                 # The next frames are another pad's, or its clock restarted.
                 self._pads.pop(item.pad, None)
 
-    def write(self, item: FeltTouch) -> None:
+    def write(self, item: EndedTouch) -> None:
         self._stores[item.began.pad].add(item)
 
 
@@ -337,9 +337,9 @@ class _PadFrames:
         self._began, self._frames = event, list(self._recent)
         self._noticed = len(self._frames)
 
-    def end(self, event: TouchEnded, end_ms: int) -> FeltTouch | None:
+    def end(self, event: TouchEnded, end_ms: int) -> EndedTouch | None:
         began, frames, quiet_from_ms = self._began, tuple(self._frames), self._quiet_from_ms
         self._began, self._frames, self._quiet_from_ms = None, [], end_ms
         if began is None:
             return None
-        return FeltTouch(began, event, frames, self._noticed, end_ms, quiet_from_ms)
+        return EndedTouch(began, event, frames, self._noticed, end_ms, quiet_from_ms)

@@ -78,7 +78,7 @@ class LabelFolder:
         write_recordings(path, [recording], self._provenance(kept))
         return path
 
-    def find_right(self, kept: KeptTouch) -> None:
+    def mark_right(self, kept: KeptTouch) -> None:
         """Mark the answer to a touch as correct."""
         mark = self.path / RIGHT / kept.path.name
         with os_errors_as(RecordingError, f"{mark}: cannot be written"):
@@ -257,7 +257,7 @@ class LabelDialogue:
     def _decide(self, kept: KeptTouch, answer: str) -> None:
         """Carry out an answer; "l" (later) does nothing, so the next session asks again."""
         if answer == "":
-            self._folder.find_right(kept)
+            self._folder.mark_right(kept)
             self._print("  right", style="green")
         elif answer in self._gestures:
             path = self._folder.label(kept, self._setting, self._gestures[answer])

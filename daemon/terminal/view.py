@@ -157,9 +157,9 @@ class View:
                 self._now = None
             match event:
                 case TouchBegan():
-                    felt = ShownTouch(event)
-                    felt.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
-                    self._touches.append(felt)
+                    shown = ShownTouch(event)
+                    shown.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
+                    self._touches.append(shown)
                     self._said_by_robot = ""
                 case Prediction() | TouchEnded() if self._touches:
                     self._touches[-1].add(event)

@@ -71,9 +71,9 @@ class Reactions:
 def _fits(rule: ActionRule, message: RobotMessage, news: bool) -> bool:
     named = message.gesture in rule.gestures if rule.gestures else message.gesture != UNCERTAIN
     # A measure that this touch does not have is neither high nor low.
-    felt = {measure: value for measure, value in message.feel.items() if value is not None}
-    is_like = all(felt.get(measure, -math.inf) >= least for measure, least in rule.above.items())
-    is_like &= all(felt.get(measure, math.inf) < most for measure, most in rule.below.items())
+    measured = {measure: value for measure, value in message.feel.items() if value is not None}
+    is_like = all(measured.get(measure, -math.inf) >= least for measure, least in rule.above.items())
+    is_like &= all(measured.get(measure, math.inf) < most for measure, most in rule.below.items())
     return named and is_like and (message.stage in rule.stages if rule.stages else news)
 
 

@@ -19,7 +19,7 @@ from touchd.drivers.errors import TouchdError, one_line
 # Poll interval for the stop event while a call runs.
 SLICE_MS = 50
 # Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
-HURRY_S = 0.25
+STOPPING_LIMIT_S = 0.25
 
 
 class RobotError(TouchdError):
@@ -129,7 +129,7 @@ class RobotSession(Protocol):
         """Give the connection up at once, in whatever state it is."""
 
 
-# Takes the URL, the login, the limits, and an event after which no call may take longer than HURRY_S.
+# Takes URL, login, limits, and an event after which no call may take longer than STOPPING_LIMIT_S.
 OpenSession: TypeAlias = Callable[[str, Login | None, RobotLimits, threading.Event], RobotSession]
 
 
@@ -168,10 +168,10 @@ class QiSession:
     ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
     """
 
-    def __init__(self, url: str, login: Login | None, limits: RobotLimits, hurry: threading.Event) -> None:
+    def __init__(self, url: str, login: Login | None, limits: RobotLimits, stopping: threading.Event) -> None:
         self._url = url
         self._limits = limits
-        self._hurry = hurry
+        self._stopping = stopping
         self._qi = load_qi()
         self._session = self._qi.Session()
         self._proxies: dict[str, Any] = {}
@@ -211,13 +211,13 @@ class QiSession:
 
     def close(self) -> None:
         self._proxies.clear()
-        self._session.close(_async=True).wait(round(1000 * HURRY_S))
+        self._session.close(_async=True).wait(round(1000 * STOPPING_LIMIT_S))
 
     def _value(self, future: Any, limit_s: float, what: str) -> object:
         started_s = time.monotonic()
         while future.wait(SLICE_MS) == self._qi.FutureState.Running:
             waited_s = time.monotonic() - started_s
-            if waited_s >= limit_s or (self._hurry.is_set() and waited_s >= HURRY_S):
+            if waited_s >= limit_s or (self._stopping.is_set() and waited_s >= STOPPING_LIMIT_S):
                 raise RobotLost(f"{what}: no answer within {waited_s:.1f} s")
         try:
             return future.value()

@@ -29,7 +29,7 @@ class Worker(ABC, Generic[Item]):
 
     The thread alone uses the session. `begin`, `handle`, `tend` and `end` may raise RobotLost or
     RobotRefused.
-    open_session: returns a new, unconnected session, given the event that says to hurry.
+    open_session: returns a new, unconnected session, given the event that is set once the daemon stops.
     on_state: called after each attempt to connect and each loss, from the worker's thread.
     counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
     + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried

@@ -30,7 +30,7 @@ from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, TouchEnded, encode
 from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.kept.touch_store import (
-    FeltTouch,
+    EndedTouch,
     TouchSink,
     TouchStore,
     description_of,
@@ -70,7 +70,7 @@ class PromptStore(TouchStore):
 
     written = threading.Semaphore(0)
 
-    def add(self, touch: FeltTouch) -> None:
+    def add(self, touch: EndedTouch) -> None:
         """Write a touch, and signal it."""
         super().add(touch)
         self.written.release()

@@ -130,27 +130,27 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     offered = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
     bridge = peer.bridge()
     found: set[tuple[str, str]] = set()
-    heard: dict[str, list[object]] = {name: [] for name in topics}
+    received: dict[str, list[object]] = {name: [] for name in topics}
 
-    def all_heard() -> bool:
+    def all_received() -> bool:
         bridge.put(PREDICTION)
         bridge.put_frame(frame(1), PAD)
         time.sleep(0.05)
         for name, reader in readers.items():
-            heard[name] += reader.take(10)
+            received[name] += reader.take(10)
         found.update((sample.topic_name, sample.type_name) for sample in offered.take(20))
-        return all(heard.values()) and len(found) == 3
+        return all(received.values()) and len(found) == 3
 
-    wait_for(all_heard)
+    wait_for(all_received)
     bridge.stop(2.0)
     assert found == {
         ("rt/touchd/pad/gesture", "std_msgs::msg::dds_::String_"),
         ("rt/touchd/pad/event", "std_msgs::msg::dds_::String_"),
         ("rt/touchd/pad/pressure", "sensor_msgs::msg::dds_::Image_"),
     }
-    assert heard["gesture"][0] == String("stroke")
-    assert decode(heard["event"][0].data) == PREDICTION  # type: ignore[attr-defined]
-    picture = heard["pressure"][0]
+    assert received["gesture"][0] == String("stroke")
+    assert decode(received["event"][0].data) == PREDICTION  # type: ignore[attr-defined]
+    picture = received["pressure"][0]
     assert isinstance(picture, Image)
     assert (picture.encoding, picture.step, picture.header.frame_id) == ("mono16", 16, PAD)
     np.testing.assert_array_equal(np.frombuffer(bytes(picture.data), "<u2").reshape(8, 8), frame(1).pressure)
@@ -178,23 +178,23 @@ def test_ros2_waits_for_a_network_and_ends_without_one(
         monkeypatch.setattr(bridge, "_join", join)
         fail()
 
-    def heard() -> bool:
+    def received() -> bool:
         bridge.put(PREDICTION)
         time.sleep(0.05)
-        return bool(peer.heard)
+        return bool(peer.received)
 
     monkeypatch.setattr(bridge, "_join", fail_once)
     with caplog.at_level("INFO"), closing(peer):
         peer.start()
         bridge.start()
-        wait_for(heard)
+        wait_for(received)
         monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
-        wait_for(lambda: heard() and "the network has changed" in caplog.text)
-        peer.heard.clear()
-        wait_for(heard)
+        wait_for(lambda: received() and "the network has changed" in caplog.text)
+        peer.received.clear()
+        wait_for(received)
         monkeypatch.setattr(bridge, "_join", fail)
         monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.8"])
-        wait_for(lambda: heard() and caplog.text.count("the network has changed") == 2)
+        wait_for(lambda: received() and caplog.text.count("the network has changed") == 2)
         assert [message.partition(" (")[0] for message in caplog.messages] == [
             "ros2: a network for DDS is away",
             "ros2: connected to DDS",
@@ -235,7 +235,7 @@ def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     peer.start()
     bridge = peer.bridge()
     bridge.put(PREDICTION)
-    peer.await_heard(1)
+    peer.await_received(1)
     bridge.put_frame(frame(2), PAD)
     wait_for(lambda: len(peer.operations) == 6)
     bridge.stop(2.0)

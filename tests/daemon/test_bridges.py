@@ -46,10 +46,10 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
     wait_for(lambda: not any(thread.is_alive() for thread in started if thread.name.startswith("touchd-")))
 
 
-def put_until_heard(peer: Peer, bridge: Bridge) -> None:
+def put_until_received(peer: Peer, bridge: Bridge) -> None:
     """Put events until one arrives; a peer for which nobody queues misses those sent before it was found."""
-    heard = len(peer.heard)
-    while len(peer.heard) == heard:
+    received = len(peer.received)
+    while len(peer.received) == received:
         bridge.put(touch(1))
         time.sleep(0.05)
 
@@ -59,10 +59,10 @@ def test_events_arrive_again_after_the_peer_died(peer: Peer) -> None:
     bridge = peer.bridge()
     for _ in range(2):
         peer.start()
-        put_until_heard(peer, bridge)
-        heard = len(peer.heard)
+        put_until_received(peer, bridge)
+        received = len(peer.received)
         bridge.put(touch(2))
-        peer.await_heard(heard + 1)
+        peer.await_received(received + 1)
         peer.stop()
 
 
@@ -78,9 +78,9 @@ def test_while_the_peer_is_away_the_oldest_events_are_dropped(
     assert time.monotonic() - began_s < AT_ONCE_S
     assert 39 <= bridge.dropped <= 40
     peer.start()
-    peer.await_heard(10)
-    assert f'"touch":{49},' in peer.heard[-1]
-    assert len(peer.heard) + bridge.dropped == 50
+    peer.await_received(10)
+    assert f'"touch":{49},' in peer.received[-1]
+    assert len(peer.received) + bridge.dropped == 50
 
 
 @pytest.mark.parametrize("peer", ALL, indirect=True)
@@ -184,9 +184,9 @@ def test_a_peer_that_takes_nothing_is_left(
 def test_stopping_sends_queued_events(peer: Peer) -> None:
     peer.start()
     bridge = peer.bridge()
-    put_until_heard(peer, bridge)
-    heard = len(peer.heard)
+    put_until_received(peer, bridge)
+    received = len(peer.received)
     for number in range(100, 120):
         bridge.put(touch(number))
     bridge.stop(WITHIN_S)
-    peer.await_heard(heard + 20)
+    peer.await_received(received + 20)

@@ -38,12 +38,12 @@ SEQUENCES: dict[str, list[Step]] = {
         ("revised", {"stroke": 0.4}, "stroke", False, False),
         ("final", {"stroke": 0.3}, "stroke", False, True),
     ],
-    "before the robot has heard anything the best answer stands, by whatever margin": [
+    "before anything is told the best answer stands, by whatever margin": [
         ("early", {"stroke": 0.40, "rub": 0.39}, "stroke", True, False),
         ("revised", {"stroke": 0.40, "rub": 0.41}, "rub", True, False),
         ("final", {"stroke": 0.42, "rub": 0.41}, "stroke", True, True),
     ],
-    "what the robot has heard stands against one that is only a little better": [
+    "what was told stands against one that is only a little better": [
         ("early", SURE_STROKE, "stroke", True, True),
         ("revised", {"stroke": 0.26, "rub": 0.40}, "stroke", False, False),
         ("final", {"stroke": 0.26, "rub": 0.40}, "stroke", False, False),
@@ -115,7 +115,7 @@ SEQUENCES: dict[str, list[Step]] = {
 @pytest.mark.parametrize("steps", SEQUENCES.values(), ids=SEQUENCES.keys())
 def test_each_answer_is_reported_and_told_as_expected(steps: list[Step]) -> None:
     decision = Decision(SETTINGS, LABELS)
-    heard = None
+    told_last = None
     for stage, given, gesture, changed, told in steps:
         answer = decision.answer(stage, probabilities(**given))
         assert (answer.gesture, answer.changed, answer.told) == (gesture, changed, told)
@@ -123,8 +123,8 @@ def test_each_answer_is_reported_and_told_as_expected(steps: list[Step]) -> None
         assert answer.stage == ("uncertain" if is_uncertain else stage)
         named = max(given, key=given.__getitem__) if is_uncertain else gesture
         assert answer.confidence == pytest.approx(probabilities(**given)[LABELS.index(named)])
-        heard = gesture if told and not is_uncertain else heard
-    assert decision.told == heard
+        told_last = gesture if told and not is_uncertain else told_last
+    assert decision.told == told_last
 
 
 def test_a_scene_shares_probability_among_its_gestures() -> None:

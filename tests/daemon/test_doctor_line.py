@@ -57,8 +57,8 @@ def test_cropping_a_small_pad_is_a_warning() -> None:
 
 def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, seconds: float = 1.0) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
-        unheard = listen(opened, parser_of(sensor.described), 1.0, start_s=seconds)
-        return check_protocol(unheard, sensor, opened)
+        seen = listen(opened, parser_of(sensor.described), 1.0, start_s=seconds)
+        return check_protocol(seen, sensor, opened)
 
 
 def test_another_baud_rate_is_found_by_trying() -> None:

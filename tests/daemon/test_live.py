@@ -77,8 +77,8 @@ def test_the_memory_for_late_viewers_is_bounded() -> None:
         for _ in range(2 * PREDICTIONS):
             memory.put(msgspec.structs.replace(PREDICTION, touch=touch))
     touches = memory.state("", "pad", ("pad",)).touches
-    assert [felt.began.touch for felt in touches] == list(range(2 * TOUCHES, 3 * TOUCHES))
-    assert {len(felt.predictions) for felt in touches} == {PREDICTIONS}
+    assert [found.began.touch for found in touches] == list(range(2 * TOUCHES, 3 * TOUCHES))
+    assert {len(found.predictions) for found in touches} == {PREDICTIONS}
 
 
 def test_an_event_is_shown_even_without_a_frame(served: Served, viewer: ClientConnection) -> None:

@@ -57,9 +57,9 @@ LISTEN = """
     pictures.add(document.getElementById('heat').toDataURL());
     if (pictures.size > 1) clearInterval(taking);
   }, 100);
-  window.heard = [];
+  window.announced = [];
   const announcement = document.getElementById('announcement');
-  new MutationObserver(() => heard.push([announcement.textContent, performance.now()]))
+  new MutationObserver(() => announced.push([announcement.textContent, performance.now()]))
     .observe(announcement, { childList: true });
 """
 
@@ -212,12 +212,12 @@ def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:
 
 
 def test_a_screen_reader_gets_each_answer_without_a_flood(played: WatchedPage) -> None:
-    def heard() -> list[str]:
-        return [text.replace("\u00a0", " ") for text, _ in played.run("return heard")]
+    def announced() -> list[str]:
+        return [text.replace("\u00a0", " ") for text, _ in played.run("return announced")]
 
-    wait_for(lambda: any(re.fullmatch(r"Touch 3: rub \d+ %", text) for text in heard()))
-    wait_for(lambda: any(text.startswith("The pad is down") for text in heard()))
-    times_ms = [at_ms for _, at_ms in played.run("return heard")]
+    wait_for(lambda: any(re.fullmatch(r"Touch 3: rub \d+ %", text) for text in announced()))
+    wait_for(lambda: any(text.startswith("The pad is down") for text in announced()))
+    times_ms = [at_ms for _, at_ms in played.run("return announced")]
     assert np.diff(times_ms).min() > 1900
     assert played.run("return document.getElementById('announcement').ariaLive") == "polite"
 

@@ -113,8 +113,8 @@ def test_each_pads_frames_go_to_its_own_topic(tmp_path: Path) -> None:
             daemon = SpawnedDaemon(settings, tmp_path, log)
             wait_for(lambda: len({message.topic for message in messages}) == 2 and len(messages) > 20, 20.0)
             assert daemon.stop() == 0
-        felt = {(message.topic, json.loads(message.payload)["pressure"][0][0]) for message in messages}
-    assert felt == {("touchd/head/pressure", 100), ("touchd/arm/pressure", 200)}
+        found = {(message.topic, json.loads(message.payload)["pressure"][0][0]) for message in messages}
+    assert found == {("touchd/head/pressure", 100), ("touchd/arm/pressure", 200)}
 
 
 def test_a_flooding_or_missing_pad_does_not_affect_others(tmp_path: Path) -> None:

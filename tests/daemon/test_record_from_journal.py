@@ -7,8 +7,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from rigs.ended_touch import ended_touch
 from rigs.expectations import LENGTHS, answers, beginning_of
-from rigs.felt_touch import felt
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.running_daemon import run_daemon
@@ -18,7 +18,7 @@ from rigs.wait import WITHIN_S
 from touchd.daemon import cli
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
-from touchd.daemon.kept.touch_store import FeltTouch, TouchStore, folder_of, kept_touches, read_frames
+from touchd.daemon.kept.touch_store import EndedTouch, TouchStore, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.recorder.label import RIGHT
@@ -28,7 +28,7 @@ from touchd.model.classifier import Classifier
 SPEED = 20.0
 
 
-def lines_of(touch: FeltTouch, gesture: str = "pat") -> bytes:
+def lines_of(touch: EndedTouch, gesture: str = "pat") -> bytes:
     """Return the journal's lines about a touch that was classified as `gesture`."""
     number, when = touch.began.touch, touch.began.time
     answer = msgspec.structs.replace(
@@ -46,14 +46,14 @@ class Lab:
         self.folder = folder / "lab"
         self.store = TouchStore(folder_of(self.journal), 100, "a made pad")
 
-    def touched(self, number: int, gesture: str = "pat", after_s: float = 0.0) -> FeltTouch:
+    def touched(self, number: int, gesture: str = "pat", after_s: float = 0.0) -> EndedTouch:
         """Journal and keep a touch."""
-        touch = felt(number, after_s=after_s)
+        touch = ended_touch(number, after_s=after_s)
         self.journalled(touch, gesture)
         self.store.add(touch)
         return touch
 
-    def journalled(self, touch: FeltTouch, gesture: str = "pat") -> None:
+    def journalled(self, touch: EndedTouch, gesture: str = "pat") -> None:
         """Journal a touch whose frames are not kept."""
         with self.journal.open("ab") as file:
             file.write(lines_of(touch, gesture))
@@ -88,9 +88,9 @@ def test_a_touch_deleted_during_labelling_does_not_end_it(lab: Lab) -> None:
 
 def test_a_journal_with_an_early_clock_hides_no_older_one(lab: Lab) -> None:
     early = TouchBegan(touch=9, time="1970-01-01T00:00:07.000Z", sensor_ms=0)
-    lab.journal.with_name(f"{lab.journal.name}.1").write_bytes(lines_of(felt(1)))
-    lab.journal.write_bytes(encode(early) + b"\n" + lines_of(felt(2)))
-    assert lab.numbers(felt(1).began.time) == [1, 2]
+    lab.journal.with_name(f"{lab.journal.name}.1").write_bytes(lines_of(ended_touch(1)))
+    lab.journal.write_bytes(encode(early) + b"\n" + lines_of(ended_touch(2)))
+    assert lab.numbers(ended_touch(1).began.time) == [1, 2]
 
 
 @pytest.fixture
@@ -142,7 +142,7 @@ def test_a_repeated_number_is_resolved_by_time(lab: Lab, capsys: pytest.CaptureF
     lab.touched(17)
     later = lab.touched(17, after_s=100.0)
     assert lab.label("17=tickle") == 2
-    assert f"2 saved touches have it; choose one by its time, the last are {felt(17).began.time}" in (
+    assert f"2 saved touches have it; choose one by its time, the last are {ended_touch(17).began.time}" in (
         capsys.readouterr().err
     )
     assert lab.label(f"{later.began.time[:19]}=tickle") == 0
@@ -163,7 +163,7 @@ def test_an_impossible_label_is_refused_in_one_line(
     lab: Lab, capsys: pytest.CaptureFixture[str], label: str, message: str
 ) -> None:
     lab.touched(17)
-    lab.journalled(felt(99))
+    lab.journalled(ended_touch(99))
     assert lab.label("17=tickle", label) == 2
     assert message in capsys.readouterr().err
     assert lab.files() == []
@@ -201,7 +201,7 @@ def test_a_lab_s_own_gestures_can_be_labels(lab: Lab) -> None:
 def test_kept_touches_are_offered_latest_first(lab: Lab) -> None:
     for number, gesture in ((1, "pat"), (2, "rub"), (3, "stroke"), (4, "scratch")):
         lab.touched(number, gesture)
-    lab.journalled(felt(5))
+    lab.journalled(ended_touch(5))
     with Terminal(*lab.arguments("--participant", "anna", "--cover", "fur")) as terminal:
         terminal.until("4 touches are saved; 0 of them have been looked at before")
         terminal.until("1 more are in the journal without frames")
@@ -286,7 +286,7 @@ def listed(
 
 
 def test_a_touch_without_journal_lines_is_still_offered(lab: Lab, listed: Callable[[], str]) -> None:
-    lab.store.add(felt(1))
+    lab.store.add(ended_touch(1))
     lab.touched(2)
     said = listed()
     assert "touch 1, answered ?" in said
@@ -296,11 +296,11 @@ def test_a_touch_without_journal_lines_is_still_offered(lab: Lab, listed: Callab
 
 
 def test_a_rotated_damaged_journal_is_read_as_far_as_possible(lab: Lab) -> None:
-    third, fourth, fifth = (lines_of(felt(number)) for number in (3, 4, 5))
+    third, fourth, fifth = (lines_of(ended_touch(number)) for number in (3, 4, 5))
     lab.journal.write_bytes(b'{"type":"pred\n' + fifth + b'\xff\x00 no event\n{"type":"touch_beg')
     lab.journal.with_name("events.jsonl.1").write_bytes(fourth + b"x" * 100_000 + b"\n")
     lab.journal.with_name("events.jsonl.2").write_bytes(third)
-    read = read_since(lab.journal, felt(4).began.time)
+    read = read_since(lab.journal, ended_touch(4).began.time)
     assert [(touch.began.touch, len(touch.predictions)) for touch in read] == [(4, 1), (5, 1)]
     assert lab.numbers() == [3, 4, 5]
     assert read_since(lab.journal.with_name("none.jsonl"), "") == []

@@ -14,8 +14,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from rigs.ended_touch import ended_touch
 from rigs.expectations import LENGTHS, stream_of
-from rigs.felt_touch import felt
 from rigs.live_rig import HANDSHAKE, Served, frames_among
 from rigs.made_events import PREDICTION, record, touch
 from rigs.made_pad import MadePad, Scans, nothing, palm
@@ -251,7 +251,7 @@ def test_a_folder_named_like_a_touch_does_not_stop_deletion(tmp_path: Path, name
     (tmp_path / "touches" / name).mkdir(parents=True)
     store = TouchStore(tmp_path / "touches", 3, "a made pad")
     for number in range(8):
-        store.add(felt(number))
+        store.add(ended_touch(number))
     kept = kept_touches(tmp_path / "touches")
     assert [touch.number for touch in kept] == [5, 6, 7]
     assert (tmp_path / "touches" / name).is_dir()
@@ -260,7 +260,7 @@ def test_a_folder_named_like_a_touch_does_not_stop_deletion(tmp_path: Path, name
 def test_recordings_of_people_are_as_private_as_the_journal(tmp_path: Path) -> None:
     before = os.umask(0)
     try:
-        TouchStore(tmp_path / "touches", 3, "a made pad").add(felt(1))
+        TouchStore(tmp_path / "touches", 3, "a made pad").add(ended_touch(1))
         Journal(tmp_path / "events.jsonl", max_bytes=10_000, keep=1).close()
         (kept,) = kept_touches(tmp_path / "touches")
         converted = tmp_path / "copy.csv"
@@ -281,9 +281,9 @@ def test_a_hole_in_the_numbers_hides_no_older_file(path: Path) -> None:
 def test_a_clock_that_was_ahead_does_not_delete_new_touches(tmp_path: Path) -> None:
     store = TouchStore(tmp_path, 3, "")
     for number in (1, 2, 3):
-        store.add(felt(number, after_s=1e8))
+        store.add(ended_touch(number, after_s=1e8))
     for number in (4, 5):
-        TouchStore(tmp_path, 3, "").add(felt(number))
+        TouchStore(tmp_path, 3, "").add(ended_touch(number))
     assert [kept.number for kept in kept_touches(tmp_path)] == [3, 4, 5]
 
 

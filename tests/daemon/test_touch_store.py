@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.felt_touch import felt
+from rigs.ended_touch import ended_touch
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.programs import Program
 from rigs.scripted_model import Scripted
@@ -21,7 +21,7 @@ from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, S
 from touchd.daemon.events import Event, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
 from touchd.daemon.kept.touch_store import (
     LONGEST_FRAMES,
-    FeltTouch,
+    EndedTouch,
     KeptTouch,
     TouchSink,
     TouchStore,
@@ -216,17 +216,17 @@ def test_a_touch_stays_whole_when_the_pads_state_changes(bench: StoreBench, stat
 def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
     store = TouchStore(tmp_path, 5, "")
     for number in range(105):
-        store.add(felt(number, rest_frames=0))
+        store.add(ended_touch(number, rest_frames=0))
         assert len(os.listdir(tmp_path)) <= 5
     assert [kept.number for kept in kept_touches(tmp_path)] == [100, 101, 102, 103, 104]
 
 
 def test_a_deleted_folder_is_made_again(store: TouchStore, tmp_path: Path) -> None:
-    store.add(felt(1))
+    store.add(ended_touch(1))
     (only,) = kept_touches(tmp_path / "touches")
     only.path.unlink()
     only.path.parent.rmdir()
-    store.add(felt(2))
+    store.add(ended_touch(2))
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
     assert (tmp_path / "touches").stat().st_mode & 0o007 == 0
 
@@ -246,7 +246,7 @@ class StuckStore(TouchStore):
         super().__init__(folder, 50, "")
         self.goes_on = threading.Event()
 
-    def add(self, touch: FeltTouch) -> None:
+    def add(self, touch: EndedTouch) -> None:
         self.goes_on.wait(WITHIN_S)
         super().add(touch)
 
@@ -267,7 +267,7 @@ def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
     sink = TouchSink({"pad": store})
     frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
     sink.put_frame(frames[0])
-    sink.put(felt(1).began)
+    sink.put(ended_touch(1).began)
     begun_s = time.process_time()
     for frame in frames:
         sink.put_frame(frame)
@@ -281,7 +281,7 @@ def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
 FILL_A_SMALL_DISK = """
 import logging, sys
 from pathlib import Path
-from rigs.felt_touch import felt
+from rigs.ended_touch import ended_touch
 from touchd.daemon.kept.touch_store import TouchStore, kept_touches, read_frames
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 folder = Path(sys.argv[1]) / "touches"
@@ -291,11 +291,11 @@ store = TouchStore(folder, 1000, "")
 number = 0
 while store.lost < 20:
     number += 1
-    store.add(felt(number))
+    store.add(ended_touch(number))
 whole = [kept.number for kept in kept_touches(folder)]
 assert whole == list(range(1, number - 19)), whole
 ballast.unlink()
-store.add(felt(0))
+store.add(ended_touch(0))
 assert len(kept_touches(folder)) == len(whole) + 1
 assert all(len(read_frames(kept).touch.counts) == 20 for kept in kept_touches(folder))
 assert len(list(folder.iterdir())) == len(whole) + 1, list(folder.iterdir())
@@ -313,14 +313,14 @@ def test_a_full_disk_leaves_only_whole_files(tmp_path: Path) -> None:
 KILL_MID_WRITE = """
 import sys
 from pathlib import Path
-from rigs.felt_touch import felt
+from rigs.ended_touch import ended_touch
 from touchd.daemon.kept.touch_store import TouchStore
 store = TouchStore(Path(sys.argv[1]), 10_000, "")
 number = int(sys.argv[2])
 print("writing", flush=True)
 while True:
     number += 1
-    store.add(felt(number))
+    store.add(ended_touch(number))
 """
 
 
@@ -335,7 +335,7 @@ def test_a_kill_while_writing_leaves_only_whole_files(tmp_path: Path) -> None:
             process.kill()
     for kept in kept_touches(tmp_path):
         assert len(read_frames(kept).touch.counts) == 20
-    TouchStore(tmp_path, 10_000, "").add(felt(1))
+    TouchStore(tmp_path, 10_000, "").add(ended_touch(1))
     assert {path.name for path in tmp_path.iterdir()} == {kept.path.name for kept in kept_touches(tmp_path)}
 
 
@@ -344,16 +344,16 @@ def test_a_new_store_leaves_what_the_old_one_writes(store: TouchStore, tmp_path:
     writing.touch()
     later = TouchStore(tmp_path / "touches", 20, "a made pad")
     assert writing.exists()
-    store.add(felt(1))
-    later.add(felt(2))
+    store.add(ended_touch(1))
+    later.add(ended_touch(2))
     assert not writing.exists()
     assert [(kept.count, kept.number) for kept in kept_touches(tmp_path / "touches")] == [(1, 1), (2, 2)]
 
 
 def test_a_lowered_bound_keeps_the_last_touches(tmp_path: Path) -> None:
     for number in range(6):
-        TouchStore(tmp_path, 10, "").add(felt(number))
-    TouchStore(tmp_path, 2, "").add(felt(6))
+        TouchStore(tmp_path, 10, "").add(ended_touch(number))
+    TouchStore(tmp_path, 2, "").add(ended_touch(6))
     assert [kept.number for kept in kept_touches(tmp_path)] == [5, 6]
 
 
@@ -361,12 +361,12 @@ def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     (tmp_path / "anna_foam_fur_rub_1.csv.gz").touch()
     store = TouchStore(tmp_path, 1, "")
-    store.add(felt(1))
-    store.add(felt(2))
+    store.add(ended_touch(1))
+    store.add(ended_touch(2))
     assert {path.name for path in tmp_path.iterdir()} == {
         "notes.txt",
         "anna_foam_fur_rub_1.csv.gz",
-        file_name(felt(2).began.time, 2, 2),
+        file_name(ended_touch(2).began.time, 2, 2),
     }
 
 
@@ -374,7 +374,7 @@ def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame(i, 10 * i, 0.0, counts) for i in range(300))
     began = TouchBegan(touch=1, time="", sensor_ms=1157)
-    pieces = cut(replace(felt(1), began=began, frames=frames, noticed=121, end_ms=2004))
+    pieces = cut(replace(ended_touch(1), began=began, frames=frames, noticed=121, end_ms=2004))
     assert (pieces.touch[0].sensor_ms, pieces.touch[-1].sensor_ms) == (1160, 2000)
     assert pieces.before[0].sensor_ms == 160
     assert pieces.rate == "100.00 Hz, 0 frames lost"
@@ -382,7 +382,7 @@ def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
 
 def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> None:
     pads = {"pad": SensorSettings(port="/dev/pad")}
-    open_stores(tmp_path / "events.jsonl", 2, pads)["pad"].add(felt(1))
+    open_stores(tmp_path / "events.jsonl", 2, pads)["pad"].add(ended_touch(1))
     (kept,) = kept_touches(tmp_path / "events.jsonl.touches")
     assert read_provenance(kept.path)["sensor"].endswith("at 512000 baud on /dev/pad")
     assert description_of(SensorSettings(port="tcp://pad:4000")).endswith("invert True, on tcp://pad:4000")

@@ -93,7 +93,7 @@ def test_a_bridge_retries_a_lost_peer_quickly(
         wait_for(lambda: pauses[-1:] > [0.2])
         peer.start()
         bridge.put(touch(1))
-        peer.await_heard(1)
+        peer.await_received(1)
         pauses.clear()
         peer.stop()
         assert first(pauses) <= 0.1

@@ -138,9 +138,9 @@ def test_our_driver_reads_the_board_on_a_serial_port(board: MakeBoard) -> None:
     pictures = pictures_of(10, 10)
     with port_of(lambda output: board().start(pictures, 5.0, output)) as path, sensing(path) as queue:
         frames = next_frames(queue, 50)
-    felt = MAX_COUNT - pictures[:, 1:9, 1:9]
-    (first,) = np.flatnonzero((felt == frames[0].pressure).all(axis=(1, 2)))
-    for frame, expected in zip(frames, felt[first:], strict=False):
+    pressed = MAX_COUNT - pictures[:, 1:9, 1:9]
+    (first,) = np.flatnonzero((pressed == frames[0].pressure).all(axis=(1, 2)))
+    for frame, expected in zip(frames, pressed[first:], strict=False):
         np.testing.assert_array_equal(frame.pressure, expected)
     assert set(steps_ms(frames)) <= {17, 18, 19, 20}
 

@@ -101,7 +101,7 @@ def test_after_an_overrun_losses_are_counted_and_answers_right(tmp_path: Path) -
         daemon.process.terminate()
         events = list(daemon.events())
         assert daemon.stop() == 0
-        statuses = manager.heard()
+        statuses = manager.received()
         log.seek(0)
         said = log.read()
     processed, _, dropped = totals(said)

@@ -71,15 +71,15 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
 
 def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, health: Health) -> None:
     health.feed()
-    assert manager.heard() == []
+    assert manager.received() == []
     health.pad_state("pad", up=False)
     health.pad_state("pad", up=True)
-    assert manager.heard().count("READY=1") == 1
+    assert manager.received().count("READY=1") == 1
 
 
 def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, health: Health) -> None:
     health.pad_state("pad", up=False)
-    assert "WATCHDOG=1" in manager.heard()
+    assert "WATCHDOG=1" in manager.received()
 
 
 @pytest.mark.parametrize(("silent", "fed"), [("pad", []), ("nobody", ["WATCHDOG=1"])])
@@ -89,19 +89,19 @@ def test_the_watchdog_starves_when_one_present_pad_is_silent(
     now_s = time.monotonic()
     health.pad_state("pad", up=True)
     health.pad_state("away", up=False)
-    manager.heard()
+    manager.received()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2000)
     health.report(touches=0, dropped={"pad": 0})
     if silent == "nobody":
         health.frame_processed("pad")
     health.feed()
-    assert [line for line in manager.heard() if "WATCHDOG" in line] == fed
+    assert [line for line in manager.received() if "WATCHDOG" in line] == fed
 
 
 def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, health: Health) -> None:
     for _ in range(1000):
         health.frame_processed("pad")
-    assert manager.heard() == ["WATCHDOG=1"]
+    assert manager.received() == ["WATCHDOG=1"]
 
 
 def test_the_status_shows_rate_touches_and_drops(
@@ -113,7 +113,7 @@ def test_the_status_shows_rate_touches_and_drops(
     health.pad_state("arm", up=False)
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
     health.report(touches=3, dropped={"pad": 7})
-    status = manager.heard()[-1]
+    status = manager.received()[-1]
     assert status.startswith("STATUS=5")
     assert status.endswith(" frames/s, arm away, 3 touches, 7 frames dropped")
 
@@ -128,7 +128,7 @@ def test_each_status_and_warning_counts_from_the_one_before(
             health.frame_processed("pad")
         now_s += passed_s
         health.report(touches=0, dropped={"pad": dropped})
-    rates = [line.split()[0] for line in manager.heard() if line.startswith("STATUS=")]
+    rates = [line.split()[0] for line in manager.received() if line.startswith("STATUS=")]
     assert rates[1:] == ["STATUS=27.0", "STATUS=0.0"]
     warned = [record.getMessage().partition(":")[2].split(":")[0] for record in caplog.records]
     assert warned == [" 7 frames dropped", " 2 frames dropped"]
@@ -198,7 +198,7 @@ def test_a_signal_ends_the_daemon_before_systemd_would(spawn: Spawn, manager: Ma
     assert daemon.process.wait(WITHIN_S) == 0
     assert time.monotonic() - asked_s < AT_ONCE_S
     assert daemon.stop() == 0
-    assert "STOPPING=1" in manager.heard()
+    assert "STOPPING=1" in manager.received()
 
 
 def test_no_burst_of_signals_hangs_or_fails_the_daemon(tmp_path: Path, pad: FakePort) -> None:

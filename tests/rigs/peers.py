@@ -46,12 +46,12 @@ def frame(number: int, host_s: float | None = None) -> Frame:
 
 
 class Peer(ABC):
-    """A subscriber; `heard` is kept across restarts."""
+    """A subscriber; `received` is kept across restarts."""
 
     port: int
 
     def __init__(self) -> None:
-        self.heard: list[str] = []
+        self.received: list[str] = []
         self._bridges: list[Bridge] = []
         self._is_there = ExitStack()
 
@@ -83,8 +83,8 @@ class Peer(ABC):
             bridge.stop(2.0)
         self.stop()
 
-    def await_heard(self, count: int) -> None:
-        wait_for(lambda: len(self.heard) >= count)
+    def await_received(self, count: int) -> None:
+        wait_for(lambda: len(self.received) >= count)
 
 
 @contextmanager
@@ -179,7 +179,7 @@ class MqttPeer(Peer):
             yield
 
     def _hear(self, message: Any) -> None:
-        self.heard.append(message.payload.decode())
+        self.received.append(message.payload.decode())
 
 
 class RosbridgePeer(Peer):
@@ -217,7 +217,7 @@ class RosbridgePeer(Peer):
             operation = json.loads(text)
             self.operations.append(operation)
             if operation["op"] == "publish" and operation["topic"].endswith("/event"):
-                self.heard.append(operation["msg"]["data"])
+                self.received.append(operation["msg"]["data"])
 
 
 class LslPeer(Peer):
@@ -238,7 +238,7 @@ class LslPeer(Peer):
         while not ending.is_set():
             sample, _ = inlet.pull_sample(timeout=0.05)
             if sample is not None:
-                self.heard.append(sample[0])
+                self.received.append(sample[0])
 
 
 def inlet_of(name: str, ending: threading.Event) -> Any:
@@ -274,7 +274,7 @@ class Ros2Peer(Peer):
 
         def listen(ending: threading.Event) -> None:
             while not ending.is_set():
-                self.heard += [sample.data for sample in reader.take(100) if hasattr(sample, "data")]
+                self.received += [sample.data for sample in reader.take(100) if hasattr(sample, "data")]
                 time.sleep(0.01)
 
         with in_thread(listen):

@@ -19,7 +19,7 @@ class Manager:
     def hear(self) -> str:
         return self._socket.recv(4096).decode()
 
-    def heard(self) -> list[str]:
+    def received(self) -> list[str]:
         """Return everything received so far."""
         self._socket.setblocking(False)
         messages = []
