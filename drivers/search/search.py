@@ -30,6 +30,8 @@ UNEVEN = 3.0
 # A pad that sends nothing for this long sends only while it is pressed.
 LONGEST_PAUSE_S = 1.5
 FULL_SCALES = (1023, 4095, 65535)
+# The full scale of numbers with a fraction is one of these, times a power of ten.
+ROUND = (1, 2, 5)
 MOSTLY = 0.9
 NO_FRAMES_IN_TEXT = (
     "no steady frames of 16 numbers or more, 10 to 500 a second; print each frame in a line, or end it with "
@@ -233,7 +235,7 @@ def _is_same(best: Guess, other: Guess) -> bool:
 def _finished(guess: Guess) -> PadFormat:
     """Return a guess's description with its full_scale and invert set."""
     described, values = guess.described, guess.values
-    largest = float(values.max())
+    largest, falls = float(values.max()), Movement(values, None).falls
     is_whole = bool((values == np.round(values)).all())
     top = CELL_TOP.get(described.cell) if described.framing == "binary" else None
     scale: float
@@ -242,11 +244,14 @@ def _finished(guess: Guess) -> PadFormat:
     elif is_whole:
         scale = next((each for each in FULL_SCALES if largest <= each), largest)
         scale = min(scale, top) if top else scale
+    elif largest <= 0:
+        scale = 1.0
     else:
-        # Rounded up to four digits.
-        step = 10.0 ** (math.floor(math.log10(largest)) - 3) if largest > 0 else 1.0
-        scale = float(f"{math.ceil(largest / step) * step:.6g}") if largest > 0 else 1.0
-    return replace(described, full_scale=scale, invert=Movement(values, None).falls)
+        # Pads rest at full scale if it means no pressure; otherwise a later press may be firmer.
+        unit = 10.0 ** math.floor(math.log10(largest))
+        rounded = next((each for each in ROUND if largest <= each * unit), 10)
+        scale = float(f"{1e-3 * math.ceil(1e3 * largest / unit) * unit if falls else rounded * unit:.6g}")
+    return replace(described, full_scale=scale, invert=falls)
 
 
 def _unscaled(described: PadFormat, values: Numbers) -> str:

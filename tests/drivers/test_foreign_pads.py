@@ -315,6 +315,16 @@ def test_a_counters_upper_bytes_are_not_in_the_header() -> None:
     assert (proposed.header, proposed.rows, proposed.columns) == ("aa55", 6, 5)
 
 
+@pytest.mark.parametrize(("unit", "full_scale"), [(1023, 1), (204, 5), (10.23, 100)])
+def test_a_fractions_full_scale_leaves_room_for_a_firmer_press(unit: float, full_scale: float) -> None:
+    values = a_hand_on(5, 5)
+    proposed = found_in(
+        lambda number: " ".join(f"{x / unit:.3f}" for x in values[number].ravel()) + "\n"
+    ).proposed
+    assert proposed is not None
+    assert proposed.full_scale == full_scale
+
+
 def test_row_numbers_in_a_line_are_not_a_column() -> None:
     values = a_hand_on(8, 8)
     rows = [[{"row": row, "values": each.tolist()} for row, each in enumerate(frame)] for frame in values]
