@@ -7,6 +7,7 @@ that move together show where the cells begin, of which type they are and which 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +26,9 @@ LONGEST_FRAME = 17_000
 LEAST_CELLS = 16
 # Most bytes of a frame besides its cells.
 MOST_AROUND = 32
-LONGEST_HEADER = 8
+LONGEST_HEADER, LEAST_HEADER = 8, 2
+# Most upper bytes of a counter that may stay the same while a search listens.
+UPPER_BYTES = 3
 GRAMS = (1, 2, 3, 4)
 # A distance is a frame's length if this share of the bytes lies between equal n-grams that far apart.
 COVERED = 0.6
@@ -77,9 +80,14 @@ class Frames:
         return self.data.tobytes()
 
     @cached_property
-    def _usual(self) -> Bytes:
+    def usual(self) -> Bytes:
         usual: Bytes = np.median(self.data, axis=0).astype(np.uint8)
         return usual
+
+    @cached_property
+    def _only_rise(self) -> NDArray[np.bool_]:
+        steps = np.diff(self.data.astype(np.int16), axis=0)
+        return np.logical_and((steps >= 0).all(axis=0), (steps > 0).any(axis=0))
 
     def tells(self, header: bytes) -> bool:
         """Whether these bytes occur once a frame and hardly ever elsewhere."""
@@ -93,8 +101,8 @@ class Frames:
         """Find the header in the `around` bytes from `start` on; return its offset and bytes, b"" if none."""
         if (start, around) not in self.headers:
             places = np.arange(start, start + around) % self.length
-            usual = self._usual[places].tobytes()
-            headers = _headers(usual, self.steady[places], self.marks[places])
+            usual = self.usual[places].tobytes()
+            headers = _headers(usual, self.steady[places], self.marks[places], self._only_rise[places])
             self.headers[start, around] = next((each for each in headers if self.tells(each[1])), (0, b""))
         return self.headers[start, around]
 
@@ -206,7 +214,7 @@ def _stray(length: int) -> float:
 
 
 def _of_length(frames: Frames) -> Iterator[Guess]:
-    for anchor, run in _runs(frames.marks)[:MOST_ANCHORS]:
+    for anchor, run in _anchors(frames)[:MOST_ANCHORS]:
         # The cells may begin and end among the steady bytes.
         more = min(run, MOST_AROUND)
         begun = np.hstack([frames.data[:-1, anchor:], frames.data[1:, :anchor]])
@@ -256,16 +264,20 @@ def _of_kind(
                     yield Guess(described, values, fold, misfits, is_cut, is_folded, is_short)
 
 
-def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first byte and the length of each run of marks, the longest first; runs may wrap around."""
+def _anchors(frames: Frames) -> list[tuple[int, int]]:
+    """Return the first byte and the length of each run of marks; runs may wrap around.
+
+    Those with most bytes other than 0 come first: a cell that is dead is a run of zeros.
+    """
+    marks, length = frames.marks, frames.length
     if marks.all():
-        return [(0, len(marks))]
+        return [(0, length)]
     turn = int(np.argmin(marks))
     rolled = np.concatenate([[False], np.roll(marks, -turn), [False]]).astype(np.int8)
-    edges = np.diff(rolled)
-    starts, stops = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-    runs = [((int(one) + turn) % len(marks), int(two - one)) for one, two in zip(starts, stops, strict=True)]
-    return sorted(runs, key=lambda run: -run[1])
+    edges = np.flatnonzero(np.diff(rolled)).reshape(-1, 2).tolist()
+    runs = [((start + turn) % length, stop - start) for start, stop in edges]
+    filled = np.append(frames.usual, frames.usual) != 0
+    return sorted(runs, key=lambda run: (-filled[run[0] : sum(run)].sum(), -run[1]))
 
 
 def _decoded(table: Bytes, kind: str, order: Order) -> Numbers | None:
@@ -312,18 +324,25 @@ def _described(frames: Frames, start: int, around: int, fields: dict[str, Any]) 
 
 
 def _headers(
-    usual: bytes, steady: NDArray[np.bool_], marks: NDArray[np.bool_]
+    usual: bytes, steady: NDArray[np.bool_], marks: NDArray[np.bool_], only_rise: NDArray[np.bool_]
 ) -> Iterator[tuple[int, bytes]]:
-    """Yield the headers that bytes around cells may hold, and where each begins."""
+    """Yield the headers that bytes around cells may hold, and where each begins.
+
+    Bytes next to one that only rises may be the upper bytes of its counter, and change later.
+    """
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]]).astype(np.int8)))
-    for start, stop in edges.reshape(-1, 2):
-        if marks[start:stop].any():
-            first = int(start + np.argmax(marks[start:stop]))
-            header = usual[first:stop]
-            if stop < len(usual):
-                # Zeros before bytes that count are the upper bytes of a counter.
-                yield first, header.rstrip(b"\0")[:LONGEST_HEADER]
-            yield first, header[:LONGEST_HEADER]
+    for start, stop in edges.reshape(-1, 2).tolist():
+        if not marks[start:stop].any():
+            continue
+        first = start + int(np.argmax(marks[start:stop]))
+        before = range(1 + UPPER_BYTES * bool(start > 0 and only_rise[start - 1]))
+        after = range(1 + UPPER_BYTES * bool(stop < len(usual) and only_rise[stop]))
+        for upper in sorted(product(before, after), key=sum, reverse=True):
+            begin, end = max(first, start + upper[0]), stop - upper[1]
+            header = usual[begin:end]
+            if len(header) - header.count(0) >= LEAST_HEADER:
+                yield begin, header[:LONGEST_HEADER]
+        yield first, usual[first:stop][:LONGEST_HEADER]
 
 
 def unlike_bytes(values: Numbers) -> str:

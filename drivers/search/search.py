@@ -43,6 +43,8 @@ NO_FRAMES_IN_BYTES = (
 MOST_RANKED = 40
 # A grid that leaves out numbers that a hand moves must be this many times as good as one that does not.
 MISFIT_GAIN = 1.15
+# In the wrong byte order, cells change this many times as much when their upper byte steps.
+SHIFTED = 1.2
 # A right checksum decides between grids of nearly the same score.
 NEAR = 0.85
 
@@ -143,6 +145,7 @@ def _searched(arrived: _Arrived, by_contact: bool) -> Finding:
     ranked = nsmallest(MOST_RANKED, [each for each in paced if each.is_folded] or paced, key=_rank)
     if not ranked:
         return nothing(NO_FRAMES_IN_TEXT if printed else NO_FRAMES_IN_BYTES)
+    ranked = [each for each in ranked if not any(_is_shifted(each, other) for other in ranked)]
     # What a hand moves is a cell, unless a grid without it is surely better.
     best = min((each for each in ranked if not ranked[0].fold.beats(each.fold)), key=_misfits)
     wanting = objection(best.values, best.described.rows, best.described.columns, by_contact)
@@ -156,6 +159,7 @@ def _searched(arrived: _Arrived, by_contact: bool) -> Finding:
     others = [each for each in paced if not each.is_folded and each.described.cell != best.described.cell]
     ties += [each for each in nsmallest(MOST_RANKED, others, key=_rank) if not _outdoes(best, each)]
     ties += [each for each in paced if _rivals(best, each)]
+    ties = [each for each in ties if not _is_shifted(each, best)]
     if wanting:
         return nothing(wanting, [best, *ties[:1]])
     if ties:
@@ -198,17 +202,20 @@ def _rivals(best: Guess, other: Guess) -> bool:
 
     The upper bytes of small values are 0, so that both orders read the same but for what is beside the cells.
     """
-    one, two = best.described, other.described
-    same = one.cell == two.cell == "u16" and (one.rows, one.columns) == (two.rows, two.columns)
-    if not same or one.order == two.order:
-        return False
     is_as_good = other.misfits <= best.misfits or other.fold.score >= best.fold.score
-    return is_as_good and _variation(other) < _variation(best)
+    return _is_swapped(best, other) and is_as_good and other.variation < best.variation
 
 
-def _variation(guess: Guess) -> float:
-    """Return how much the values change from frame to frame, in the mean over all cells."""
-    return float(np.abs(np.diff(guess.values, axis=0)).mean())
+def _is_shifted(guess: Guess, other: Guess) -> bool:
+    """Whether the cells surely have the other byte order: in the wrong one, each carry is a jump by 256."""
+    return _is_swapped(guess, other) and 0 < SHIFTED * other.carry < guess.carry
+
+
+def _is_swapped(one: Guess, other: Guess) -> bool:
+    """Whether two guesses read 16-bit cells of the same grid in different byte orders."""
+    first, second = one.described, other.described
+    same = first.cell == second.cell == "u16" and (first.rows, first.columns) == (second.rows, second.columns)
+    return same and first.order != second.order
 
 
 def _confirmed(ranked: Sequence[Guess], data: bytes, times_s: Numbers) -> list[Guess]:

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from operator import lt
 
 import numpy as np
@@ -61,6 +62,18 @@ class Guess:
     is_cut: bool
     is_folded: bool = True
     is_short: bool = False
+
+    @cached_property
+    def variation(self) -> float:
+        """How much the values change from frame to frame, in the mean over all cells."""
+        return float(np.abs(np.diff(self.values, axis=0)).mean())
+
+    @cached_property
+    def carry(self) -> float:
+        """How much whole values change, on average, when their upper byte goes one step; 0 if none does."""
+        steps = np.abs(np.diff(self.values, axis=0))
+        is_step = np.abs(np.diff(self.values // 256, axis=0)) == 1
+        return float(steps[is_step].mean()) if is_step.any() else 0.0
 
 
 def lines_of(data: bytes) -> list[Line]:

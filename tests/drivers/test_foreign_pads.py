@@ -315,6 +315,42 @@ def test_a_counters_upper_bytes_are_not_in_the_header() -> None:
     assert (proposed.header, proposed.rows, proposed.columns) == ("aa55", 6, 5)
 
 
+@pytest.mark.parametrize(
+    ("before", "after"), [(">I", ""), ("", "<I"), (">I", "<H")], ids=["big", "little", "both"]
+)
+def test_a_counters_upper_bytes_that_rest_are_not_in_the_header(before: str, after: str) -> None:
+    values = a_hand_on(6, 6).astype("<u2")
+
+    def printed(number: int) -> bytes:
+        return b"\xaa\x55%b%b%b" % (
+            struct.pack(before, *[200_000 + 20 * number] * bool(before)),
+            values[number].tobytes(),
+            struct.pack(after, *[60_000 + number] * bool(after)),
+        )
+
+    proposed = found_in(printed).proposed
+    assert proposed is not None
+    assert (proposed.header, proposed.rows, proposed.columns) == ("aa55", 6, 6)
+
+
+@pytest.mark.parametrize("cell", ["<u2", ">u2"])
+def test_busy_lower_bytes_do_not_hide_the_byte_order(cell: str) -> None:
+    rng = np.random.default_rng(5)
+    noisy = pressed(6, 5, 30_000, rng) + rng.uniform(900, 2900, (6, 5)) + rng.normal(0, 150, (400, 6, 5))
+    values = noisy.astype(cell)
+    proposed = found_in(lambda number: b"\xaa\xab" + values[number].tobytes()).proposed
+    assert proposed is not None
+    assert (proposed.order == "little", proposed.skip, proposed.tail) == (cell == "<u2", 0, 0)
+
+
+def test_dead_cells_do_not_hide_the_header() -> None:
+    values = a_hand_on(6, 8).astype("<u2")
+    values[:, [1, 3, 4], [3, 5, 1]] = 0
+    proposed = found_in(lambda number: b"\xaa\x55" + values[number].tobytes()).proposed
+    assert proposed is not None
+    assert (proposed.header, proposed.rows, proposed.columns) == ("aa55", 6, 8)
+
+
 @pytest.mark.parametrize(("unit", "full_scale"), [(1023, 1), (204, 5), (10.23, 100)])
 def test_a_fractions_full_scale_leaves_room_for_a_firmer_press(unit: float, full_scale: float) -> None:
     values = a_hand_on(5, 5)
