@@ -54,7 +54,10 @@ LEAST_PRESS = 16.0
 
 TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
-SHORT = "numbers beside its cells may be a row or column that does not move: press all over it, or mend it"
+SHORT = (
+    "numbers beside its cells may be a row or column that does not move, or the end of a frame: press all "
+    "over it, mend it, and print equally many numbers on each line"
+)
 PRESSED_LONG = (
     "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
     "go of the pad between presses"

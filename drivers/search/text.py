@@ -1,10 +1,12 @@
 """Guesses the grids that the numbers of a text may form."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from operator import lt
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.pad.format import LONGEST_SIDE, PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
-from touchd.drivers.search.coupling import Fold, Movement, Numbers, sides
+from touchd.drivers.search.coupling import Fold, Movement, Numbers, is_counter, sides
 
 LEAST_FRAMES = 8
 LEAST_NUMBERS = 16
@@ -27,6 +29,10 @@ LETTERS = re.compile(
     rb"(?<![\w.]) (?!0[xX]) [-+]? (?: \d+\.?\d* | \.\d+ ) (?: [eE][-+]?\d+ )? (\w*)", re.VERBOSE
 )
 DIGIT_LETTER = re.compile(rb"\d[A-Za-z_]")
+# A line of other output, rather than of cells.
+WORD = re.compile(rb"[A-Za-z:=]")
+# Lines on either side of a separator are alike if they share this much of what other successive lines share.
+SAME_LINE = 0.8
 # Least numbers of a line whose letters change.
 LEAST_CHANGING = 4
 # Numbers with a comma each, and something else between them.
@@ -162,8 +168,13 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
     numbers = np.array(frames)
     if not np.isfinite(numbers).all():
         return
-    whole = Movement(numbers.reshape(len(numbers), -1))
+    laid = numbers.reshape(len(numbers), -1)
+    whole = Movement(laid)
     flat = whole.moved.reshape(len(whole.moved), *numbers.shape[1:])
+    off = np.where(whole.counters, 0.0, laid - np.median(laid, axis=0))
+    if width >= LEAST_NUMBERS and _are_frames(off.reshape(numbers.shape)):
+        return
+    is_wrapped = _goes_on(lines, numbers)
     total = float(np.square(flat).sum())
     still = ~whole.alive.reshape(numbers.shape[1:])
     pressed = whole.follows.reshape(numbers.shape[1:])
@@ -179,16 +190,56 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
             # Leaving cells out must not make a grid look better.
             share = float(np.square(flat[:, :, skip:stop]).sum()) / max(total, 1e-9)
             grids = sides(cells.shape[1])
+            # Several lines may make a row, or a line several rows, if that is surely a better grid.
             natural = (numbers.shape[1], columns)
-            for rows, each in [natural] if natural in grids else grids:
+            usual = movement.fold(0, *natural) if natural in grids else None
+            for rows, each in grids:
                 described = PadFormat(
                     framing="text", rows=rows, columns=each, skip=skip, tail=tail, end=end.decode("latin-1")
                 )
                 fold = movement.fold(0, rows, each)
+                is_other = usual is not None and (rows, each) != natural
+                if (
+                    usual is not None
+                    and is_other
+                    and (max(each, columns) % min(each, columns) or not fold.beats(usual))
+                ):
+                    continue
                 fold = Fold(skip, rows, each, fold.by_stretch * share)
                 left_out = pressed[:, :skip].sum() + pressed[:, stop:].sum()
                 is_short = _are_alike(numbers[:, :, :skip], cells) or _are_alike(numbers[:, :, stop:], cells)
-                yield Guess(described, cells, fold, int(left_out), bool(left_out), is_short=is_short)
+                yield Guess(
+                    described, cells, fold, int(left_out), bool(left_out), is_short=is_short or is_wrapped
+                )
+
+
+def _are_frames(off: Numbers) -> bool:
+    """Whether each line of (frames, lines, numbers) is a frame: those on either side of a separator are as
+    alike as any two successive lines. off: how far the numbers are from their rest."""
+    within = _alike(off[:, :-1], off[:, 1:])
+    return _alike(off[:-1, -1], off[1:, 0]) > SAME_LINE * within > 0
+
+
+def _alike(one: Numbers, other: Numbers) -> float:
+    shared = float((one * other).sum())
+    return shared / max(math.sqrt(np.square(one).sum() * np.square(other).sum()), 1e-9)
+
+
+def _goes_on(lines: Sequence[Line], cells: Numbers) -> bool:
+    """Whether the line after a frame's last full line may hold the rest of its cells: numbers alone that read
+    as cells do, pressed ones or at rest."""
+    width = cells.shape[2]
+    rests = [
+        line.numbers
+        for before, line in pairwise(lines)
+        if len(before.numbers) == width != len(line.numbers) and not WORD.search(line.text)
+    ]
+    length, times = Counter(map(len, rests)).most_common(1)[0] if rests else (0, 0)
+    if not length or times < MOSTLY * len(cells):
+        return False
+    rest = np.array([each for each in rests if len(each) == length])
+    changes = bool(np.ptp(rest, axis=0).any())
+    return not is_counter(rest).any() and _may_be_cells(rest, cells if changes else np.median(cells, axis=0))
 
 
 def _are_alike(beside: Numbers, cells: Numbers) -> bool:

@@ -75,6 +75,38 @@ def test_a_grid_of_the_longest_side_is_found(rows: int, columns: int) -> None:
     assert (proposed.rows, proposed.columns) == (rows, columns)
 
 
+def wrapped(values: Grid, width: int) -> str:
+    """Print as many cells on a line as fit."""
+    cells = values.ravel()
+    return "".join(f"{line(cells[at : at + width])}\r\n" for at in range(0, cells.size, width))
+
+
+@pytest.mark.parametrize(("columns", "width"), [(5, 10), (8, 4)])
+def test_lines_that_are_not_rows_are_read_as_the_better_grid(columns: int, width: int) -> None:
+    values = a_hand_on(8, columns)
+    proposed = found_in(lambda number: wrapped(values[number], width) + "\r\n").proposed
+    assert proposed is not None
+    assert (proposed.rows, proposed.columns) == (8, columns)
+
+
+@pytest.mark.parametrize("width", [9, 15])
+def test_cells_left_for_a_shorter_line_are_not_ignored(width: int) -> None:
+    values = a_hand_on(8, 8)
+    finding = found_in(lambda number: wrapped(values[number], width) + "\r\n", 3 * RATE_HZ)
+    assert finding.proposed is None
+    assert "beside its cells" in finding.missing
+
+
+def test_frames_between_two_other_lines_are_not_rows() -> None:
+    values = a_hand_on(5, 5)
+    temperature = "T 24.5\r\n"
+    proposed = found_in(
+        lambda number: f"{line(values[number])}\r\n{temperature * (number % 5 == 0)}"
+    ).proposed
+    assert proposed is not None
+    assert (proposed.rows, proposed.columns) == (5, 5)
+
+
 def around(values: Grid, row: NDArray[np.int_]) -> str:
     return f"{table(values)}{line(row)}\r\n\r\n"
 
