@@ -46,7 +46,7 @@ def can_ask() -> bool:
 
 
 def find_with_a_hand(console: Console, opened: Line) -> Finding:
-    """Ask for rest and for presses until the pad's description is proven, or for PRESS_S."""
+    """Ask for rest and for presses until the pad's description is proven twice, or for PRESS_S."""
     console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
     # The empty chunk marks the start, so that silence of a pad that nobody presses yet counts.
     chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
@@ -54,6 +54,7 @@ def find_with_a_hand(console: Console, opened: Line) -> Finding:
         "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
     )
     until_s = time.monotonic() + PRESS_S
+    before: PadFormat | None = None
     with ThreadPoolExecutor(1) as searching:
         while True:
             chunks += listen(opened, LOOK_EVERY_S)
@@ -61,8 +62,18 @@ def find_with_a_hand(console: Console, opened: Line) -> Finding:
             # Listen during the search too: a line that nobody reads loses frames.
             chunks += listen(opened, SEARCH_S, lambda _: search_now.done())  # noqa: B023 - called in this turn
             finding = search_now.result()
-            if finding.proposed is not None or time.monotonic() >= until_s:
+            # While a hand has reached a part of the pad only, a wrong grid may be proven.
+            if _is_again(finding.proposed, before) or time.monotonic() >= until_s:
                 return finding
+            before = finding.proposed
+
+
+def _is_again(found: PadFormat | None, before: PadFormat | None) -> bool:
+    """Whether two searches found the same cells; their scale may grow with a firmer press."""
+    if found is None or before is None:
+        return False
+    same_grid = (found.rows, found.columns) == (before.rows, before.columns)
+    return same_grid and (found.line, found.invert) == (before.line, before.invert)
 
 
 def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> PadFormat:

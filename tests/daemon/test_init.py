@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from rich.console import Console
 from rigs.coarse_pad import third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
@@ -25,7 +26,7 @@ from rigs.wait import WITHIN_S
 from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.config import ConfigError, SensorSettings, load
-from touchd.daemon.doctor import machine
+from touchd.daemon.doctor import hand, machine
 from touchd.daemon.events import SensorEvent, decode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
@@ -33,6 +34,7 @@ from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import SensorError
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import Login, RobotError
+from touchd.drivers.search.search import Finding
 
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
@@ -196,6 +198,18 @@ def test_a_robots_name_finds_its_protocol_and_port(
             assert found.url == f"{scheme}://localhost:{port}"
             assert said.format(found.url) in capsys.readouterr().err
             FILE.unlink()
+
+
+def test_a_grid_that_only_one_search_found_is_not_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    early, found, firmer = (
+        Finding(replace(PRESETS["velostat"], columns=columns, full_scale=scale), (), "", "")
+        for columns, scale in ((4, 1023), (8, 1023), (8, 4095))
+    )
+    searches = iter([early, found, firmer])
+    monkeypatch.setattr(hand, "listen", lambda *_: [])
+    monkeypatch.setattr(hand, "search", lambda _: next(searches))
+    unused: Any = None
+    assert hand.find_with_a_hand(Console(quiet=True), unused) == firmer
 
 
 def test_a_silent_robot_is_written_with_its_likeliest_address(
