@@ -30,6 +30,8 @@ UNEVEN = 3.0
 # A pad that sends nothing for this long sends only while it is pressed.
 LONGEST_PAUSE_S = 1.5
 FULL_SCALES = (1023, 4095, 65535)
+# A configuration takes no larger full_scale; a parser cannot divide by a smaller one.
+SMALLEST_SCALE, LARGEST_SCALE = 1e-30, 4e9
 # The full scale of numbers with a fraction is one of these, times a power of ten.
 ROUND = (1, 2, 5)
 MOSTLY = 0.9
@@ -266,6 +268,8 @@ def _finished(guess: Guess) -> PadFormat:
 
 def _unscaled(described: PadFormat, values: Numbers) -> str:
     """Say why values are not pressure on the description's scale."""
+    if not SMALLEST_SCALE <= described.full_scale <= LARGEST_SCALE:
+        return f"its numbers go up to {described.full_scale:g}: print values of a usual size"
     if described.framing == "binary" and described.cell == "u8" and (wrong := binary.unlike_bytes(values)):
         return wrong
     if described.framing == "binary" and described.cell in ("u16", "i16", "u12"):

@@ -122,6 +122,8 @@ UNPROVEN: dict[str, tuple[Callable[[Grid, int], str], str]] = {
     "dead last columns": (lambda v, n: f"{table(v * (np.arange(10) < 8))}\r\n", "does not move"),
     "large offsets": (lambda v, n: f"{line(REST + v)}\r\n", "full_scale by hand"),
     "large offsets, falling": (lambda v, n: f"{line(REST - v)}\r\n", "full_scale by hand"),
+    "numbers that are too large": (lambda v, n: f"{line(v * 20_000_000)}\r\n", "usual size"),
+    "numbers that are too small": (lambda v, n: " ".join(f"{x}e-40" for x in v.ravel()) + "\n", "usual size"),
     "few levels": (lambda v, n: f"{line(v // 50)}\r\n", "full_scale by hand"),
     "nine angles": (lambda v, n: f"{line(v)}{9 * ',0.71'}{n % 7}\r\n", "fraction"),
     "a column of dashes": (
