@@ -194,17 +194,13 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
             natural = (numbers.shape[1], columns)
             usual = movement.fold(0, *natural) if natural in grids else None
             for rows, each in grids:
+                fold = movement.fold(0, rows, each)
+                is_whole = max(each, columns) % min(each, columns) == 0
+                if usual and (rows, each) != natural and not (is_whole and fold.beats(usual)):
+                    continue
                 described = PadFormat(
                     framing="text", rows=rows, columns=each, skip=skip, tail=tail, end=end.decode("latin-1")
                 )
-                fold = movement.fold(0, rows, each)
-                is_other = usual is not None and (rows, each) != natural
-                if (
-                    usual is not None
-                    and is_other
-                    and (max(each, columns) % min(each, columns) or not fold.beats(usual))
-                ):
-                    continue
                 fold = Fold(skip, rows, each, fold.by_stretch * share)
                 left_out = pressed[:, :skip].sum() + pressed[:, stop:].sum()
                 is_short = _are_alike(numbers[:, :, :skip], cells) or _are_alike(numbers[:, :, stop:], cells)
