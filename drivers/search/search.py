@@ -58,7 +58,7 @@ TIED = "both explain what came equally well"
 CUT = "a hand moves numbers beside its cells, too"
 SHORT = (
     "numbers beside its cells may be a row or column that does not move, or the end of a frame: press all "
-    "over it, mend it, and print equally many numbers on each line"
+    "over it, mend it, or print equally many numbers on each line"
 )
 PRESSED_LONG = (
     "its numbers rest on the wrong side of their range for the way in which a hand seems to move them: let "
@@ -262,7 +262,8 @@ def _finished(guess: Guess) -> PadFormat:
         # Pads rest at full scale if it means no pressure; otherwise a later press may be firmer.
         unit = 10.0 ** math.floor(math.log10(largest))
         rounded = next((each for each in ROUND if largest <= each * unit), 10)
-        scale = float(f"{1e-3 * math.ceil(1e3 * largest / unit) * unit if falls else rounded * unit:.6g}")
+        units = 1e-3 * math.ceil(1e3 * largest / unit) if falls else rounded
+        scale = float(f"{units * unit:.6g}")
     return replace(described, full_scale=scale, invert=falls)
 
 

@@ -31,7 +31,7 @@ LETTERS = re.compile(
 DIGIT_LETTER = re.compile(rb"\d[A-Za-z_]")
 # A line of other output, rather than of cells.
 WORD = re.compile(rb"[A-Za-z:=]")
-# Lines on either side of a separator are alike if they share this much of what other successive lines share.
+# If the lines around a separator are this many times as similar as other neighbours, each line is a frame.
 SAME_LINE = 0.8
 # Least numbers of a line whose letters change.
 LEAST_CHANGING = 4
@@ -210,20 +210,23 @@ def _in_several_lines(lines: Sequence[Line], width: int, by_contact: bool) -> It
 
 
 def _are_frames(off: Numbers) -> bool:
-    """Whether each line of (frames, lines, numbers) is a frame: those on either side of a separator are as
-    alike as any two successive lines. off: how far the numbers are from their rest."""
-    within = _alike(off[:, :-1], off[:, 1:])
-    return _alike(off[:-1, -1], off[1:, 0]) > SAME_LINE * within > 0
+    """Whether each line of (frames, lines, numbers) is a frame: a separator does not make the lines around
+    it differ more than other neighbours. off: how far the numbers are from their rest."""
+    within = _cosine(off[:, :-1], off[:, 1:])
+    return _cosine(off[:-1, -1], off[1:, 0]) > SAME_LINE * within > 0
 
 
-def _alike(one: Numbers, other: Numbers) -> float:
+def _cosine(one: Numbers, other: Numbers) -> float:
+    """Return the cosine similarity of two arrays of one shape."""
     shared = float((one * other).sum())
     return shared / max(math.sqrt(np.square(one).sum() * np.square(other).sum()), 1e-9)
 
 
 def _goes_on(lines: Sequence[Line], cells: Numbers) -> bool:
-    """Whether the line after a frame's last full line may hold the rest of its cells: numbers alone that read
-    as cells do, pressed ones or at rest."""
+    """Whether the line after a frame's last full line may hold the rest of its cells.
+
+    It may if it holds numbers alone, and they read like pressed cells or like cells at rest.
+    """
     width = cells.shape[2]
     rests = [
         line.numbers

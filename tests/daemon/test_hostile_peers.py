@@ -164,12 +164,15 @@ TOGETHER = (
         "robot, no answer to the login",
         "lsl, an endless request",
     ),
-    (
-        "mqtt, a broker that reads nothing",
-        "rosbridge, refusals",
-        "robot, a message of 4 GB",
-        "lsl, datagrams",
-        "ros2, participants",
+    pytest.param(
+        (
+            "mqtt, a broker that reads nothing",
+            "rosbridge, refusals",
+            "robot, a message of 4 GB",
+            "lsl, datagrams",
+            "ros2, participants",
+        ),
+        marks=pytest.mark.slow,
     ),
     (
         "mqtt, zeros",
@@ -233,11 +236,7 @@ def prepared(names: Sequence[str]) -> tuple[list[Attack], dict[str, Any]]:
     return attacks, settings
 
 
-@pytest.mark.parametrize(
-    "names",
-    [TOGETHER[0], pytest.param(TOGETHER[1], marks=pytest.mark.slow), TOGETHER[2]],
-    ids=", and ".join,
-)
+@pytest.mark.parametrize("names", TOGETHER, ids=", and ".join)
 def test_peers_and_strangers_cannot_make_touchd_use_memory(tmp_path: Path, names: tuple[str, ...]) -> None:
     attacks, settings = prepared(names)
     endured(tmp_path, attacks, 0.7, **settings)
