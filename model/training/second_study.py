@@ -27,14 +27,14 @@ def read(folder: Path) -> list[Recording]:
 
 
 def takes(recordings: Iterable[Recording]) -> list[Recording]:
-    """Return every whole take as a separate recording, without its edges, to train on.
+    """Return every take as a separate recording, without its edges, to train on.
 
-    All recordings of L2 and all but one of L1 are a frame too short.
+    The takes of L1 and L2 lack their last frame, so that only the part that is used must be whole.
     """
     return [
         _part(recording, start + EDGE_FRAMES, start + TAKE_FRAMES - EDGE_FRAMES)
         for recording in recordings
-        for start in range(0, len(recording.counts) - TAKE_FRAMES + 1, TAKE_FRAMES)
+        for start in range(0, len(recording.counts) - TAKE_FRAMES + EDGE_FRAMES + 1, TAKE_FRAMES)
     ]
 
 

@@ -9,6 +9,14 @@ from touchd.model.settings import AugmentationSettings, NetworkSettings
 Study = Literal["haart", "second", "third"]
 
 
+class Shares(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How often windows are cut from each study, relative to one another."""
+
+    haart: float = 1.0
+    second: float = 1.0
+    third: float = 1.0
+
+
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that determines a training's result, apart from data, code, and the networks beside it."""
 
@@ -27,8 +35,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     label_smoothing: float = 0.05
     average_decay: float = 0.995
     """Of the exponential moving average of the weights, which is the network that is kept."""
-    balance_people: bool = False
-    """Whether every study, and each of its people, is drawn equally often."""
+    shares: Shares | None = None
+    """Of the studies; each person of a study is drawn equally often. None: each recording equally often."""
     bfloat16: bool = False
     """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
     network: NetworkSettings = NetworkSettings()

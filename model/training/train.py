@@ -97,7 +97,7 @@ class Training:
         }
         self.average = {name: weights.detach().clone() for name, weights in self.weights.items()}
         base = AtLengths(TGC(self.settings.network, len(self.labels)), self.settings.lengths).to(device)
-        self._ask = at_once(base) if device == "cuda" else in_turn(base)
+        self._ask = torch.compile(at_once(base)) if device == "cuda" else in_turn(base)
         self._bfloat16 = self.settings.bfloat16 and computes_bfloat16(device)
         self.rate = torch.zeros((), device=device)
         self.follow = torch.zeros((), device=device)
@@ -117,21 +117,18 @@ class Training:
 
     def _drawn(self, own: TrainSettings) -> Tensor:
         """Return (R,), the cumulative probability with which a network's windows are cut from a recording."""
-        learnt = [self._learns(own, recording) for recording in self.recordings]
-        recorded = Counter(
-            recording.participant for recording, known in zip(self.recordings, learnt, strict=True) if known
-        )
+        recorded = Counter(each.participant for each in self.recordings if self._learns(own, each))
         people = Counter(study_of(participant) for participant in recorded)
-        share = torch.tensor(
-            [
-                1.0 / recorded[each.participant] / people[study_of(each.participant)]
-                if known and own.balance_people
-                else float(known)
-                for each, known in zip(self.recordings, learnt, strict=True)
-            ],
-            dtype=torch.float64,
-        )
-        until = (share.cumsum(0) / share.sum()).float()
+
+        def share(recording: Recording) -> float:
+            if own.shares is None or not self._learns(own, recording):
+                return float(self._learns(own, recording))
+            study = study_of(recording.participant)
+            of_study: float = getattr(own.shares, study)
+            return of_study / people[study] / recorded[recording.participant]
+
+        shares = torch.tensor([share(each) for each in self.recordings], dtype=torch.float64)
+        until = (shares.cumsum(0) / shares.sum()).float()
         # Nothing is drawn after the last recording, whatever the rounding.
         return torch.where(until >= until[-1], 2.0, until)
 
@@ -193,8 +190,10 @@ class Training:
             weights.grad = gradient * limit.reshape(-1, *[1] * (gradient.dim() - 1))
         self.optimizer.step()
         with torch.no_grad():
-            for name, weights in self.weights.items():
-                self.average[name].lerp_(weights, self.follow)
+            averages, weights = list(self.average.values()), list(self.weights.values())
+            changes = torch._foreach_sub(weights, averages)
+            torch._foreach_mul_(changes, self.follow)
+            torch._foreach_add_(averages, changes)
 
     def _windows(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return windows (N, B, T, 8, 8), targets and possible answers (N, B, classes)."""

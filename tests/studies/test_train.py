@@ -25,7 +25,7 @@ from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError, save
 from touchd.model.training.recipe import Job, Recipe, all_jobs, read_recipe, study_jobs
-from touchd.model.training.settings import Study, TrainSettings
+from touchd.model.training.settings import Shares, Study, TrainSettings
 from touchd.model.training.ship import finished as finished_training
 from touchd.model.training.ship import train_recipe
 from touchd.model.training.studies import Folders, study_of
@@ -131,13 +131,15 @@ def test_a_study_without_tickle_does_not_teach_against_it() -> None:
     assert training._possible(targets, soft)[0, :, 2].tolist() == [False, True, True]
 
 
-def test_studies_are_drawn_equally_often() -> None:
+@pytest.mark.parametrize(("third", "expected"), [(1.0, 0.5), (0.5, 1 / 3)])
+def test_studies_are_drawn_by_their_shares(third: float, expected: float) -> None:
     people = (*(f"P{i}" for i in range(3, 9)), "S03", "S04")
-    balanced = another(balance_people=True, studies=("haart", "third"))
+    shared = another(shares=Shares(third=third), studies=("haart", "third"))
     data = recordings(people)
-    (drawn,) = Training(data, [balanced], DEVICE).drawn
+    (drawn,) = Training(data, [shared], DEVICE).drawn
     chosen = torch.searchsorted(drawn, torch.rand(4000), right=True).tolist()
-    assert 0.45 < sum(data[i].participant[0] == "S" for i in chosen) / 4000 < 0.55
+    share = sum(data[i].participant[0] == "S" for i in chosen) / 4000
+    assert share == pytest.approx(expected, abs=0.05)
 
 
 def test_a_checkpoint_with_a_removed_setting_is_readable(
