@@ -190,8 +190,8 @@ class Training:
             weights.grad = gradient * limit.reshape(-1, *[1] * (gradient.dim() - 1))
         self.optimizer.step()
         with torch.no_grad():
-            averages, weights = list(self.average.values()), list(self.weights.values())
-            changes = torch._foreach_sub(weights, averages)
+            averages = list(self.average.values())
+            changes = torch._foreach_sub(list(self.weights.values()), averages)
             torch._foreach_mul_(changes, self.follow)
             torch._foreach_add_(averages, changes)
 
