@@ -30,7 +30,7 @@ LIFT_SHARE = 0.5
 # Longest touch of a repeated gesture, and the shortest pause, which ends a touch.
 LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
 
-DEMO_SEED = 2
+DEMO_SEED = 3
 DEMO_SCRIPT = (
     ("notouch", 2.5),
     *(

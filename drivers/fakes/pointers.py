@@ -1,7 +1,7 @@
 """Hands and fingertips that follow pointers: mouse, fingers or pens on the picture of a pad.
 
-The hand has the simulated hand's palm and fingers. Its forces are set to match load, peak and area of HAART's
-still hands, pats, repeated strokes and rubs on the bare pad.
+The hand has the simulated hand's palm and fingers, and leans on the palm. Its forces are set to match load,
+peak and area of HAART's still hands, pats, repeated strokes and rubs on the bare pad.
 
 In the recordings of both studies on fabric, slower passes are firmer, and the load swells along the way: a
 hand drawn one way sinks in as it goes. Here, a stroke's peak and second half match slow recorded passes. Its
@@ -88,7 +88,12 @@ TWO_TIPS = tuple(
     part._replace(along=0.0, radius=FINGERTIP.radius, share=share)
     for part, share in zip(FLAT_HAND, (0.0, 0.0, 1.0, 1.0, 0.0), strict=True)
 )
-HAND = Shape(FLAT_HAND, TWO_TIPS, landing=12.0, still=30.0, stroke=30.0, slow=3.0, fast=0.6, slip=2.0)
+# With the fingers as firm as the palm, the network takes rubs for scratches.
+PALM_SHARE, FINGER_SHARE = 1.1, 0.36
+LEANING_HAND = tuple(
+    part._replace(share=FINGER_SHARE if number else PALM_SHARE) for number, part in enumerate(FLAT_HAND)
+)
+HAND = Shape(LEANING_HAND, TWO_TIPS, landing=12.0, still=30.0, stroke=30.0, slow=3.0, fast=0.6, slip=2.0)
 FINGER = Shape(
     (FINGERTIP,), (FINGERTIP,), landing=25.0, still=60.0, stroke=45.0, slow=20.0, fast=3.0, slip=8.0
 )

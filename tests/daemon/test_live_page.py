@@ -38,9 +38,9 @@ SOON_S = 20.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.
 SCRIPT = (
     *(("notouch", 3.0), ("pat", 3.0), ("notouch", 3.0), ("stroke", 3.0)),
-    *(("notouch", 3.0), ("scratch", 1.3), ("rub", 2.2), ("notouch", 2.5)),
+    *(("notouch", 3.0), ("scratch", 1.0), ("rub", 2.6), ("notouch", 2.5)),
 )
-COUNTS = np.concatenate([part.counts for part in simulate(SCRIPT, seed=24)])
+COUNTS = np.concatenate([part.counts for part in simulate(SCRIPT, seed=6)])
 THREE_TOUCHES = Stream(COUNTS, ideal_clock_ms(len(COUNTS)), ())
 # A pad that reads the same in every frame, which no real one does.
 STILL = Stream(
