@@ -83,17 +83,18 @@ class Shape:
 
 
 FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
-# Two fingers, because the network is surest of them.
-TWO_TIPS = tuple(
-    part._replace(along=0.0, radius=FINGERTIP.radius, share=share)
-    for part, share in zip(FLAT_HAND, (0.0, 0.0, 1.0, 1.0, 0.0), strict=True)
+# Thin fingertips in a row, because the network is surest of them.
+TIP_RADIUS = 0.45
+FOUR_TIPS = tuple(
+    part._replace(along=0.0, radius=TIP_RADIUS, share=share)
+    for part, share in zip(FLAT_HAND, (0.0, 0.8, 1.0, 1.0, 0.8), strict=True)
 )
 # With the fingers as firm as the palm, the network takes rubs for scratches.
-PALM_SHARE, FINGER_SHARE = 1.1, 0.36
+PALM_SHARE, FINGER_SHARE = 1.3, 0.3
 LEANING_HAND = tuple(
     part._replace(share=FINGER_SHARE if number else PALM_SHARE) for number, part in enumerate(FLAT_HAND)
 )
-HAND = Shape(LEANING_HAND, TWO_TIPS, landing=12.0, still=30.0, stroke=30.0, slow=3.0, fast=0.6, slip=2.0)
+HAND = Shape(LEANING_HAND, FOUR_TIPS, landing=12.0, still=30.0, stroke=25.0, slow=3.0, fast=0.6, slip=2.0)
 FINGER = Shape(
     (FINGERTIP,), (FINGERTIP,), landing=25.0, still=60.0, stroke=45.0, slow=20.0, fast=3.0, slip=8.0
 )
