@@ -113,13 +113,13 @@ def test_teach_runs_as_typed_on_a_fake_pad(pad: str) -> None:
 
 
 def test_the_simulated_hand_does_what_it_is_told() -> None:
-    with Program(*TOUCHD, "fake-pad", "-c", os.devnull, "--gestures", "rub", "--every", "5") as program:
+    with Program(*TOUCHD, "fake-pad", "-c", os.devnull, "--gestures", "pat", "--every", "5") as program:
         path = next(line.split()[1] for line in program.stdout if line.startswith("pad: "))
         with Program(*TOUCHD, "run", "-c", os.devnull, "--json", "--port", path) as daemon:
             events = map(json.loads, daemon.stdout)
             assert next(event for event in events if event["type"] == "sensor")["state"] == "up"
             final = next(event for event in events if event.get("stage") == "final")
-            assert final["gesture"] == "rub"
+            assert final["gesture"] == "pat"
             daemon.send_signal(signal.SIGTERM)
             assert daemon.wait(WITHIN_S) == 0
         program.send_signal(signal.SIGINT)

@@ -36,3 +36,9 @@ class Program(subprocess.Popen[str]):
 
     def __init__(self, *command: str | Path, **options: Any) -> None:
         super().__init__(command, stdout=subprocess.PIPE, text=True, **options)
+
+    def __exit__(self, kind: type[BaseException] | None, *error: Any) -> None:
+        # After a failed assertion nobody stops the program any more.
+        if kind is not None:
+            self.kill()
+        super().__exit__(kind, *error)
