@@ -121,8 +121,10 @@ class Training:
         people = Counter(study_of(participant) for participant in recorded)
 
         def share(recording: Recording) -> float:
-            if own.shares is None or not self._learns(own, recording):
-                return float(self._learns(own, recording))
+            if not self._learns(own, recording):
+                return 0.0
+            if own.shares is None:
+                return 1.0
             study = study_of(recording.participant)
             of_study: float = getattr(own.shares, study)
             return of_study / people[study] / recorded[recording.participant]
@@ -190,6 +192,7 @@ class Training:
             weights.grad = gradient * limit.reshape(-1, *[1] * (gradient.dim() - 1))
         self.optimizer.step()
         with torch.no_grad():
+            # One kernel for all weights instead of one for each.
             averages = list(self.average.values())
             changes = torch._foreach_sub(list(self.weights.values()), averages)
             torch._foreach_mul_(changes, self.follow)
