@@ -9,7 +9,7 @@ contact is smaller than theirs and swells later: this was chosen with the shippe
 most recorded passes if they are cut out one at a time.
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -82,18 +82,16 @@ class Shape:
     slip: float
 
 
+def flat_hand_with(shares: Sequence[float], **changed: float) -> tuple[Part, ...]:
+    """Return the flat hand with other shares of the force. changed: other fields, for palm and fingers alike."""
+    return tuple(part._replace(share=share, **changed) for part, share in zip(FLAT_HAND, shares, strict=True))
+
+
 FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
 # Thin fingertips in a row, because the network is surest of them.
-TIP_RADIUS = 0.45
-FOUR_TIPS = tuple(
-    part._replace(along=0.0, radius=TIP_RADIUS, share=share)
-    for part, share in zip(FLAT_HAND, (0.0, 0.8, 1.0, 1.0, 0.8), strict=True)
-)
+FOUR_TIPS = flat_hand_with((0.0, 0.8, 1.0, 1.0, 0.8), along=0.0, radius=0.45)
 # With the fingers as firm as the palm, the network takes rubs for scratches.
-PALM_SHARE, FINGER_SHARE = 1.3, 0.3
-LEANING_HAND = tuple(
-    part._replace(share=FINGER_SHARE if number else PALM_SHARE) for number, part in enumerate(FLAT_HAND)
-)
+LEANING_HAND = flat_hand_with((1.3, 0.3, 0.3, 0.3, 0.3))
 HAND = Shape(LEANING_HAND, FOUR_TIPS, landing=12.0, still=30.0, stroke=25.0, slow=3.0, fast=0.6, slip=2.0)
 FINGER = Shape(
     (FINGERTIP,), (FINGERTIP,), landing=25.0, still=60.0, stroke=45.0, slow=20.0, fast=3.0, slip=8.0
