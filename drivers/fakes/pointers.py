@@ -83,7 +83,7 @@ class Shape:
 
 
 def flat_hand_with(shares: Sequence[float], **changed: float) -> tuple[Part, ...]:
-    """Return the flat hand with other shares of the force. changed: other fields, for palm and fingers alike."""
+    """Return the flat hand with other shares of the force. changed: fields that change for every part."""
     return tuple(part._replace(share=share, **changed) for part, share in zip(FLAT_HAND, shares, strict=True))
 
 
