@@ -142,8 +142,8 @@ install-files:
 	@install -D -m 644 systemd/touchd.tmpfiles.conf $(DESTDIR)$(SYSTEM)/tmpfiles.d/touchd.conf
 	@if test -e $(COMMAND) && ! test -L $(COMMAND); then echo "$(COMMAND) is there and is no link; left as it is"; \
 	  else ln -sfn $(PROGRAM)/bin/touchd $(COMMAND); fi
-	@install -m 640 daemon/setup/touchd.example.yaml $(ETC)/touchd/touchd.example.yaml
-	@test -e $(ETC)/touchd/touchd.yaml || install -m 640 daemon/setup/touchd.example.yaml $(ETC)/touchd/touchd.yaml
+	@install -m 640 daemon/touchd.example.yaml $(ETC)/touchd/touchd.example.yaml
+	@test -e $(ETC)/touchd/touchd.yaml || install -m 640 daemon/touchd.example.yaml $(ETC)/touchd/touchd.yaml
 ifeq ($(DESTDIR),)
 	@systemd-sysusers touchd.conf
 	@systemd-tmpfiles --create touchd.conf

@@ -13,9 +13,9 @@ import msgspec
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.pipeline import PipelineSettings
-from touchd.daemon.setup.strict_yaml import StrictYamlError, convert
-from touchd.daemon.setup.words import Language, Vocabulary, vocabulary
+from touchd.daemon.strict_yaml import StrictYamlError, convert
 from touchd.daemon.tracker.tracker import TouchSettings
+from touchd.daemon.words import Language, Vocabulary, vocabulary
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side

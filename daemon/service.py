@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
-from touchd.daemon.setup.parts import PadChannel, make_parts
+from touchd.daemon.parts import PadChannel, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.queue import Signal

@@ -20,10 +20,10 @@ from rich.console import Console
 from touchd.daemon.commands.run import favour_latency
 from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, decode, epoch_s
+from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING, play
-from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.numbers import within

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.events import Event, TouchBegan, TouchEnded, encode
+from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
-from touchd.daemon.setup.parts import load_model
-from touchd.daemon.setup.words import Vocabulary, name_of
 from touchd.daemon.terminal.describe import describe
+from touchd.daemon.words import Vocabulary, name_of
 from touchd.drivers.recording import NO_TOUCH, Stream
 
 

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-EXAMPLE = Path(__file__).parents[1] / "setup/touchd.example.yaml"
+EXAMPLE = Path(__file__).parents[1] / "touchd.example.yaml"
 
 
 def parser() -> argparse.ArgumentParser:

@@ -22,10 +22,10 @@ from touchd.daemon.events import Event, Prediction, RobotAction, RobotEvent, Tou
 from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.setup.words import name_of
 from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.view import View
+from touchd.daemon.words import name_of
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot

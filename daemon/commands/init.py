@@ -17,7 +17,7 @@ from touchd.daemon.config import DEFAULT_PORT, FABRIC, OVERRIDES, ConfigError, S
 from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
-from touchd.daemon.setup.parts import check_pad
+from touchd.daemon.parts import check_pad
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within

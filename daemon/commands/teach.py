@@ -15,10 +15,10 @@ from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER
 from touchd.daemon.config import ConfigError, Settings, load, only_pad
+from touchd.daemon.parts import load_models
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
 from touchd.daemon.recorder.session import Session, Setting, name
-from touchd.daemon.setup.parts import load_models
 from touchd.daemon.terminal.ask import Stopped, ask, ask_name
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.errors import TouchdError, os_errors_as

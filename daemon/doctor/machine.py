@@ -14,7 +14,7 @@ import numpy as np
 
 from touchd.daemon.config import ConfigError, Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.setup.parts import load_model
+from touchd.daemon.parts import load_model
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name

@@ -19,7 +19,7 @@ from touchd.daemon.events import (
     TouchEnded,
 )
 from touchd.daemon.kept.touches import ReportedTouch
-from touchd.daemon.setup.words import name_of
+from touchd.daemon.words import name_of
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
 
 TOUCHES = 12

@@ -13,7 +13,7 @@ from touchd.daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from touchd.daemon.setup.words import Vocabulary, name_of
+from touchd.daemon.words import Vocabulary, name_of
 from touchd.drivers.frame import FRAME_RATE_HZ
 
 ENDINGS: Mapping[EndReason, str] = {

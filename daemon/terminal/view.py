@@ -27,13 +27,13 @@ from touchd.daemon.events import (
 )
 from touchd.daemon.kept.touches import ReportedTouch
 from touchd.daemon.log import LogGate
-from touchd.daemon.setup.words import Vocabulary, name_of
 from touchd.daemon.terminal.bars import bars
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.pad_picture import Line, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
 from touchd.daemon.terminal.time_line import Flag, time_line
+from touchd.daemon.words import Vocabulary, name_of
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
 
 REFRESH_HZ = 12

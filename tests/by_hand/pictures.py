@@ -38,9 +38,9 @@ from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.live.touch import Touching
+from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.setup.parts import load_model
 from touchd.daemon.terminal.view import View
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import PressingHands

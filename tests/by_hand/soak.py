@@ -38,8 +38,8 @@ from touchd.daemon.kept.touch_store import (
     kept_touches,
     read_frames,
 )
+from touchd.daemon.parts import load_model, open_live_page
 from touchd.daemon.pipeline import Pipeline
-from touchd.daemon.setup.parts import load_model, open_live_page
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState

@@ -24,10 +24,10 @@ from touchd.daemon import cli
 from touchd.daemon.commands import demo
 from touchd.daemon.config import ConfigError, SceneSettings
 from touchd.daemon.events import RobotAction, TouchBegan, TouchEnded, decode
+from touchd.daemon.parts import check_fit
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.setup.parts import check_fit
-from touchd.daemon.setup.words import vocabulary
 from touchd.daemon.terminal.describe import describe
+from touchd.daemon.words import vocabulary
 from touchd.drivers.fakes.hand import write_simulated
 from touchd.drivers.recording import Recording, read_recordings, write_recordings
 from touchd.model.classifier import Classifier

@@ -21,7 +21,7 @@ from touchd.daemon.config import (
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
-EXAMPLE = Path(__file__).parents[2] / "daemon/setup/touchd.example.yaml"
+EXAMPLE = Path(__file__).parents[2] / "daemon/touchd.example.yaml"
 
 
 # The example with its commented-out settings enabled.

@@ -28,7 +28,7 @@ from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.events import Prediction, TouchEnded, encode
 from touchd.daemon.journal import JournalError
 from touchd.daemon.live.address import qr_code, urls_of
-from touchd.daemon.setup.parts import check_pad, load_model, open_journal
+from touchd.daemon.parts import check_pad, load_model, open_journal
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import Frame
@@ -37,7 +37,7 @@ from touchd.drivers.robot.reactions import Action, ActionRule
 from touchd.drivers.robot.session import RobotLimits
 
 ROOT = Path(__file__).parents[2]
-EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"
+EXAMPLE = ROOT / "daemon/touchd.example.yaml"
 
 
 def python(code: str) -> subprocess.CompletedProcess[str]:

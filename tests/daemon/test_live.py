@@ -25,8 +25,8 @@ from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
+from touchd.daemon.parts import load_model
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.fake_port import FakePort
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=7)

@@ -34,8 +34,8 @@ from touchd.daemon.config import (
 from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
 from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.daemon.kept.touches import read_journal
+from touchd.daemon.parts import link_to_robot, make_parts
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.setup.parts import link_to_robot, make_parts
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot

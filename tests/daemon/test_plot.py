@@ -18,11 +18,11 @@ from touchd.daemon.commands.plot import picture_of
 from touchd.daemon.config import Settings
 from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.kept.touches import gather, read_journal
+from touchd.daemon.parts import load_model
 from touchd.daemon.plot import journal as plot_journal
 from touchd.daemon.plot import recording as plot_recording
 from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
 from touchd.daemon.plot.recording import Trace, trace
-from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
 

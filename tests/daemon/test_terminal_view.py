@@ -23,9 +23,9 @@ from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.setup.words import Language, vocabulary
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.view import View
+from touchd.daemon.words import Language, vocabulary
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
@@ -36,7 +36,7 @@ SHOWN = """
 import sys
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.terminal.view import View
-from touchd.daemon.setup.words import vocabulary
+from touchd.daemon.words import vocabulary
 with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
     view.put(SensorEvent(state="up", time=""))
     sys.stdin.read()

@@ -32,8 +32,8 @@ from touchd.daemon.kept.touch_store import (
     open_stores,
     read_frames,
 )
+from touchd.daemon.parts import keep_touches
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
-from touchd.daemon.setup.parts import keep_touches
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
 from touchd.drivers.whole_file import PARTIAL

@@ -1,6 +1,6 @@
 """The shipped words for gestures, and those of a deployment."""
 
-from touchd.daemon.setup.words import SHIPPED, name_of, vocabulary
+from touchd.daemon.words import SHIPPED, name_of, vocabulary
 from touchd.drivers.robot.reactions import Words
 
 

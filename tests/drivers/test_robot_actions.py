@@ -7,7 +7,7 @@ import pytest
 import yaml
 from rigs.robots import message
 
-from touchd.daemon.setup.words import Language, vocabulary
+from touchd.daemon.words import Language, vocabulary
 from touchd.drivers.robot import reactions
 from touchd.drivers.robot.acting import MOST_TOUCHES, Reactions, spoken
 from touchd.drivers.robot.reactions import Action, ActionRule, Words

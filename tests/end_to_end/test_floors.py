@@ -81,7 +81,7 @@ WHAT_IS_LOADED = """
 import sys
 from touchd.daemon.commands import run
 from touchd.daemon.config import Settings
-from touchd.daemon.setup.parts import make_parts
+from touchd.daemon.parts import make_parts
 from touchd.drivers.queue import Signal
 make_parts(Settings(), print, tuple, Signal())
 print(*sys.modules)

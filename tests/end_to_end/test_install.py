@@ -28,7 +28,7 @@ PACKAGES = [
     for path in (ROOT / floor).rglob("__init__.py")
     if not any(path.is_relative_to(folder) for folder in NOT_INSTALLED)
 ]
-EXAMPLE = ROOT / "daemon/setup/touchd.example.yaml"
+EXAMPLE = ROOT / "daemon/touchd.example.yaml"
 CONFIGURATION = "etc/touchd/touchd.yaml"
 INSTALLED = {
     "etc/systemd/system/touchd.service",

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.daemon.playback.stream import play
-from touchd.daemon.setup.parts import load_model
 from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, write_simulated
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.model.classifier import Classifier

@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.live.server import LiveServer, encode_frame
-from touchd.daemon.setup.parts import load_model, open_live_page
+from touchd.daemon.parts import load_model, open_live_page
 from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
 from touchd.model.classifier import Classifier
 

@@ -51,7 +51,7 @@ def convert(text: bytes | str, struct: type[T]) -> T:
     try:
         raw = StrictLoader(text).get_single_data()
     except yaml.MarkedYAMLError as error:
-        from touchd.daemon.setup.mistakes import explain_yaml
+        from touchd.daemon.mistakes import explain_yaml
 
         raise StrictYamlError(explain_yaml(error)) from error
     except yaml.reader.ReaderError as error:
@@ -62,6 +62,6 @@ def convert(text: bytes | str, struct: type[T]) -> T:
     try:
         return msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
-        from touchd.daemon.setup.mistakes import explain
+        from touchd.daemon.mistakes import explain
 
         raise StrictYamlError(explain(str(error), struct)) from error
