@@ -25,6 +25,7 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.daemon.feel import FeelMeter
+from touchd.daemon.monitor import REST_FRAMES, PadMonitor
 from touchd.daemon.staleness import Staleness
 from touchd.daemon.tracker.tracker import (
     SETTLED_FRAMES,
@@ -36,7 +37,6 @@ from touchd.daemon.tracker.tracker import (
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
-from touchd.drivers.pad.monitor import REST_FRAMES, PadMonitor
 from touchd.model.classifier import Classifier, State, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")

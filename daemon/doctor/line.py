@@ -10,10 +10,10 @@ from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
+from touchd.daemon.monitor import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.monitor import MANY_SHARE
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from touchd.drivers.pad.protocol import parser_of

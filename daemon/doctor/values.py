@@ -6,11 +6,11 @@ from numpy.typing import NDArray
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import Sample
+from touchd.daemon.monitor import TaxelFaults
 from touchd.daemon.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.pad.monitor import TaxelFaults
 from touchd.drivers.pad.pace import steps_ms
 from touchd.model.classifier import KNOWN_REST_COUNTS
 

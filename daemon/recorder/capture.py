@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchd.daemon.config import Settings
+from touchd.daemon.monitor import TaxelFaults
 from touchd.daemon.recorder.session import Setting
 from touchd.daemon.tracker.tracker import Onset, Release, TouchTracker
 from touchd.drivers.frame import CLOCK_MODULUS, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, Ring
-from touchd.drivers.pad.monitor import TaxelFaults
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.port import check_port
 from touchd.drivers.pad.protocol import parser_of

@@ -10,10 +10,10 @@ import numpy as np
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
 
+from touchd.daemon.monitor import PadMonitor
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.monitor import PadMonitor
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.recording import Span, Stream, ideal_clock_ms

@@ -19,6 +19,7 @@ from rigs.sensor_rig import stream_of
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import SensorEvent
+from touchd.daemon.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
@@ -26,7 +27,6 @@ from touchd.drivers.faults import AGAIN_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.grid import MAX_GAP_MS
-from touchd.drivers.pad.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, realign, splice
@@ -194,8 +194,8 @@ def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
     with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
         events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
     begin, end = (line for line in log.splitlines() if "stands still" in line)
-    assert begin == f"WARNING touchd.drivers.pad.monitor: {DEAD_ROW}"
-    assert end.startswith(f"INFO touchd.drivers.pad.monitor: no longer: {DEAD_ROW}")
+    assert begin == f"WARNING touchd.daemon.monitor: {DEAD_ROW}"
+    assert end.startswith(f"INFO touchd.daemon.monitor: no longer: {DEAD_ROW}")
     assert {type(event) for event in events} <= {SensorEvent}
 
 
